@@ -44,6 +44,7 @@ class Done:
 IN_PROCESS = {
     "add",
     "apply",
+    "diff",
     "export",
     "log",
     "logs",

@@ -289,3 +289,64 @@ def test_an_invalid_file_changes_nothing(chain: Running) -> None:
     assert (done.status, "did you mean `/neat`?" in done.err) == (1, True), done.err
     after = chain.midstride("status", "--json").json["components"]
     assert [entry["pid"] for entry in after] == [entry["pid"] for entry in before]
+
+
+@contextmanager
+def edited(chain: Running, name: str, old: str, new: str) -> Iterator[Path]:
+    """A program of the chain, saved with a change. Afterwards it is as it was, and runs so."""
+    program = chain.folder / name
+    before = program.read_text(encoding="utf-8")
+    assert before.count(old) == 1
+    program.write_text(before.replace(old, new), encoding="utf-8")
+    try:
+        yield program
+    finally:
+        program.write_text(before, encoding="utf-8")
+        assert chain.midstride("apply", chain.file(SYSTEM, "chain.stride"), "--yes").status == 0
+
+
+def until_heard(chain: Running, words: str) -> None:
+    deadline = time.monotonic() + 20
+    while words not in [said for _, said in chain.heard()][-1:]:
+        assert time.monotonic() < deadline, chain.heard()
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("chain", BACKENDS, indirect=True)
+def test_an_edited_program_is_a_difference_that_apply_makes(chain: Running) -> None:
+    midstride, file = chain.midstride, chain.file(SYSTEM, "chain.stride")
+    assert midstride("diff", file).out == "No differences.\n"
+    with edited(chain, "pass.py", "{sys.argv[1]}:", "{sys.argv[1]}, edited:") as program:
+        status = midstride("status", "--json")
+        assert status.status == 0  # it is as valid as it was
+        changed = {entry["role"]: entry["changed_files"] for entry in status.json["components"]}
+        assert changed == {"source": [], "pass": [str(program)], "sink": []}
+        assert f"code changed on disk: {program}; `midstride restart pass` deploys it" in midstride("status").out
+        differing = midstride("diff", file)
+        assert (differing.status, differing.out) == (1, f"node pass: replaced\n  code changed on disk: {program}\n")
+        assert midstride("diff", file, "--keep-code").out == "No differences.\n"
+        kept = midstride("apply", file, "--yes", "--keep-code", "--json").json
+        assert (kept["outcome"], kept["plan"]["steps"]) == ("done", [])
+        done = midstride("apply", file, "--yes")
+        assert done.status == 0, done.out + done.err
+        assert f"pass: code changed on disk: {program}" in done.out
+        assert "hand over /neat" in done.out
+        until_heard(chain, "passed, edited: one m")
+        assert midstride("diff", file).out == "No differences.\n"
+
+
+@pytest.mark.parametrize("chain", ["sim"], indirect=True)
+def test_a_renamed_component_goes_on_under_its_new_name(chain: Running) -> None:
+    midstride = chain.midstride
+    before = midstride("status", "--json").json["components"]
+    new = chain.file(SYSTEM.replace("Pass", "Relay"), "new.stride")
+    try:
+        assert midstride("diff", new).out == "component Pass: renamed\n  to Relay; its nodes go on\n"
+        done = midstride("apply", new, "--yes")
+        assert done.status == 0, done.err
+        assert "component Pass is renamed Relay, and its nodes go on" in done.out
+        after = midstride("status", "--json").json["components"]
+        assert [entry["pid"] for entry in after] == [entry["pid"] for entry in before]
+        assert {entry["role"]: entry["component"] for entry in after}["pass"] == "Relay"
+    finally:
+        assert midstride("apply", chain.file(SYSTEM, "chain.stride"), "--yes").status == 0

@@ -67,6 +67,7 @@ class Owner:
     watch: Any = None
     driving: Any = ()
     failed: bool = False
+    calls: int = 0
 
 
 class Wire:

@@ -177,7 +177,7 @@ LAME = component("Lame", FunctionalitySpec("f", (Mode("only"),)))
         (PlanRequest(remove=("talker", "talker")), "node talker is named twice"),
         (PlanRequest(restart=("talkr",)), "no node `talkr`; did you mean `talker`?"),
         (PlanRequest(restart=("talker",), replace=(("talker", "NewTalker"),)), "node talker is named twice"),
-        (PlanRequest(to=talker(), restart=("talker",)), "either a whole specification or single changes"),
+        (PlanRequest(to=talker(), remove=("talker",)), "either a whole specification or single changes"),
         (PlanRequest(), "the request is empty: name nodes to replace, restart, add or remove"),
         (PlanRequest(remove=("talker",), replace=(("talker", "NewTalker"),)), "node talker is named twice"),
         (

@@ -119,3 +119,17 @@ def test_there_is_a_difference_iff_they_differ(one: Specification, other: Specif
     if not differ:
         assert one.nodes == other.nodes
         assert one.connectors == other.connectors
+
+
+def test_a_component_that_is_only_renamed_is_renamed() -> None:
+    assert changed(("ObstacleDetector", "Detector")) == [
+        "component ObstacleDetector: renamed\n  to Detector; its nodes go on"
+    ]
+    both = changed(("ObstacleDetector", "Detector"), ("functionality detect weight 3", "functionality detect weight 4"))
+    assert not any("renamed" in difference for difference in both)
+
+
+def test_a_node_is_replaced_where_its_code_has_changed() -> None:
+    (specification,) = [load_text(TEXT, str(FOLDER / "patrol.stride")).require()]
+    found = differences(specification, specification, {"detector": "code changed on disk: detector.py"})
+    assert [str(difference) for difference in found] == ["node detector: replaced\n  code changed on disk: detector.py"]

@@ -17,6 +17,8 @@ from midstride.model.configuration import Configuration
 from midstride.runtime.agreed_cut import FIND_TIMEOUT, RESUME_PERIODS, RESUME_WITHOUT_RATE, SHORTEST_RESUME
 from midstride.runtime.handover import (
     ATTACH_TIMEOUT,
+    CALLS,
+    CALLS_PATIENCE,
     DETACH_TIMEOUT,
     LEADS,
     MEET_ATTEMPTS,
@@ -206,6 +208,10 @@ def test_an_old_side_that_does_not_detach_is_a_warning_since_the_new_one_writes(
             GatedWrites(gated=3, wrong_type="Int32 instead of String"),
             r"talker_2\.out wrote a message of the wrong type behind its gate: Int32 instead of String",
         ),
+        (
+            GatedWrites(gated=2, wrong_type=None, failed=True),
+            r"the code that writes talker_2\.out has raised behind its gate",
+        ),
         (GatedWrites(gated=0, wrong_type=None), r"talker_2\.out has written nothing within 6 s"),
     ],
 )
@@ -217,7 +223,9 @@ def test_a_new_side_that_does_not_write_as_it_should_does_not_take_over(
         await fails(b, words)
         assert b.client.of(CutOutCommand) == []
         probation = only(b, AwaitWriteCommand, "talker_2")
-        assert probation == AwaitWriteCommand(port="out", topic="/chatter", timeout=PROBATION + 10 * 0.1)
+        assert probation == AwaitWriteCommand(
+            port="out", topic="/chatter", calls=CALLS, patience=CALLS_PATIENCE, timeout=PROBATION + 10 * 0.1
+        )
 
     bench(CONFIGURATION, tmp_path, body)
 

@@ -63,7 +63,13 @@ class ScriptedManager:
         return await self._answer("plan", request)
 
     async def change(
-        self, request: PlanRequest, *, expected: int | None = None, verify: bool = False, id: str | None = None
+        self,
+        request: PlanRequest,
+        *,
+        expected: int | None = None,
+        verify: bool = False,
+        brief: bool = False,
+        id: str | None = None,
     ) -> Any:
         return await self._answer("change", (request, expected, verify))
 

@@ -73,7 +73,7 @@ def test_the_openapi_document_has_every_operation() -> None:
         assert {f"/api/v1{path}" for path in ("/plan", "/change", "/parameters", "/down")} == {
             path for path, operations in document["paths"].items() if "post" in operations
         }
-        reading = ("", "/up", "/status", "/configuration", "/specification", "/why", "/log", "/events")
+        reading = ("", "/up", "/status", "/programs", "/configuration", "/specification", "/why", "/log", "/events")
         assert {f"/api/v1{path}" for path in reading} == {
             path for path, operations in document["paths"].items() if "get" in operations
         }

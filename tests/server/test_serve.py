@@ -143,7 +143,13 @@ class Changing(ScriptedManager):
         self.seconds = seconds
 
     async def change(
-        self, request: PlanRequest, *, expected: int | None = None, verify: bool = False, id: str | None = None
+        self,
+        request: PlanRequest,
+        *,
+        expected: int | None = None,
+        verify: bool = False,
+        brief: bool = False,
+        id: str | None = None,
     ) -> Any:
         self.asked.append(("change", None))
         try:

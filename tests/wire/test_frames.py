@@ -44,6 +44,7 @@ from midstride.wire.commands import (
     OfferStateCommand,
     PingCommand,
     PrepareStateCommand,
+    ProgramCommand,
     Receipt,
     RecordCommand,
     RecordingSwitched,
@@ -72,6 +73,7 @@ from midstride.wire.frames import (
     encode,
     encode_value,
 )
+from midstride.wire.program import FileFingerprint, Program
 from midstride.wire.state import ComponentState, Endpoint, FunctionalityState, LinkState, WireValue
 
 from .support import GREETING, HELLO, REGISTRATION
@@ -90,6 +92,7 @@ STATE = ComponentState(
     stopping=3.0,
     waiting="no manager has welcomed it yet",
     simulated_time=True,
+    imported=512,
     declared={"speed": 1.0},
 )
 SWAPS = [CutSwap(port="out", topic="/chatter", latch=True)]
@@ -102,6 +105,14 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (PingCommand(timeout=1.5), Done()),
     (ObserveCommand(timeout=1.5), STATE),
     (
+        ProgramCommand(timeout=1.5),
+        Program(
+            files=[FileFingerprint(path="/talker.py", size=9, modified=10**18, digest=None)],
+            started=10**18,
+            complete=False,
+        ),
+    ),
+    (
         GridCommand(port="out", topic="/chatter", timeout=1.5),
         Grid(trigger="rate", now=10**18, epoch=10**18 - 1, period=0.1, readers=2, clock="message", speed=0.5),
     ),
@@ -110,7 +121,10 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
         Records(rows=[ROW], publisher_identity=True, now=9, moments=[(1, 2)], ros_sources=True),
     ),
     (ExportStateCommand(timeout=1.5), ExportedState(state=b"\x00\xff\n")),
-    (AwaitWriteCommand(port="out", topic="/t", timeout=1.5), GatedWrites(gated=3, wrong_type="a String")),
+    (
+        AwaitWriteCommand(port="out", topic="/t", calls=3, patience=0.5, timeout=1.5),
+        GatedWrites(gated=3, wrong_type="a String", failed=True),
+    ),
     (AwaitMatchCommand(port="in", topic="/t", peers=2, timeout=1.5), Attached(matched=1)),
     (AwaitCutCommand(cut="c", timeout=1.5), CutResult(outcome="resumed", last=WRITE, first=WRITE)),
     (WelcomeCommand(manager="m", timeout=1.5), STATE),

@@ -33,6 +33,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
         "up": ("up", "start a system and its manager, and watch it"),
         "status": ("running", "show nodes, modes and topics"),
         "why": ("running", "explain why a functionality is in its mode"),
+        "dev": ("dev", "run a system, and swap its nodes whenever a file is saved"),
         "logs": ("logs", "show what a node's component has written"),
         "log": ("running", "show the latest events"),
         "watch": ("running", "watch the system live"),

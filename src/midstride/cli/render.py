@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from midstride.cli.console import PrintableTable
+from midstride.cli.programs import code_words
 from midstride.model import wording
 
 Document = Mapping[str, Any]
@@ -209,7 +210,8 @@ def status(document: Document) -> RenderableType:
         for row in rows:
             live.add_row(*first, *_functionality(row, component))
             first = ["", "", ""]
-    return Group(Text.from_markup(_heading(document)), live, *_topics(document), *_set(document), *_problems(document))
+    lines = [*_topics(document), *_programs(document), *_set(document), *_problems(document)]
+    return Group(Text.from_markup(_heading(document)), live, *lines)
 
 
 def _heading(document: Document) -> str:
@@ -252,6 +254,17 @@ def _topics(document: Document) -> Iterable[Text]:
         style = "dim" if topic["satisfied"] else "yellow"
         remark = "" if topic["satisfied"] else "  (not satisfied)"
         yield Text(f"{topic['name']}: {publishers} → {subscribers}{remark}", style=style)
+
+
+def _programs(document: Document) -> Iterable[Text]:
+    """The nodes whose code has changed on disk, and what is not known of others."""
+    for component in document["components"]:
+        unknown = component.get("unknown_files")
+        if files := component.get("changed_files"):
+            remedy = "" if unknown else f"; `midstride restart {component['role']}` deploys it"
+            yield Text(f"{component['name']}: {code_words(files)}{remedy}", style="yellow")
+        if unknown and component["reachable"]:
+            yield Text(f"{component['name']}: whether its code has changed is not fully known: {unknown}", style="dim")
 
 
 def _set(document: Document) -> Iterable[Text]:

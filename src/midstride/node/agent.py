@@ -23,6 +23,7 @@ from midstride.node.command_handlers import CommandHandlers, Revision
 from midstride.node.declaration import DeclaredParts
 from midstride.node.functionality_runner import FunctionalityRunner
 from midstride.node.host import Host
+from midstride.node.program import ProgramFiles
 from midstride.node.standalone import FLAG, Attachments, best_modes
 from midstride.wire import commands, frames
 from midstride.wire.command_server import CommandServer
@@ -49,6 +50,7 @@ class Agent:
     start_token: str
     pid: int
     standalone: Attachments | None
+    program: ProgramFiles
 
     def __post_init__(self) -> None:
         self._token = self.start_token
@@ -188,6 +190,8 @@ class Agent:
                     self._welcome(manager, token)
                 case commands.PingCommand():
                     pass
+                case commands.ProgramCommand():
+                    result = await asyncio.to_thread(self.program.listed)
                 case commands.StopCommand():
                     self._stopping.set()
                 case commands.ReleaseCommand():
@@ -227,7 +231,8 @@ class Agent:
 
     def state(self) -> ComponentState:
         """Read without waiting for the data thread."""
-        return self._handlers.state(self.host.instance, self._uuid, self.pid, self._waiting())
+        imported = len(self.program.modules)
+        return self._handlers.state(self.host.instance, self._uuid, self.pid, self._waiting(), imported)
 
     def _waiting(self) -> str | None:
         if self.standalone is None and not self._welcomed:

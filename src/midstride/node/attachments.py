@@ -73,10 +73,8 @@ class Attachments:
                     f"only {max(matched, 0)} of {command.peers} endpoints on {topic} were found within {timeout:g} s; "
                     "the others are missing, or have another type or incompatible QoS"
                 )
-            if command.peers:
-                await self.host.sleep(SETTLE)
             matched = await self._match(link, command.everyone, command.patience)
-            if command.everyone > command.peers:  # endpoints outside the system as well
+            if command.peers or command.everyone:
                 await self.host.sleep(SETTLE)
             if isinstance(link, OutputLink) and command.gate == "open":
                 await self.data.run(partial(self._open, link), timeout)
@@ -121,10 +119,14 @@ class Attachments:
             if link.output.owner.failed:
                 break  # it will not write
             await self.host.sleep(TICK)
+        owner, deadline = link.output.owner, self.host.steady() + int(command.patience * 1e9)
+        wanted = 1 if owner.driven == "none" else command.calls
+        while owner.calls < wanted and not owner.failed and self.host.steady() < deadline:
+            await self.host.sleep(TICK)
         if link.output.wrong_type is not None:
             with contextlib.suppress(CommandRefused):
                 await self.data.run(lambda: None, command.timeout)  # until the call that wrote it has degraded
-        return commands.GatedWrites(gated=link.gated, wrong_type=link.output.wrong_type)
+        return commands.GatedWrites(gated=link.gated, wrong_type=link.output.wrong_type, failed=owner.failed)
 
     async def await_match(self, command: commands.AwaitMatchCommand) -> commands.Attached:
         link = self._attached(command.port, command.topic)
@@ -147,6 +149,8 @@ class Attachments:
         """How many compatible endpoints it is matched with, once that is ``wanted`` or after ``patience`` (s)."""
         deadline = self.host.steady() + int(patience * 1e9)
         while (matched := link.endpoint.matched()) < wanted and self.host.steady() < deadline:
+            if isinstance(link, OutputLink) and link.output.owner.failed:
+                break  # it will not be handed over to
             await self.host.sleep(TICK)
         return matched
 

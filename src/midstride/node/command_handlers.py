@@ -168,7 +168,7 @@ class CommandHandlers:
 
     # -- state -------------------------------------------------------------------------------------
 
-    def state(self, instance: str, uuid: str, pid: int, waiting: str | None) -> ComponentState:
+    def state(self, instance: str, uuid: str, pid: int, waiting: str | None, imported: int) -> ComponentState:
         """The component's state, read without waiting for the data thread."""
         ports = {
             port.name: {
@@ -188,6 +188,7 @@ class CommandHandlers:
             stopping=self.parts.callbacks.stop_timeout + SHUTDOWN_SECONDS,
             waiting=waiting,
             simulated_time=self.host.simulated_time,
+            imported=imported,
             clock_speed=self.host.clock_history.speed(self.host.steady()) if self.host.simulated_time else 1.0,
             declared={each.name: each.declared for each in parameters if each.value != each.declared},
         )

@@ -25,6 +25,7 @@ from midstride.node.modes import listed
 from midstride.node.parameters import Parameter, check_parameter
 from midstride.node.ports import Input, Output
 from midstride.node.process_context import find, host_factory
+from midstride.node.program import ProgramFiles
 from midstride.node.standalone import remappings
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -232,7 +233,8 @@ class Component:
         host = factory(context.instance or self.name, context.namespace)
         self.instance, self.clock.host = host.instance, host
         pid = os.getpid() if context.pid is None else context.pid
-        agent = Agent(self._parts, declaration, host, context.token, pid, standalone)
+        program = ProgramFiles(context.modules, context.started)
+        agent = Agent(self._parts, declaration, host, context.token, pid, standalone, program)
         host.run(agent.main)
 
     def _declaring(self, what: str) -> None:

@@ -113,6 +113,7 @@ class FunctionalityRunner(OutputOwner):
         self.index = index
         self.because = because
         self.since = self._steady()
+        self.calls = 0
         self.failed = failed
 
     def start_calls(self) -> None:
@@ -185,6 +186,7 @@ class FunctionalityRunner(OutputOwner):
             self._ended()
 
     def _ended(self) -> None:
+        self.calls += 1
         self.busy = None
         self.slots = None
         self.info = None

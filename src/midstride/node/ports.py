@@ -59,6 +59,8 @@ class OutputOwner(Protocol):
     watch: Callable[[Any], None] | None = None
     # Whether it is in its mode because user code raised.
     failed: bool = False
+    # From how many calls user code has returned in this mode.
+    calls: int = 0
 
     @property
     def driven(self) -> Driven: ...

@@ -18,6 +18,7 @@ from typing import Any, Final, cast
 
 from midstride.errors import NodeError
 from midstride.node.host import HostFactory
+from midstride.node.program import process_started
 from midstride.wire.environment import (
     ENV_BACKEND,
     ENV_INSTANCE,
@@ -47,6 +48,9 @@ class ProcessContext:
     set_parameters: Mapping[str, Any] = field(default_factory=dict)
     arguments: tuple[str, ...] = ()
     pid: int | None = None
+    # What it has imported, and when it started (unix ns).
+    modules: Mapping[str, Any] = field(default_factory=lambda: sys.modules)
+    started: int = 0
 
 
 current: Final[ContextVar[ProcessContext | None]] = ContextVar("midstride_process_context", default=None)
@@ -64,6 +68,7 @@ def find() -> ProcessContext:
         parameters=_parameters(ENV_PARAMETERS),
         set_parameters=_parameters(ENV_SET_PARAMETERS),
         arguments=tuple(sys.argv[1:]),
+        started=process_started(),
     )
 
 

@@ -69,7 +69,7 @@ def requested_change(
     The cost follows the change, unless the request names a whole specification. Raises PlanRefused.
     """
     if request.to is not None:
-        return change_between(configuration, specification, target, measured)
+        return change_between(configuration, specification, target, measured, request.renewed())
     return change_of_roles(configuration, specification, target, request.roles(), measured, request.renewed())
 
 

@@ -17,6 +17,7 @@ class PlanRequest:
     """A request for a change. ``components`` are declarations that the specification does not have yet.
 
     A role in ``replace`` or ``restart`` gets a new instance, also of the same component: its program may have changed.
+    ``restart`` may accompany a whole specification.
     With ``declared_parameters``, parameter values that were set at run time are not kept.
     """
 
@@ -32,9 +33,11 @@ class PlanRequest:
     def target(self, specification: Specification) -> Specification:
         """The specification to change to. Raises PlanRefused for an unknown name or a malformed declaration."""
         if self.to is not None:
-            if self.roles():
+            if self.replace or self.add or self.remove:
                 raise PlanRefused("give either a whole specification or single changes, not both")
             _well_formed(check(self.to))
+            for role in self.restart:
+                require("node", role, self.to.nodes)
             return self.to
         if not self.roles():
             raise PlanRefused(

@@ -14,7 +14,7 @@ from midstride.model.component import ComponentSpec, Connector, EnvironmentGuara
 from midstride.model.contract import format_number
 from midstride.model.specification import Node, Specification
 
-Kind = Literal["added", "removed", "changed", "replaced", "rewired", "set"]
+Kind = Literal["added", "removed", "changed", "renamed", "replaced", "rewired", "set"]
 
 T = TypeVar("T")
 
@@ -30,8 +30,11 @@ class Difference(Form, frozen=True, omit_defaults=False):
         return "\n".join([f"{self.subject}: {self.kind}", *(f"  {detail}" for detail in self.details)])
 
 
-def differences(old: Specification, new: Specification) -> list[Difference]:
-    """Every difference, topics first; empty iff the two are equivalent."""
+def differences(old: Specification, new: Specification, renewed: Mapping[str, str] | None = None) -> list[Difference]:
+    """Every difference, topics first; empty iff the two are equivalent.
+
+    ``renewed``: the nodes that are replaced in any case, and why.
+    """
     was, will = ({offer.name: offer for offer in specification.environment} for specification in (old, new))
     return [
         *_compared("topic", old.connectors, new.connectors, lambda topic: (str(topic.guarantee),), _topic),
@@ -43,8 +46,8 @@ def differences(old: Specification, new: Specification) -> list[Difference]:
             _resource,
         ),
         *_compared("environment", was, will, lambda offer: (str(offer.guarantee),), _offer),
-        *_compared("component", old.components, new.components, lambda _: (), component_differences),
-        *_nodes(old, new),
+        *_components(old.components, new.components),
+        *_nodes(old, new, renewed or {}),
         *_rest(old, new),
     ]
 
@@ -91,6 +94,30 @@ def _offer(before: EnvironmentGuarantee, after: EnvironmentGuarantee) -> Iterato
 
 
 # -- components ------------------------------------------------------------------------------------------
+
+
+def _components(old: Mapping[str, ComponentSpec], new: Mapping[str, ComponentSpec]) -> Iterator[Difference]:
+    renamed = dict(renamed_components(old, new))
+    for before, after in renamed.items():
+        yield Difference(f"component {before}", "renamed", (f"to {after}; its nodes go on",))
+    kept = {name: component for name, component in old.items() if name not in renamed}
+    others = {name: component for name, component in new.items() if name not in renamed.values()}
+    yield from _compared("component", kept, others, lambda _: (), component_differences)
+
+
+def renamed_components(old: Mapping[str, ComponentSpec], new: Mapping[str, ComponentSpec]) -> Iterator[tuple[str, str]]:
+    """The components that differ in nothing but their names, each with its old and its new one."""
+    added = [name for name in sorted(new) if name not in old]
+    for before in sorted(old):
+        if before not in new:
+            after = next((name for name in added if _same_but_name(old[before], new[name])), None)
+            if after is not None:
+                added.remove(after)
+                yield before, after
+
+
+def _same_but_name(before: ComponentSpec, after: ComponentSpec) -> bool:
+    return before.same_body(after) and before.parameters == after.parameters
 
 
 def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterator[str]:
@@ -145,7 +172,7 @@ def _functionality(name: str, before: ComponentSpec, after: ComponentSpec) -> It
 # -- nodes -----------------------------------------------------------------------------------------------
 
 
-def _nodes(old: Specification, new: Specification) -> Iterator[Difference]:
+def _nodes(old: Specification, new: Specification, renewed: Mapping[str, str]) -> Iterator[Difference]:
     for role in sorted({*old.nodes, *new.nodes}):
         before, after = old.nodes.get(role), new.nodes.get(role)
         subject = f"node {role}"
@@ -154,11 +181,13 @@ def _nodes(old: Specification, new: Specification) -> Iterator[Difference]:
         elif after is None:
             yield Difference(subject, "removed")
         elif before is not None:
-            yield from _node(subject, old, new, before, after)
+            yield from _node(subject, old, new, before, after, renewed.get(role))
 
 
-def _node(subject: str, old: Specification, new: Specification, before: Node, after: Node) -> Iterator[Difference]:
-    details: list[str] = []
+def _node(
+    subject: str, old: Specification, new: Specification, before: Node, after: Node, why: str | None
+) -> Iterator[Difference]:
+    details: list[str] = [] if why is None else [why]
     was, will = old.component_of(before.role), new.component_of(after.role)
     replaced = not was.same_body(will)
     if replaced and before.component != after.component:
@@ -176,7 +205,7 @@ def _node(subject: str, old: Specification, new: Specification, before: Node, af
         replaced = not in_place
     wiring = list(_wiring(before, after))
     if details or wiring:
-        kind: Kind = "replaced" if replaced else "rewired" if wiring else "set"
+        kind: Kind = "replaced" if replaced or why is not None else "rewired" if wiring else "set"
         yield Difference(subject, kind, (*details, *wiring))
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import cast
 
 from msgspec import UNSET, UnsetType, structs
@@ -42,7 +42,8 @@ from midstride.verify.verdict import Verdict
 class ChangeSession:
     """Carries out one change at a time; the caller holds the manager's lock. ``executor`` makes an executor.
 
-    ``measuring`` is true once all steps are done and only the measurement is left.
+    ``measuring`` is true once all steps are done and only the measurement is left. ``another_waits`` is set while the
+    next command waits.
     """
 
     system: RunningSystem
@@ -55,6 +56,8 @@ class ChangeSession:
     verifier: Verifier
     executor: Callable[[], Executor]
     measuring: bool = False
+    another_waits: asyncio.Event = field(default_factory=asyncio.Event)
+    _measured_until: int = 0
 
     async def plan(self, request: PlanRequest) -> tuple[Plan, Specification]:
         """The plan for ``request`` from the current configuration, and its target. Raises PlanRefused."""
@@ -62,7 +65,9 @@ class ChangeSession:
         values = system.values.by_role(system.configuration)
         return await asyncio.to_thread(_plan, request, system.specification, system.configuration, values)
 
-    async def change(self, request: PlanRequest, *, expected: int | None = None, verify: bool = False) -> Outcome:
+    async def change(
+        self, request: PlanRequest, *, expected: int | None = None, verify: bool = False, brief: bool = False
+    ) -> Outcome:
         """Carry out ``request``; see :meth:`midstride.runtime.manager.Manager.change`."""
         if expected is not None and expected != self.system.revision:
             because = "the configuration has changed since the plan was shown; look at the new plan"
@@ -74,7 +79,7 @@ class ChangeSession:
             return self._refuse(str(error))
         keep = not request.declared_parameters
         if not verify:
-            return await self.carry_out(plan, target, keep=keep)
+            return await self.carry_out(plan, target, keep=keep, brief=brief)
         self.events.add("verifying", f"Alloy judges the {len(plan.steps)} steps of the plan")
         verdict = await self.verifier.plan(plan)
         self._verified(verdict)
@@ -82,7 +87,8 @@ class ChangeSession:
             return self._refuse(verdict.words, verdict)
         configurations = tuple(plan.configurations())
         step_verifier = StepVerifier(self.verifier, configurations, self.client, self.system.crashed, self._verified)
-        return structs.replace(await self.carry_out(plan, target, step_verifier, keep=keep), verdict=verdict)
+        outcome = await self.carry_out(plan, target, step_verifier, keep=keep, brief=brief)
+        return structs.replace(outcome, verdict=verdict)
 
     def _verified(self, verdict: Verdict) -> None:
         self.events.add("verified", str(verdict), verdict=verdict)
@@ -92,10 +98,20 @@ class ChangeSession:
         return Outcome(outcome="refused", because=because, verdict=verdict)
 
     async def carry_out(
-        self, plan: Plan, target: Specification, verifier: StepVerifier | None = None, *, keep: bool = True
+        self,
+        plan: Plan,
+        target: Specification,
+        verifier: StepVerifier | None = None,
+        *,
+        keep: bool = True,
+        brief: bool = False,
     ) -> Outcome:
-        """Carry out ``plan``, measure, and report. ``keep``: with the parameter values that were set at run time."""
-        recording = Recording(self.client, self.clock)
+        """Carry out ``plan``, measure, and report.
+
+        ``keep``: with the parameter values that were set at run time. ``brief``: the next command does not wait for the
+        whole measurement.
+        """
+        recording = Recording(self.client, self.clock, self.another_waits if brief else None, self._measured_until)
         transfer = ParameterTransfer(self.client, self.system.values, plan.change, plan.parameters, keep)
         try:
             return await self._carry_out(plan, target, recording, transfer, verifier)
@@ -155,6 +171,8 @@ class ChangeSession:
             swaps = await recording.finish(executor.driver.last_numbers, resumed=outcome != "done")
         finally:
             self.measuring = False
+            hurried = recording.hurried is not None and recording.hurried.is_set()
+            self._measured_until = int(self.clock.steady() * 1e9) if hurried else 0
         await self.reconciler.reconcile()  # the report includes unexpected degradations
         silences = {fault.words: fault for fault in [*recording.silences, *self.monitor.faults(system.configuration)]}
         if swaps:
@@ -181,7 +199,7 @@ def _plan(
     target, keep = request.target(specification), not request.declared_parameters
     if request.to is not None and not keep:
         configuration = _as_set(configuration, values)
-    if len(request.roles()) == 1:
+    if request.to is None and len(request.roles()) == 1:
         change = requested_change(configuration, specification, request, target)
     else:
         change = change_between(configuration, specification, target, renewed=request.renewed())

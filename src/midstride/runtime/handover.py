@@ -36,6 +36,10 @@ from midstride.wire import commands
 LEADS: Final = (0.1, 0.3, 1.0)
 # How long the new component may take to write once behind its gate (s), on top of 10 of its periods.
 PROBATION: Final = 5.0
+# From how many calls its code must have returned behind the gate, as far as they come within so many seconds of its
+# first message: what raises at once in most cases is not let in, and a slow component costs no time.
+CALLS: Final = 3
+CALLS_PATIENCE: Final = 0.5
 ATTACH_TIMEOUT: Final = 5.0
 # How long to wait for readers outside the model, such as `ros2 topic echo` (s). By default the middleware's discovery
 # announces every 3 s. The limit is for readers that were killed and that the middleware still counts.
@@ -223,11 +227,18 @@ class LiveHandover:
 
     async def _await_probation(self, swap: Swap) -> None:
         rate = self.configuration.rate(swap.new)
-        timeout = PROBATION + (10 / rate * self._stretch(swap.old.instance) if rate else 0.0)
-        await_write = commands.AwaitWriteCommand(port=swap.new.port, topic=self._topic(swap), timeout=timeout)
+        duration = self._stretch(swap.old.instance)  # of a second of its clock (s)
+        timeout = PROBATION + (10 / rate * duration if rate else 0.0)
+        # Without a rate, messages drive it, or it is called once.
+        calls = min(CALLS, 1 + int(rate / duration * CALLS_PATIENCE)) if rate else 1
+        await_write = commands.AwaitWriteCommand(
+            port=swap.new.port, topic=self._topic(swap), calls=calls, patience=CALLS_PATIENCE, timeout=timeout
+        )
         seen = await self.client.read(swap.new.instance, await_write)
         if seen.wrong_type:
             raise StepFailed(f"{swap.new} wrote a message of the wrong type behind its gate: {seen.wrong_type}")
+        if seen.failed:
+            raise StepFailed(f"the code that writes {swap.new} has raised behind its gate")
         if not seen.gated:
             because = await self._waits_for(swap.new.instance)
             raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over{because}")

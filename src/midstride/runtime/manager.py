@@ -32,12 +32,13 @@ from midstride.runtime import status
 from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.backend import Backend
 from midstride.runtime.change_session import ChangeSession
-from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.component_client import ComponentClient, ComponentEvent
 from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import observe
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
+from midstride.runtime.programs import Programs
 from midstride.runtime.reconciler import Reconciler
 from midstride.runtime.recovery import recover
 from midstride.runtime.reports import (
@@ -45,6 +46,7 @@ from midstride.runtime.reports import (
     LiveConfiguration,
     Outcome,
     ParametersReport,
+    ProgramStatus,
     RunningCommand,
     Status,
     UpReport,
@@ -77,6 +79,7 @@ class Manager:
         self._workspace = workspace
         self._lock = asyncio.Lock()
         self._current: str | None = None  # the command in progress
+        self._waiting = 0  # how many commands wait for it
         self._since = 0.0  # when it started (steady s)
         self._store = StateStore(workspace.state, lambda words: self.events.add("note", words))
         self._client = ComponentClient(backend.transport, backend.clock, secrets.token_hex(16))
@@ -94,7 +97,8 @@ class Manager:
             self._reconciler_lock,
             self._is_busy,
         )
-        self._client.on_event = self._reconciler.on_component_event
+        self._programs = Programs(self._client, directory)
+        self._client.on_event = self._on_component_event
         self._session = ChangeSession(
             self.system,
             self._client,
@@ -106,6 +110,11 @@ class Manager:
             verifier or Verifier(),
             self._executor,
         )
+
+    def _on_component_event(self, event: ComponentEvent) -> None:
+        if isinstance(event, ComponentState):
+            self._programs.on_report(event)
+        self._reconciler.on_component_event(event)
 
     def _executor(self) -> Executor:
         driver = ActionDriver(self._client, self._launcher, self._backend, self.system, self.events)
@@ -183,6 +192,7 @@ class Manager:
     async def close(self) -> None:
         """Disconnect; the components keep running."""
         await self._reconciler.close()
+        await self._programs.close()
         self._client.close()
         self._store.close()
         await self._backend.close()
@@ -218,12 +228,25 @@ class Manager:
 
     async def status(self) -> Status:
         """The live components and their modes, with reasons, as they report them; silent ones are marked."""
+        programs = await self._programs.status(self.configuration)
         running = None
         if self._current is not None:
             running = RunningCommand(self._current, round(self._backend.clock.steady() - self._since, 3))
         return status.status(
-            self.system, self._client, self._monitor, self._launcher, self._backend, running, self._store.unwritten
+            self.system,
+            self._client,
+            self._monitor,
+            self._launcher,
+            self._backend,
+            programs,
+            running,
+            self._store.unwritten,
         )
+
+    async def programs(self) -> list[ProgramStatus]:
+        """The files of the programs that run, and which of them have changed on disk since."""
+        await self._programs.settled()
+        return await self._programs.status(self.configuration)
 
     async def live(self) -> LiveConfiguration:
         """The configuration as its components report it; ``silent`` are those that have reported nothing lately."""
@@ -254,17 +277,24 @@ class Manager:
     # -- changing -----------------------------------------------------------------------------------
 
     async def change(
-        self, request: PlanRequest, *, expected: int | None = None, verify: bool = False, id: str | None = None
+        self,
+        request: PlanRequest,
+        *,
+        expected: int | None = None,
+        verify: bool = False,
+        brief: bool = False,
+        id: str | None = None,
     ) -> Outcome:
         """Carry out ``request``.
 
         ``expected`` is the revision that the previewed plan was made for: at any other one the change is refused, since
         its plan may differ. With ``verify``, Alloy verifies the plan first, and the change is refused unless the plan
-        holds; the live configuration is verified after each step, and the step fails unless it is valid. The events
+        holds; the live configuration is verified after each step, and the step fails unless it is valid. If ``brief``,
+        the next command does not wait until this one has been measured over 20 periods. The events
         `waiting` and `command` contain ``id``, so that a client can distinguish its own from others.
         """
         async with self._command(request.describe(), id):
-            return await self._session.change(request, expected=expected, verify=verify)
+            return await self._session.change(request, expected=expected, verify=verify, brief=brief)
 
     async def set_parameters(self, node: str, values: Mapping[str, ParameterValue]) -> ParametersReport:
         """Set parameters of a role or an instance, all of them or none, once the commands before are done.
@@ -287,7 +317,7 @@ class Manager:
         """Run one command at a time, in order of arrival; an event says which command another one waits for."""
         if self._current is not None:
             self.events.add("waiting", f"`{words}` waits for `{self._current}`", command=words, id=id)
-        async with self._lock:
+        async with self._turn():
             self._current, self._since = words, self._backend.clock.steady()
             self.events.add("command", words, id=id)
             try:
@@ -295,6 +325,23 @@ class Manager:
                     yield
             finally:
                 self._current = None
+
+    @contextlib.asynccontextmanager
+    async def _turn(self) -> AsyncIterator[None]:
+        """Hold the lock; the session knows whether a command waits for it."""
+        self._waiting += 1
+        if self._current is not None:
+            self._session.another_waits.set()
+        try:
+            await self._lock.acquire()
+        finally:
+            self._waiting -= 1
+            if not self._waiting:
+                self._session.another_waits.clear()
+        try:
+            yield
+        finally:
+            self._lock.release()
 
     def _is_busy(self) -> bool:
         """Whether a command is changing the system. One that only measures does not prevent reconciling."""

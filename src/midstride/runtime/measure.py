@@ -53,7 +53,8 @@ class Observation:
 
     ``last_number`` is the number of the old publisher's last message, as it reports it. ``inputs`` are the source times
     of the messages that a message-driven publisher had to answer, if known: they serve as its time grid. ``resumed``:
-    the change was rolled back, so the old publisher is the one at the end, too.
+    the change was rolled back, so the old publisher is the one at the end, too. ``watched``: how long the recording
+    continued after the last step (s), where that is not 20 periods; ``earliest``: rows before belong to another change.
     """
 
     topic: str
@@ -66,17 +67,19 @@ class Observation:
     last_number: int | None = None
     inputs: Sequence[int] | None = None
     resumed: bool = False
+    watched: float = math.inf
+    earliest: int = 0
 
 
 def report(seen: Observation) -> SwapReport:
     """The figures of one observation. ``ended`` includes the tail after the last step."""
     period = seen.guaranteed_period
-    rows = _window(seen.rows, seen.begun, seen.ended, period or seen.grid_period)
+    rows = _window(seen, period or seen.grid_period)
     gap = _gap(rows, seen.begun, seen.ended) if period else None
     by_publisher = _by_publisher(rows, seen.begun, seen.last_number)
     missed = duplicates = None
     grid = seen.grid_period or period
-    tail = seen.ended - WINDOW_PERIODS / 2 * (grid or 0.0) * 1e9
+    tail = seen.ended - min(WINDOW_PERIODS * (grid or 0.0), seen.watched) / 2 * 1e9
     by_side = None if by_publisher is None else _swapped(by_publisher, seen, tail)
     if grid and not rows:
         missed = math.floor((seen.ended - seen.begun) / (grid * 1e9))
@@ -95,9 +98,9 @@ def report(seen: Observation) -> SwapReport:
     )
 
 
-def _window(rows: Sequence[Receipt], begun: int, ended: int, period: float | None) -> list[Receipt]:
-    start = begun - int(WINDOW_PERIODS * period * 1e9) if period else -math.inf
-    return sorted((row for row in rows if start <= row.received <= ended), key=lambda row: row.received)
+def _window(seen: Observation, period: float | None) -> list[Receipt]:
+    start = max(seen.earliest, seen.begun - int(WINDOW_PERIODS * period * 1e9) if period else seen.earliest)
+    return sorted((row for row in seen.rows if start <= row.received <= seen.ended), key=lambda row: row.received)
 
 
 def _gap(rows: Sequence[Receipt], begun: int, ended: int) -> float:

@@ -27,6 +27,8 @@ _PortOnTopic: TypeAlias = tuple[PortRef, str]
 LONGEST_TAIL: Final = 10.0
 # How long it continues if no rate defines a period (s).
 TAIL_WITHOUT_RATE: Final = 0.5
+# For how many periods at least, where the next command does not wait for the rest.
+SHORTEST_TAIL_PERIODS: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,10 +73,16 @@ class RecordedInput:
 
 @dataclass(slots=True)
 class Recording:
-    """The recording of one plan. Failures do not affect the plan: their figures are reported as unknown."""
+    """The recording of one plan. Failures do not affect the plan: their figures are reported as unknown.
+
+    Where ``hurried`` is set meanwhile, it ends as soon as the figures mean something. What was received before
+    ``earliest`` (steady ns) belongs to another change.
+    """
 
     client: ComponentClient
     clock: Clock
+    hurried: asyncio.Event | None = None
+    earliest: int = 0
     recorded: list[RecordedInput] = field(default_factory=list)
     unknown: list[SwapReport] = field(default_factory=list)
     # Subscribers that received nothing while the new publisher published.
@@ -144,7 +152,7 @@ class Recording:
         records: dict[PortRef, Records] = {}
         try:
             before = await self._published(resumed)
-            await self.clock.sleep(min(max(tails), LONGEST_TAIL))
+            await self._keep_recording(min(max(tails), LONGEST_TAIL))
             after = await self._published(resumed)
             # The subscribers first: then the driving inputs have received every message that was answered.
             for port in dict.fromkeys([*(each.input for each in self.recorded), *self._driving_inputs.values()]):
@@ -164,6 +172,7 @@ class Recording:
             sources = None if driving is None else [row.source for row in driving.rows if row.source is not None]
             last = last_numbers.get(old)
             seen = replace(seen, rows=found.rows, ended=found.now, last_number=last, inputs=sources, resumed=resumed)
+            seen = replace(seen, watched=watched, earliest=self.earliest)
             if found.moments is None:
                 reports.append(report(seen))
             else:
@@ -173,6 +182,17 @@ class Recording:
             if published >= UNRECEIVED and not any(row.received > found.now - watched * 1e9 for row in found.rows):
                 self.silences.append(not_receiving(each.input, seen.topic, watched))
         return reports + self.unknown
+
+    async def _keep_recording(self, tail: float) -> None:
+        least = tail * SHORTEST_TAIL_PERIODS / WINDOW_PERIODS
+        await self.clock.sleep(least)
+        rest = asyncio.ensure_future(self.clock.sleep(tail - least))
+        hurry = asyncio.ensure_future(asyncio.Event().wait() if self.hurried is None else self.hurried.wait())
+        try:
+            await asyncio.wait({rest, hurry}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            rest.cancel()
+            hurry.cancel()
 
     async def _published(self, resumed: bool) -> dict[_PortOnTopic, int]:
         """How many messages the publishers at the end have published so far, where that is known.

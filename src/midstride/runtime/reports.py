@@ -109,6 +109,17 @@ class AttachmentStatus(Report, frozen=True):
     gate: Literal["open", "closed"] | None
 
 
+class ProgramStatus(Report, frozen=True, kw_only=True):
+    """The program of an instance, as far as it is known."""
+
+    name: str
+    role: str
+    files: Annotated[list[str], Meta(description="its script, the modules that it has imported, and what `run` names")]
+    changed: Annotated[list[str], Meta(description="those that have changed on disk since it started")]
+    unknown: Annotated[str | None, Meta(description="what is not known of it")]
+    startable: Annotated[bool, Meta(description="whether the manager can start it: its component has a `run` command")]
+
+
 class ParameterStatus(Report, frozen=True):
     """A parameter of a component. Where it was set at run time, `declared` is the value that it was started with."""
 
@@ -136,6 +147,8 @@ class ComponentStatus(Report, frozen=True, kw_only=True):
     ending: Annotated[bool, Meta(description="it has been asked to end")]
     waiting: Annotated[str | None, Meta(description="what it is waiting for")]
     as_modelled: bool
+    changed_files: Annotated[list[str], Meta(description="of its program: changed on disk since it started")]
+    unknown_files: Annotated[str | None, Meta(description="what is not known of its program's files")]
     functionalities: list[FunctionalityStatus]
     attachments: list[AttachmentStatus]
     parameters: Annotated[list[ParameterStatus], Meta(description="none where it does not answer")] = []

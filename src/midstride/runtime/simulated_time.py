@@ -8,6 +8,7 @@ which the subscriber saw that clock move (docs/semantics.md section 7).
 from __future__ import annotations
 
 import bisect
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
@@ -68,4 +69,10 @@ def on_ros_clock(seen: Observation, moments: Sequence[ClockMoment], ros_sources:
         for row in seen.rows
     ]
     inputs = None if seen.inputs is None else [published(source) for source in seen.inputs]
-    return replace(seen, rows=rows, begun=ros(seen.begun), ended=ros(seen.ended), inputs=inputs)
+    watched = seen.watched
+    if not math.isinf(watched):
+        watched = (ros(seen.ended) - ros(seen.ended - int(watched * 1e9))) / 1e9
+    earliest = ros(seen.earliest) if seen.earliest else 0
+    return replace(
+        seen, rows=rows, begun=ros(seen.begun), ended=ros(seen.ended), inputs=inputs, watched=watched, earliest=earliest
+    )

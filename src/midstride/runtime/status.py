@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from midstride.errors import PlanRefused
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
@@ -21,14 +23,16 @@ def status(
     monitor: SilenceMonitor,
     launcher: Launcher,
     backend: Backend,
+    programs: Iterable[reports.ProgramStatus],
     running: reports.RunningCommand | None,
     unwritten: str | None,
 ) -> reports.Status:
     """The answer to ``midstride status``."""
     configuration, evaluator = system.configuration, Evaluator(system.configuration)
     found, silences = violations(configuration), monitor.faults(configuration)
+    program_of = {program.name: program for program in programs}
     components = [
-        _component(configuration, instance, client.responsive(name), launcher)
+        _component(configuration, instance, client.responsive(name), launcher, program_of.get(name))
         for name, instance in sorted(configuration.instances.items())
     ]
     return reports.Status(
@@ -61,7 +65,11 @@ def status(
 
 
 def _component(
-    configuration: Configuration, instance: Instance, state: ComponentState | None, launcher: Launcher
+    configuration: Configuration,
+    instance: Instance,
+    state: ComponentState | None,
+    launcher: Launcher,
+    program: reports.ProgramStatus | None,
 ) -> reports.ComponentStatus:
     handle = launcher.handles.get(instance.name)
     process = state or handle
@@ -78,6 +86,8 @@ def _component(
         ending=instance.name in launcher.ending,
         waiting=None if state is None else state.waiting,
         as_modelled=all(each.mode == each.modelled for each in functionalities),
+        changed_files=[] if program is None else program.changed,
+        unknown_files=None if program is None else program.unknown,
         functionalities=functionalities,
         parameters=[] if state is None else parameters(state),
         attachments=[

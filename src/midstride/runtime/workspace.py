@@ -14,8 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import psutil
-
 from midstride.errors import ManagerBusy, ManagerError
 from midstride.wire.folders import COMPONENTS, workspace_folder, workspace_root
 
@@ -102,13 +100,13 @@ class Workspace:
         try:
             with (self.path / "lock").open() as lock:
                 pid = int(lock.read())
-                if "_manager" not in psutil.Process(pid).cmdline():
+                if b"_manager" not in Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0"):
                     return None
                 fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)  # free if the manager is about to exit
                 return None
         except BlockingIOError:
             return pid
-        except (OSError, ValueError, psutil.Error):
+        except (OSError, ValueError):
             return None
 
     def require_room(self) -> None:

@@ -27,6 +27,7 @@ from midstride.runtime.reports import (
     Outcome,
     ParametersReport,
     PlannedChange,
+    ProgramStatus,
     Service,
     Status,
     UpReport,
@@ -110,6 +111,11 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
         """The live components and their modes, as they report them."""
         return answer(await manager.status())
 
+    @router.get("/programs", responses=answers(list[ProgramStatus]))
+    async def programs() -> Response:
+        """The files of the programs that run, and which of them have changed on disk since they started."""
+        return answer(await manager.programs())
+
     @router.get("/configuration", responses=answers(LiveConfiguration))
     async def configuration() -> Response:
         """The configuration as its components report it, with its topics and environment."""
@@ -169,7 +175,7 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
         """Carry out a change, once the commands before it are done; responds when it has been measured."""
         change, request = await read_change(http)
         lifecycle.require_up()
-        work = manager.change(request, expected=change.expected, verify=change.verify, id=change.id)
+        work = manager.change(request, expected=change.expected, verify=change.verify, brief=change.brief, id=change.id)
         return answer(await lifecycle.carry_out(work))
 
     @router.post(

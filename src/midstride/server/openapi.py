@@ -28,6 +28,7 @@ FORMS: Final = (
     reports.Outcome,
     reports.ParametersReport,
     reports.PlannedChange,
+    reports.ProgramStatus,
     reports.Service,
     reports.Status,
     reports.UpReport,

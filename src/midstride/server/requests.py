@@ -30,7 +30,8 @@ class SubmittedChange(Form, frozen=True):
     """A request to be carried out.
 
     `expected`: refuse it unless the configuration still has that revision. `verify`: refuse it unless Alloy finds every
-    step of the plan safe, and verify the live configuration after each of them. `id`: any text; the events `waiting`
+    step of the plan safe, and verify the live configuration after each of them. `brief`: the next command does not wait
+    until this change has been measured over 20 periods. `id`: any text; the events `waiting`
     and `command` of this change contain it, and those that follow until the next `command` belong to it.
     """
 
@@ -39,6 +40,7 @@ class SubmittedChange(Form, frozen=True):
     request: ChangeRequest
     expected: int | None = None
     verify: bool = False
+    brief: bool = False
     id: Annotated[str, field("an id", max_length=100)] | None = None
 
 

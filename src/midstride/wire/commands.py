@@ -14,6 +14,7 @@ from typing import Annotated, Any, ClassVar, Final, Generic, Literal, TypeAlias,
 
 import msgspec
 
+from midstride.wire.program import Program
 from midstride.wire.state import ComponentState, GateState, WireValue
 
 R_co = TypeVar("R_co", covariant=True)
@@ -99,10 +100,14 @@ class StateOffer(WireValue, frozen=True, kw_only=True):
 
 
 class GatedWrites(WireValue, frozen=True, kw_only=True):
-    """How many messages were written behind the gate; ``wrong_type``: what was wrong with the last refused one."""
+    """How many messages were written behind the gate; ``wrong_type``: what was wrong with the last refused one.
+
+    ``failed``: user code has raised.
+    """
 
     gated: int
     wrong_type: str | None
+    failed: bool = False
 
 
 class LastWrite(WireValue, frozen=True, kw_only=True):
@@ -191,6 +196,12 @@ class ObserveCommand(Command[ComponentState], frozen=True, kw_only=True, tag="ob
     kind = "reading"
 
 
+class ProgramCommand(Command[Program], frozen=True, kw_only=True, tag="program"):
+    """The files of the component's program, as it has read them."""
+
+    kind = "reading"
+
+
 class GridCommand(Command[Grid], frozen=True, kw_only=True, tag="grid"):
     """The time grid of an output; with a topic, its readers there as well."""
 
@@ -213,11 +224,16 @@ class ExportStateCommand(Command[ExportedState], frozen=True, kw_only=True, tag=
 
 
 class AwaitWriteCommand(Command[GatedWrites], frozen=True, kw_only=True, tag="await_write"):
-    """Wait for a write behind the gate."""
+    """Wait for a write behind the gate, and then until user code has returned from ``calls`` calls of its mode.
+
+    For these it waits at most ``patience`` seconds.
+    """
 
     kind = "reading"
     port: str
     topic: str
+    calls: int = 1
+    patience: Seconds = 0.0
     timeout: Seconds = 5.0
 
 

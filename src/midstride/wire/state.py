@@ -42,8 +42,9 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
 
     ``simulated_time``: its ROS clock follows ``/clock``, and gains ``clock_speed`` seconds in each second (0: it stands
     still, or that is not known yet). ``stopping`` is how long it may take to end in order (s).
-    ``ports`` maps port -> topic -> attachment. ``declared`` has the parameters that were set while it ran, each with
-    the value that it was started with.
+    ``ports`` maps port -> topic -> attachment. ``imported`` counts the modules that its process has imported: where it
+    has grown, so may have the files of its program. ``declared`` has the parameters that were set while it ran, each
+    with the value that it was started with.
     """
 
     instance: str
@@ -56,6 +57,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     stopping: float
     waiting: str | None = None
     simulated_time: bool = False
+    imported: int = 0
     clock_speed: float = 1.0
     declared: dict[str, Any] = msgspec.field(default_factory=dict)
 

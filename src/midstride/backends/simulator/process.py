@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextvars
+import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
@@ -65,6 +66,8 @@ class SimulatedProcess:
             set_parameters=dict(launch.set_parameters),
             arguments=self._program.arguments,
             pid=pid,
+            modules=self._program.modules,
+            started=time.time_ns(),
         )
         context.run(process_context.current.set, own)
         self._thread = CooperativeThread(launch.instance, self._program.run, context)

@@ -77,7 +77,8 @@ class SimulatedProgram:
         self._directory = str(launch.directory) if self._module else str(Path(self._file).parent)
         self._argv = [self._file, *self.arguments]
         self._main = ModuleType("__main__")
-        self._modules: dict[str, ModuleType] = {"__main__": self._main}
+        # Those that are its own, by name.
+        self.modules: dict[str, ModuleType] = {"__main__": self._main}
 
     def run(self) -> None:
         """In the thread."""
@@ -131,8 +132,8 @@ class SimulatedProgram:
         sys.stdout = sys.stderr = self._log
         sys.argv = self._argv
         sys.path.insert(0, self._directory)
-        shadowed = {name: sys.modules.get(name) for name in self._modules}
-        sys.modules.update(self._modules)
+        shadowed = {name: sys.modules.get(name) for name in self.modules}
+        sys.modules.update(self.modules)
         known = len(sys.modules)
         try:
             yield
@@ -155,4 +156,4 @@ class SimulatedProgram:
         for name in list(sys.modules)[known:]:  # a dictionary keeps the order of insertion
             file = getattr(sys.modules[name], "__file__", None)
             if isinstance(file, str) and file.startswith(folder):
-                self._modules[name] = sys.modules.pop(name)
+                self.modules[name] = sys.modules.pop(name)

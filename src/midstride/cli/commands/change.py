@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import uuid
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -100,16 +101,41 @@ def remove_command(nodes: tuple[str, ...], system: str | None, strategy: str, ve
 
 @click.command("apply")
 @click.argument("new", type=click.Path(path_type=Path))
+@click.option("--keep-code", is_flag=True, help="Do not replace nodes only because their code has changed on disk.")
 @change_options.declared_parameters_option
 @_change_options
 def apply_command(
-    new: Path, declared_parameters: bool, system: str | None, strategy: str, verify: bool, yes: bool
+    new: Path,
+    keep_code: bool,
+    declared_parameters: bool,
+    system: str | None,
+    strategy: str,
+    verify: bool,
+    yes: bool,
 ) -> int:
-    """Change the running system to the specification NEW."""
+    """Change the running system to the specification NEW, and to the code that its programs have now."""
     from midstride.cli.files import load
-    from midstride.codec.specification import encode_specification
+    from midstride.cli.programs import changed_code, code_words
+    from midstride.codec.specification import decode_specification, encode_specification
+    from midstride.plan.specification_diff import renamed_components
 
-    request = {"to": encode_specification(load(new)), "strategy": strategy, "declared_parameters": declared_parameters}
+    target = load(new)
+
+    def request(client: Client) -> Document:
+        changed = {} if keep_code else changed_code(client, target.nodes)
+        running = decode_specification(client.get("/specification"))
+        out = console(stderr=wants_json())
+        for before, after in renamed_components(running.components, target.components):
+            out.print(f"component {before} is renamed {after}, and its nodes go on", markup=False)
+        for node, files in sorted(changed.items()):
+            out.print(f"{node}: {code_words(files)}", markup=False)
+        return {
+            "to": encode_specification(target),
+            "restart": sorted(changed),
+            "strategy": strategy,
+            "declared_parameters": declared_parameters,
+        }
+
     return change(system, request, f"apply {new.name}", yes, verify)
 
 
@@ -123,11 +149,17 @@ def _components(file: Path | None) -> list[Document]:
     return [encode_component(specification.components[name]) for name in sorted(specification.components)]
 
 
-def change(system: str | None, request: Document, title: str, yes: bool, verify: bool) -> int:
-    """Show the plan, ask for confirmation, make the change and report it. The exit status."""
+def change(
+    system: str | None, asked: Document | Callable[[Client], Document], title: str, yes: bool, verify: bool
+) -> int:
+    """Show the plan, ask for confirmation, make the change and report it. The exit status.
+
+    ``asked``: the request, or what makes it with the help of the system's manager.
+    """
     if not yes and not is_interactive():
         raise click.UsageError("not a terminal; pass --yes")
     client, _ = find(system)
+    request = asked(client) if callable(asked) else asked
     expected = None
     if not yes:
         from midstride.cli import render

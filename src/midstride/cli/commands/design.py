@@ -9,9 +9,10 @@ import click
 from midstride.cli import completion, graphviz
 from midstride.cli.files import load, read
 from midstride.cli.output import json_option, print_json, wants_json
+from midstride.cli.programs import changed_code, code_words
 from midstride.cli.systems import find, system_option
 from midstride.codec.schema import specification_schema
-from midstride.codec.specification import encode_specification
+from midstride.codec.specification import decode_specification, encode_specification
 from midstride.generate.drawing import to_dot, to_mermaid
 from midstride.generate.view import view
 from midstride.plan.impact import impacts
@@ -73,11 +74,22 @@ def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
 
 @click.command("diff")
 @click.argument("old", type=_FILE)
-@click.argument("new", type=_FILE)
+@click.argument("new", required=False, type=_FILE)
+@click.option("--keep-code", is_flag=True, help="Do not count code that has changed on disk as a difference.")
+@system_option
 @json_option
-def diff_command(old: Path, new: Path) -> int:
-    """Show how the specification NEW differs from OLD. Exit status 0 if they are equivalent, else 1."""
-    found = differences(load(old), load(new))
+def diff_command(old: Path, new: Path | None, keep_code: bool, system: str | None) -> int:
+    """Show how the specification NEW differs from OLD. Exit status 0 if they are equivalent, else 1.
+
+    With one file: how it differs from what is running, with the nodes whose code has changed on disk.
+    """
+    if new is not None:
+        found = differences(load(old), load(new))
+    else:
+        target, (client, _) = load(old), find(system)
+        changed = {} if keep_code else changed_code(client, target.nodes)
+        renewed = {role: code_words(files) for role, files in changed.items()}
+        found = differences(decode_specification(client.get("/specification")), target, renewed)
     if wants_json():
         print_json({"same": not found, "differences": found})
     elif found:

@@ -86,16 +86,7 @@ def up_command(
     if http is not None:
         arguments += ["--http", str(http), *(["--http-host", http_host] if http_host else [])]
     arguments += ["--use-sim-time"] * use_sim_time + ["--no-middleware-settings"] * no_middleware_settings
-    log = workspace.manager_log
-    try:
-        with _interrupt_deferred():  # until the manager's process is known and can be stopped
-            manager = _start(arguments, log)
-        _wait_for_manager(client, manager, log)
-        answer = _wait_until_up(client)
-    except KeyboardInterrupt:
-        click.echo(f"\nStopping everything started for {workspace.name} …", err=True)
-        _undo(client, workspace, manager, log)
-        raise
+    answer = bring_up(client, workspace, arguments)
     if client.get("/specification") != encode_specification(specification):
         click.echo(
             f"{workspace.name} was already running and differs from {file}; it was reattached unchanged. "
@@ -112,6 +103,20 @@ def up_command(
         return 0
 
     return watch(client, workspace.name)
+
+
+def bring_up(client: Client, workspace: Workspace, arguments: list[str]) -> Document:
+    """Start a manager, show its progress until its system is up, and return its report. Raises the manager's error."""
+    log = workspace.manager_log
+    try:
+        with _interrupt_deferred():  # until the manager's process is known and can be stopped
+            manager = _start(arguments, log)
+        _wait_for_manager(client, manager, log)
+        return _wait_until_up(client)
+    except KeyboardInterrupt:
+        click.echo(f"\nStopping everything started for {workspace.name} …", err=True)
+        _undo(client, workspace, manager, log)
+        raise
 
 
 @contextmanager

@@ -46,7 +46,7 @@ async def counts_behind_a_closed_gate(lab: Lab) -> None:
     await lab.mode("sink", "hear", "normal")
     await lab.attach("talker", "out", "/chatter", peers=1, gate="closed")
     seen = await lab.read("talker", "await_write", port="out", topic="/chatter", timeout=0.2)
-    assert seen == {"gated": 0, "wrong_type": None}
+    assert seen == {"gated": 0, "wrong_type": None, "failed": False}
     await lab.mode("talker", "talk", "normal")
     seen = await lab.read("talker", "await_write", port="out", topic="/chatter", timeout=5.0)
     assert seen["gated"] >= 1 and seen["wrong_type"] is None

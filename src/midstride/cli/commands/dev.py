@@ -1,0 +1,108 @@
+"""``dev``: run a system, and swap its nodes whenever a file is saved."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.text import Text
+
+from midstride.backends import NAMES
+from midstride.cli.client import Client, Document
+from midstride.cli.commands.up import bring_up
+from midstride.cli.dev.changes import Changes, worst
+from midstride.cli.dev.contents import saves
+from midstride.cli.dev.session import DevSession
+from midstride.cli.dev.specification import WatchedSpecification
+from midstride.cli.output import console, json_option, wants_json
+from midstride.cli.render import UNKNOWN, seconds, time_of_day
+from midstride.cli.shutdown import shut_down
+from midstride.errors import SpecificationError
+from midstride.runtime.workspace import Workspace
+
+
+@click.command("dev")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option(
+    "--backend",
+    type=click.Choice(NAMES),
+    default="ros2",
+    show_default=True,
+    envvar="MIDSTRIDE_BACKEND",
+    show_envvar=True,
+    help="The platform, where the system is not running yet.",
+)
+@json_option
+def dev_command(file: Path, backend: str) -> int:
+    """Run the system of FILE, and on each save swap exactly the nodes that it changes, without losing a message.
+
+    Watched are FILE, what it includes, its parameter files, and the programs with the modules that they import. Code
+    that does not start, raises or stays silent is not let in: the old code goes on. With --json, each swap is a line.
+
+    Ctrl-C ends a system that this command has started; one that was running already goes on.
+    """
+    specification = WatchedSpecification(file)
+    workspace = Workspace.of(specification.wanted.name)
+    client, screen = Client(workspace.socket), _Screen(console(stderr=wants_json()), wants_json())
+    started = client.service() is None
+    if started:
+        workspace.require_room()
+        bring_up(client, workspace, [str(file.resolve()), "--backend", backend])
+    try:
+        session = DevSession(specification, client, Changes(client).carry_out, screen)
+        session.look()
+        ends = "stops the system" if started else "leaves it running"
+        screen.say(f"{workspace.name} is {'up' if started else 'attached'}. Swapping on save; Ctrl-C {ends}.", "green")
+        for _ in saves(session.folders):
+            session.look()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        if started:
+            screen.say(f"Stopping {workspace.name} …", "dim")
+            shut_down(workspace.name)
+    return 0
+
+
+class _Screen:
+    """Writes a line for each swap, or with --json a JSON document."""
+
+    def __init__(self, out: Console, json: bool) -> None:
+        self._out = out
+        self._json = json
+
+    def say(self, words: str, style: str = "default") -> None:
+        self._out.print(Text(f"{time_of_day(time.time())} ", style="dim").append(words, style=style))
+
+    def swapped(self, what: str, outcome: Document) -> None:
+        if self._json:
+            print(json.dumps({"changed": what, **outcome}), flush=True)
+        else:
+            self.say(f"{what}: {_swapped(outcome)}")
+
+    def refused(self, what: str, because: str) -> None:
+        if self._json:
+            print(json.dumps({"changed": what, "outcome": "refused", "because": because}), flush=True)
+        else:
+            self.say(f"{what}: not let in, the old code goes on: {because.strip()}", "red")
+
+    def faulty(self, error: SpecificationError) -> None:
+        from midstride.cli.errors import report
+
+        report(error, [])
+
+
+def _swapped(outcome: Document) -> str:
+    """``swapped in 410 ms, longest gap 101 ms (1.01 periods), missed 0``"""
+    parts = [f"swapped in {seconds(outcome['seconds'])}"]
+    if swaps := outcome["swaps"]:
+        gap, periods, missed = (worst(swaps, figure) for figure in ("gap", "gap_periods", "missed"))
+        parts.append(f"longest gap {seconds(gap)}" + (f" ({periods:.2f} periods)" if periods is not None else ""))
+        parts.append(f"missed {UNKNOWN if missed is None else missed}")
+    for what in ("ended", "degraded"):
+        if names := outcome[what]:
+            parts.append(f"{what} unexpectedly: {', '.join(names)}")
+    return ", ".join([*parts, *(fault["words"] for fault in outcome["silences"])])

@@ -1,0 +1,1 @@
+"""``midstride dev``: what is saved is swapped into the running system."""

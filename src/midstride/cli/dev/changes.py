@@ -1,0 +1,70 @@
+"""One change after another, each requested from the manager with its events."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import uuid
+from collections.abc import Callable
+from typing import Any
+
+from midstride.cli.client import Client, Document
+from midstride.cli.follow import last_event_number
+from midstride.errors import MidstrideError
+
+
+class Changes:
+    """Requests changes. A change that is being measured does not keep the next one waiting."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self._events: queue.Queue[Document] = queue.Queue()
+        since = last_event_number(client)
+        threading.Thread(target=self._follow, args=(since,), daemon=True).start()
+
+    def _follow(self, since: int) -> None:
+        try:
+            for event in self._client.events(since):
+                self._events.put(event)
+        except MidstrideError:  # the next request reports it
+            pass
+
+    def carry_out(self, request: Document, finished: Callable[[Document], None]) -> str | None:
+        """Request a change, and wait until it is carried out or has failed; the reason where it has.
+
+        Once a change that was carried out has been measured, ``finished`` is called with the outcome, in another
+        thread. Raises the manager's error.
+        """
+        id = uuid.uuid4().hex
+        answer: list[Document | MidstrideError] = []
+
+        def send() -> None:
+            try:
+                outcome = dict(self._client.post("/change", {"request": request, "brief": True, "id": id}))
+                answer.append(outcome)
+                if outcome["outcome"] == "done":
+                    finished(outcome)
+            except MidstrideError as error:
+                answer.append(error)
+            self._events.put({"kind": "answered", "id": id})
+
+        threading.Thread(target=send, daemon=True).start()
+        ours = False
+        while True:
+            match self._events.get():
+                case {"kind": "command", **event}:
+                    ours = event.get("id") == id
+                case {"kind": "step_failed", "words": words} if ours:
+                    return str(words)
+                case {"kind": "measuring"} if ours:
+                    return None
+                case {"kind": "answered", "id": answered} if answered == id:
+                    if isinstance(answer[0], MidstrideError):
+                        raise answer[0]
+                    return None if answer[0]["outcome"] == "done" else str(answer[0]["because"])
+
+
+def worst(swaps: list[Any], figure: str) -> Any:
+    """The largest of the figures of all subscribers, None where one of them is unknown."""
+    values = [swap[figure] for swap in swaps]
+    return None if None in values else max(values, default=None)

@@ -1,0 +1,179 @@
+"""What `midstride dev` does on a save: it swaps the nodes whose code, parameters or declaration differ from the files.
+
+What to do follows from the state alone: the manager knows which programs have changed on disk since they started, and
+the specification of the files is compared with the one that runs. So no save is lost, whatever happens meanwhile. What
+was refused is tried again when a file that may have to do with it has another content.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+from midstride.cli.client import Document
+from midstride.cli.dev.contents import Contents, FileContents, remove_compiled
+from midstride.cli.dev.specification import WatchedSpecification
+from midstride.codec.specification import decode_specification, encode_specification
+from midstride.errors import SpecificationError
+
+# For `_refused`: the specification as a whole. No node has this name.
+_SPECIFICATION: Final = ""
+
+
+class ManagerQueries(Protocol):
+    """The part of a client of the manager that is needed here."""
+
+    def get(self, path: str) -> Any: ...
+
+
+class Screen(Protocol):
+    """What the user sees."""
+
+    def swapped(self, what: str, outcome: Document) -> None:
+        """A change was carried out, and has been measured."""
+
+    def refused(self, what: str, because: str) -> None:
+        """A change was not carried out: what ran before goes on."""
+
+    def faulty(self, error: SpecificationError) -> None:
+        """The specification has errors."""
+
+
+@dataclass
+class DevSession:
+    """``carry_out(request, finished)`` requests a change and returns why it was refused, if it was.
+
+    It calls ``finished`` with the outcome when that is known. Without a save, the manager is asked every ``interval``
+    seconds: a program may import a module late.
+    """
+
+    specification: WatchedSpecification
+    manager: ManagerQueries
+    carry_out: Callable[[Document, Callable[[Document], None]], str | None]
+    screen: Screen
+    interval: float = 1.0
+    _contents: FileContents = field(default_factory=FileContents)
+    _programs: list[Document] = field(default_factory=list)
+    _seen: Contents | None = None
+    _read: Contents | None = None
+    # Whether the files may have another specification than the one that runs.
+    _differs: bool = True
+    _ask_next: float = 0.0  # (monotonic s)
+    # With which contents of its files each change was requested last, and those that were refused then.
+    _tried: dict[str, Contents] = field(default_factory=dict)
+    _refused: set[str] = field(default_factory=set)
+
+    def folders(self) -> frozenset[str]:
+        """The folders of all files that matter."""
+        return frozenset(path for path in map(os.path.dirname, self._watched()) if os.path.isdir(path))
+
+    def look(self) -> None:
+        """Something may have been saved: make what runs equal to the files."""
+        now = self._contents.of(self._watched())
+        if now == self._seen and time.monotonic() < self._ask_next:
+            return
+        self._seen = now
+        self._read_specification()
+        self._ask_next = time.monotonic() + self.interval
+        self._programs = list(self.manager.get("/programs"))
+        changes = dict(self._changes())
+        if not changes:
+            return
+        names = set(changes)
+        if self._attempt(changes, names) is not None and len(names) > 1:
+            for name in sorted(names):  # one of them may be faulty, and must not keep the others out
+                self._attempt(changes, {name})
+        # New processes may have other files. What was saved meanwhile is still another content than what was seen.
+        self._programs = list(self.manager.get("/programs"))
+        self._seen = {**self._contents.of(self._watched()), **self._seen}
+
+    def _read_specification(self) -> None:
+        files = self._contents.of(self.specification.files)
+        if files == self._read:
+            return
+        try:
+            self.specification.read()
+            self._differs = True
+        except SpecificationError as error:
+            self.screen.faulty(error)
+        self._read = self._contents.of(self.specification.files)
+
+    def _changes(self) -> Iterator[tuple[str, list[str]]]:
+        """What differs from the files, but for what was refused: nodes, or the specification, each with its files."""
+        wanted = self.specification.wanted
+        if self._differs and decode_specification(self.manager.get("/specification")) == wanted:
+            self._differs = False
+            self._settle(_SPECIFICATION)
+        elif self._differs and self._is_new(_SPECIFICATION):
+            yield _SPECIFICATION, [str(self.specification.path)]
+        for program in self._programs:
+            role = str(program["role"])
+            if not program["changed"]:
+                self._settle(role)
+            elif role in wanted.nodes and self._is_new(role):
+                if program["startable"]:
+                    yield role, program["changed"]
+                else:
+                    self._tried[role] = self._related(role)
+                    self.screen.refused(_what({role: program["changed"]}), f"{role} was started by hand: restart it")
+
+    def _is_new(self, name: str) -> bool:
+        """Whether a change has not been requested yet with the files as they are."""
+        return self._tried.get(name) != self._related(name)
+
+    def _settle(self, name: str) -> None:
+        """What runs is what the files have."""
+        self._tried.pop(name, None)
+        self._refused.discard(name)
+
+    def _attempt(self, changes: dict[str, list[str]], names: set[str]) -> str | None:
+        """Request some of the changes; why they were refused, if they were."""
+        wanted = self.specification.wanted
+        request: Document = {"restart": sorted(names - {_SPECIFICATION})}
+        if _SPECIFICATION in names:
+            request["to"] = encode_specification(wanted)
+        for path in {path for name in names for path in changes[name]}:
+            remove_compiled(path)
+        what = _what({name: changes[name] for name in sorted(names)})
+        self._refused |= names  # from here on, the modules beside are watched, too
+        self._tried |= {name: self._related(name) for name in names}
+        refused = self.carry_out(request, partial(self.screen.swapped, what))
+        if refused is None:
+            self._refused -= names
+        else:
+            self.screen.refused(what, refused)
+        return refused
+
+    # -- files -----------------------------------------------------------------------------------------
+
+    def _watched(self) -> set[str]:
+        files = {*self.specification.files, *(path for program in self._programs for path in program["files"])}
+        return files.union(*(self._related_paths(name) for name in self._refused))
+
+    def _related(self, name: str) -> Contents:
+        return self._contents.of(self._related_paths(name))
+
+    def _related_paths(self, name: str) -> set[str]:
+        """The files that may decide whether a change is let in: its own, and modules beside them of no other node."""
+        if name == _SPECIFICATION:
+            own = {*self.specification.files, *self.specification.programs()}
+        else:
+            own = {path for program in self._programs if program["role"] == name for path in program["files"]}
+        others = {path for program in self._programs for path in program["files"]}
+        beside = {path for folder in {os.path.dirname(path) for path in own} for path in _modules(folder)}
+        return own | (beside - others)
+
+
+def _modules(folder: str) -> Iterable[str]:
+    return map(str, Path(folder).glob("*.py"))
+
+
+def _what(changes: dict[str, list[str]]) -> str:
+    """``talker (talker.py), listener (listener.py)``"""
+    named = {name: ", ".join(map(os.path.basename, files)) for name, files in changes.items()}
+    return ", ".join(f"{name} ({files})" if name else files for name, files in named.items())

@@ -1,0 +1,349 @@
+"""`midstride dev`: what it swaps on a save, and what it tries again; then the command itself, on the simulator."""
+
+from __future__ import annotations
+
+import py_compile
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from midstride.cli.client import Document
+from midstride.cli.dev.contents import FileContents, saves
+from midstride.cli.dev.session import DevSession
+from midstride.cli.dev.specification import WatchedSpecification
+from midstride.codec.specification import decode_specification, encode_specification
+from midstride.errors import SpecificationError
+from tests.cli.conftest import EXAMPLES, Midstride, alive
+from tests.cli.terminal import Terminal
+
+
+@dataclass
+class Robot:
+    """A manager of the talker's example that runs what the files were when it was asked last, and the screen.
+
+    It refuses what has a file with the word ``bad`` in it.
+    """
+
+    folder: Path
+    requests: list[Document] = field(default_factory=list)
+    shown: list[str] = field(default_factory=list)
+    more_files: dict[str, list[str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for file in ("talker.py", "new_talker.py", "listener.py", "talker.stride"):
+            (self.folder / file).write_text((EXAMPLES / "talker" / file).read_text())
+        specification = WatchedSpecification(self.folder / "talker.stride")
+        self.runs = specification.wanted
+        self.code = {role: self._texts(role) for role in ("talker", "listener")}
+        self.session = DevSession(specification, self, self.carry_out, self, interval=0.0)
+
+    def edit(self, file: str, old: str, new: str) -> None:
+        path = self.folder / file
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new))
+        self.session.look()
+
+    # -- the manager -----------------------------------------------------------------------------------
+
+    def _files(self, role: str) -> list[str]:
+        return [str(self.folder / f"{role}.py"), *self.more_files.get(role, [])]
+
+    def _texts(self, role: str) -> dict[str, str]:
+        return {path: Path(path).read_text() for path in self._files(role) if Path(path).exists()}
+
+    def get(self, path: str) -> Any:
+        if path == "/specification":
+            return encode_specification(self.runs)
+        assert path == "/programs"
+        return [
+            {
+                "name": role,
+                "role": role,
+                "files": self._files(role),
+                "changed": [path for path, text in self._texts(role).items() if self.code[role].get(path) != text],
+                "unknown": None,
+                "startable": True,
+            }
+            for role in self.code
+        ]
+
+    def carry_out(self, request: Document, finished: Callable[[Document], None]) -> str | None:
+        self.requests.append({**request, "to": "to" in request})
+        texts = [text for role in request["restart"] for text in self._texts(role).values()]
+        if "to" in request:
+            texts += [(self.folder / "new_talker.py").read_text()]
+        if any("bad" in text for text in texts):
+            return "it is bad"
+        self.code |= {role: self._texts(role) for role in request["restart"]}
+        if "to" in request:
+            self.runs = decode_specification(request["to"])
+        finished({"outcome": "done"})
+        return None
+
+    def asked(self) -> list[Document]:
+        """The requests since the last call."""
+        asked, self.requests = self.requests, []
+        return asked
+
+    # -- the screen ------------------------------------------------------------------------------------
+
+    def swapped(self, what: str, outcome: Document) -> None:
+        self.shown.append(f"swapped {what}")
+
+    def refused(self, what: str, because: str) -> None:
+        self.shown.append(f"refused {what}: {because}")
+
+    def faulty(self, error: SpecificationError) -> None:
+        self.shown.append(f"faulty: {error.problems[0]}")
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Robot:
+    robot = Robot(tmp_path)
+    for _ in range(2):  # the second time, it knows the programs' files
+        robot.session.look()
+    assert (robot.asked(), robot.shown) == ([], [])
+    return robot
+
+
+def restart(*roles: str, to: bool = False) -> Document:
+    return {"restart": list(roles), "to": to}
+
+
+def test_a_save_swaps_the_node_whose_code_it_changes(robot: Robot) -> None:
+    robot.edit("talker.py", "hello", "hallo")
+    assert robot.asked() == [restart("talker")]
+    assert robot.shown == ["swapped talker (talker.py)"]
+    robot.session.look()
+    (robot.folder / "talker.py").touch()  # saved again, with the same content
+    robot.session.look()
+    (robot.folder / "new_talker.py").write_text("# no node runs this")
+    robot.session.look()
+    assert robot.asked() == []
+
+
+def test_a_module_that_two_nodes_import_swaps_both_at_once(robot: Robot) -> None:
+    shared = robot.folder / "shared.py"
+    shared.write_text("word = 1")
+    robot.more_files = {"talker": [str(shared)], "listener": [str(shared)]}
+    robot.code = {role: robot._texts(role) for role in robot.code}
+    for _ in range(2):
+        robot.session.look()
+    robot.edit("shared.py", "1", "2")
+    assert robot.asked() == [restart("listener", "talker")]
+    assert robot.shown == ["swapped listener (shared.py), talker (shared.py)"]
+
+
+def test_python_cannot_run_what_it_has_compiled_before_the_save(robot: Robot) -> None:
+    """It would, where the size and the second are the same."""
+    helper = robot.folder / "helper.py"
+    helper.write_text("word = 1")
+    robot.more_files = {"talker": [str(helper)]}
+    robot.code["talker"] = robot._texts("talker")
+    robot.session.look()
+    compiled = Path(py_compile.compile(str(helper)) or "")
+    assert compiled.exists()
+    robot.edit("helper.py", "1", "2")
+    assert robot.asked() == [restart("talker")]
+    assert not compiled.exists()
+
+
+def test_what_was_refused_is_tried_again_when_its_files_change_and_not_before(robot: Robot) -> None:
+    robot.edit("talker.py", "hello", "bad")
+    assert robot.asked() == [restart("talker")]
+    assert robot.shown == ["refused talker (talker.py): it is bad"]
+    robot.edit("listener.py", "I heard", "I have heard")  # another node's file
+    assert robot.asked() == [restart("listener")]
+    robot.edit("talker.py", "bad", "good")
+    assert robot.asked() == [restart("talker")]
+    assert robot.shown[-1] == "swapped talker (talker.py)"
+
+
+def test_code_that_is_undone_after_it_was_refused_needs_nothing(robot: Robot) -> None:
+    robot.edit("talker.py", "hello", "bad")
+    robot.asked()
+    robot.edit("talker.py", "bad", "hello")
+    assert robot.asked() == []
+    robot.edit("talker.py", "hello", "bad")
+    assert robot.asked() == [restart("talker")]
+
+
+def test_a_module_that_new_code_needs_is_waited_for(robot: Robot) -> None:
+    robot.edit("talker.py", "hello", "bad: imports what is not there yet")
+    robot.asked()
+    (robot.folder / "helper.py").write_text("word = 1")
+    robot.session.look()
+    assert robot.asked() == [restart("talker")]
+
+
+def test_a_swap_after_which_code_still_counts_as_changed_is_not_repeated(robot: Robot) -> None:
+    """A program may write a module when it starts: the manager cannot know what it has read."""
+    finished: list[Document] = []
+
+    def carry_out(request: Document, done: Callable[[Document], None]) -> str | None:
+        finished.append(request)
+        return None  # and what runs differs from the file as before
+
+    robot.session.carry_out = carry_out
+    robot.edit("talker.py", "hello", "hallo")
+    for _ in range(3):
+        robot.session.look()
+    assert len(finished) == 1
+    robot.edit("talker.py", "hallo", "hullo")
+    assert len(finished) == 2
+
+
+def test_a_faulty_node_does_not_keep_the_others_out(robot: Robot) -> None:
+    (robot.folder / "listener.py").write_text("better")
+    robot.edit("talker.py", "hello", "bad")
+    assert robot.asked() == [restart("listener", "talker"), restart("listener"), restart("talker")]
+    assert robot.shown[1:] == ["swapped listener (listener.py)", "refused talker (talker.py): it is bad"]
+
+
+def test_a_faulty_specification_is_shown_and_the_system_goes_on(robot: Robot) -> None:
+    robot.edit("talker.stride", "10 Hz", "10 Hzz")
+    assert robot.asked() == []
+    assert len(robot.shown) == 1 and "Hzz" in robot.shown[0]
+    robot.edit("talker.py", "hello", "hallo")  # meanwhile, code is swapped as before
+    assert robot.asked() == [restart("talker")]
+    robot.edit("talker.stride", "10 Hzz", "20 Hz")
+    assert robot.asked() == [restart(to=True)]
+    assert robot.shown[-1] == "swapped talker.stride"
+
+
+def test_a_specification_that_was_refused_is_tried_again_when_a_program_of_it_changes(robot: Robot) -> None:
+    (robot.folder / "new_talker.py").write_text("bad")
+    robot.edit("talker.stride", "node talker   : Talker ", "node talker   : NewTalker")
+    assert robot.asked() == [restart(to=True)]
+    robot.session.look()
+    assert robot.asked() == []
+    robot.edit("new_talker.py", "bad", "good")
+    assert robot.asked() == [restart(to=True)]
+    assert robot.shown == ["refused talker.stride: it is bad", "swapped talker.stride"]
+
+
+def test_a_change_from_elsewhere_is_not_taken_back_by_a_save(robot: Robot) -> None:
+    robot.runs = robot.runs.with_replaced("talker", "NewTalker")
+    robot.edit("listener.py", "I heard", "I have heard")
+    assert robot.asked() == [restart("listener")]
+
+
+def test_an_included_file_and_a_parameter_file_are_watched(tmp_path: Path) -> None:
+    (tmp_path / "parts.stride").write_text(
+        (EXAMPLES / "talker" / "talker.stride").read_text().replace("system talker\n", "")
+    )
+    (tmp_path / "talker.stride").write_text('system talker\n\ninclude "parts.stride"\n')
+    specification = WatchedSpecification(tmp_path / "talker.stride")
+    assert set(specification.files) == {str(tmp_path / name) for name in ("talker.stride", "parts.stride")}
+    assert str(tmp_path / "new_talker.py") in set(specification.programs())
+    (tmp_path / "parts.stride").write_text("nonsense")
+    with pytest.raises(SpecificationError):
+        specification.read()
+    assert str(tmp_path / "parts.stride") in specification.files  # where the fault is
+
+
+def test_a_file_that_is_being_replaced_is_not_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, contents = tmp_path / "talker.py", FileContents()
+    path.write_text("hello")
+    before = contents.of([str(path)])
+    path.unlink()
+    monkeypatch.setattr(time, "sleep", lambda _: path.write_text("hello"))
+    assert contents.of([str(path)]) == before
+    monkeypatch.setattr(time, "sleep", lambda _: path.unlink(missing_ok=True))
+    path.unlink()
+    assert contents.of([str(path)]) == {str(path): None}
+
+
+def test_a_save_wakes_it_in_each_folder(tmp_path: Path) -> None:
+    folders = {str(tmp_path)}
+    other = tmp_path / "other"
+    other.mkdir()
+    woken = saves(lambda: frozenset(folders))
+
+    def wakes_on(path: Path) -> None:
+        stop = threading.Event()
+
+        def write() -> None:
+            while not stop.wait(0.02):
+                path.write_text(str(time.monotonic()))
+
+        with_writer = threading.Thread(target=write)
+        with_writer.start()
+        try:
+            begun = time.monotonic()
+            next(woken)
+            assert time.monotonic() - begun < 60
+        finally:
+            stop.set()
+            with_writer.join()
+
+    wakes_on(tmp_path / "talker.py")
+    folders.add(str(other))
+    wakes_on(other / "helper.py")
+
+
+# -- the command -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    for file in (EXAMPLES / "talker").iterdir():
+        if file.suffix in {".py", ".stride"}:
+            (tmp_path / file.name).write_text(file.read_text().replace("10 Hz", "50 Hz").replace("rate=10", "rate=50"))
+    return tmp_path
+
+
+def write(path: Path, old: str, new: str) -> None:
+    """Save as many editors do, by a rename."""
+    text = path.read_text()
+    assert old in text
+    beside = path.with_suffix(".tmp")
+    beside.write_text(text.replace(old, new))
+    beside.replace(path)
+
+
+def test_dev_swaps_what_is_saved_and_refuses_what_is_faulty(midstride: Midstride, project: Path) -> None:
+    file = str(project / "talker.stride")
+    with Terminal(midstride, "dev", file, "--backend", "sim") as terminal:
+        terminal.until("Swapping on save; Ctrl-C stops the system.")
+        write(project / "talker.py", "hello world", "hello new world")
+        shown = terminal.until(", missed ")  # in real time: how many depends on the machine
+        assert "talker (talker.py): swapped in" in shown
+        write(project / "talker.py", "def normal()", "def normal(")
+        shown = terminal.until("SyntaxError")
+        assert "talker (talker.py): not let in, the old code goes on" in shown
+        write(project / "talker.stride", "50 Hz", "5O Hz")
+        terminal.until("is not a valid unit for a rate")
+        write(project / "talker.stride", "5O Hz", "50 Hz")
+        write(project / "talker.stride", "python3 talker.py", "python3 new_talker.py")
+        terminal.until("talker.stride: swapped in")
+        components = midstride("status", "--json").json["components"]
+        assert [entry["name"] for entry in components] == ["listener", "talker_3"]
+        manager = midstride.manager("talker")
+        terminal.press("\x03")
+        assert "Stopping talker" in terminal.rest()
+        assert terminal.status == 0
+    deadline = time.monotonic() + 20
+    while alive(manager):
+        assert time.monotonic() < deadline, "the manager does not end"
+        time.sleep(0.02)
+
+
+def test_dev_attaches_to_a_running_system_and_leaves_it_running(midstride: Midstride, project: Path) -> None:
+    file = str(project / "talker.stride")
+    assert midstride("up", file, "--backend", "sim", "-d").status == 0
+    write(project / "talker.py", "hello world", "hello new world")  # before it attaches
+    with Terminal(midstride, "dev", file) as terminal:
+        terminal.until("Swapping on save; Ctrl-C leaves it running.")
+        terminal.until("talker (talker.py): swapped in")
+        terminal.press("\x03")
+        terminal.rest()
+        assert terminal.status == 0
+    status = midstride("status", "--json").json
+    assert [entry["changed_files"] for entry in status["components"]] == [[], []]
