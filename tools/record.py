@@ -31,10 +31,11 @@ ROOT: Final = Path(__file__).resolve().parent.parent
 COMMANDS: Final = (
     "midstride up talker.stride --detach",
     "midstride replace talker NewTalker --yes",
+    "midstride logs listener --lines 2",
     "midstride status",
     "midstride down",
 )
-COLUMNS, ROWS = 88, 36
+COLUMNS, ROWS = 88, 40
 TYPING, PAUSE, END = 0.06, 1.2, 4.0  # seconds: a character, after a command, after the last one
 FRAME = 0.1  # s; a spinner is shown no faster
 SIZE, LINE, MARGIN = 14, 19, 14  # px
