@@ -1,6 +1,6 @@
 # Each target sets up what it needs by itself, from python3 (3.10 or later) and pip: tools/setup says how.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-long wheel bench lint alloy verify
+.PHONY: help demo test test-all test-long wheel bench docs recording lint alloy verify
 
 # ROS 2 writes a log file for every process: beside the Makefile rather than in the home folder.
 export ROS_LOG_DIR ?= $(CURDIR)/.ros/log
@@ -28,6 +28,14 @@ wheel: ## build the wheel, install it into an empty environment, and use it from
 bench: ## every benchmark, one after another: a table each, and JSON
 	@tools/setup test
 	@tools/in-venv tools/bench $(ARGS)
+
+docs: ## the documentation as a site to open from the disk: site/index.html
+	@tools/setup test
+	@tools/in-venv tools/docs $(ARGS)
+
+recording: ## docs/recording.svg, the animation of the README, from commands that it runs
+	@tools/setup test
+	@tools/in-venv python tools/record.py docs/recording.svg $(ARGS)
 
 alloy: ## fetch the Alloy Analyzer (needs Java and Maven), which `midstride verify` asks
 	@tools/alloy

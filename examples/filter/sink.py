@@ -1,4 +1,4 @@
-"""Uses the smoothed measurements, and complains of any that is missing or comes twice."""
+"""Uses the smoothed measurements, and reports any that is missing or duplicated."""
 
 from sensor_msgs.msg import Range
 

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 
 class MidstrideError(Exception):
-    """The root: what Midstride raises on purpose. ``str(error)`` is fit for the user's eyes."""
+    """The base class of everything that Midstride raises on purpose. ``str(error)`` is a message for the user."""
 
 
 class SpecificationError(MidstrideError):
@@ -57,7 +57,7 @@ class PlanRefused(MidstrideError):
 
 
 class NodeError(MidstrideError):
-    """The author's API was used wrongly: what, where, and what to write instead."""
+    """The author's API was used wrongly. The message says what is wrong, where, and what to write instead."""
 
 
 class CommandRefused(MidstrideError):

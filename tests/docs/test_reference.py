@@ -43,3 +43,18 @@ def test_every_statement_is_in_the_language_page() -> None:
 def test_every_command_is_in_the_commands_page() -> None:
     text = (REFERENCE / "commands.md").read_text(encoding="utf-8")
     assert {name for name in COMMANDS if f"{name}" not in text} == set()
+
+
+def test_the_figures_of_the_readme_are_those_of_the_measurements() -> None:
+    """The median gap, and what was missed and duplicated, for each way of replacing a publisher on ROS 2."""
+
+    def rows(page: Path, heading: str) -> list[list[str]]:
+        table = page.read_text(encoding="utf-8").partition(heading)[2].partition("\n\n")[0]
+        return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
+
+    measured = [(row[2], row[5], row[7]) for row in rows(DOCS / "benchmarks.md", "| ROS 2 | swaps | gap, median")]
+    shown = [
+        (row[1].removesuffix(" periods"), *row[2:]) for row in rows(DOCS.parent / "README.md", "| | longest silence")
+    ]
+    assert len(measured) == 5
+    assert sorted(shown) == sorted(measured)

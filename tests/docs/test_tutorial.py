@@ -1,8 +1,9 @@
 """Follows the tutorial: its files, its edits, its commands, and their output.
 
-The word after the fence decides what happens to a block: ``stride file=…`` is written to that file; ``edit file=…``
-replaces its longest first part that the file contains by the rest of the block (``place=last``: the last occurrence);
-``console`` lines that begin with ``$`` are run, and must print the lines that follow, where ``…`` matches anything.
+The word after the fence decides what happens to a block: one with ``file=…`` is written to that file; a ``diff`` is
+applied to it, at the last place that fits; ``console`` lines that begin with ``$`` are run, and must print the lines
+that follow, where ``…`` matches anything. What only queries the system is run again for some seconds if it prints
+something else.
 """
 
 from __future__ import annotations
@@ -11,9 +12,11 @@ import os
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +24,7 @@ from pathlib import Path
 import pytest
 
 TUTORIAL = Path(__file__).parents[2] / "docs" / "tutorial.md"
+QUERY = re.compile(r"midstride (status|why|logs)\b")
 _BLOCK = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -37,15 +41,14 @@ def blocks() -> Iterator[Block]:
         yield Block(match[1], options, match[3])
 
 
-def edited(text: str, block: Block) -> str:
-    """``text``, in which the longest first part of the block that occurs is replaced by the rest of the block."""
-    lines = block.text.rstrip("\n").split("\n")
-    for cut in range(len(lines) - 1, 0, -1):
-        old, new = "\n".join(lines[:cut]), "\n".join(lines[cut:])
-        if old in text:
-            at = text.rindex(old) if block.options.get("place") == "last" else text.index(old)
-            return text[:at] + new + text[at + len(old) :]
-    raise AssertionError(f"the tutorial edits what is not there: {block.text}")
+def edited(text: str, diff: str) -> str:
+    """``text`` after ``diff``, whose lines begin with a blank, ``-`` or ``+``."""
+    lines = diff.splitlines(keepends=True)
+    assert {line[0] for line in lines} <= set(" -+"), diff
+    old, new = ("".join(line[1:] for line in lines if line[0] != sign) for sign in "+-")
+    before, found, after = text.rpartition(old)
+    assert found, f"the tutorial edits what is not there: {diff}"
+    return before + new + after
 
 
 def answers(expected: list[str], out: str) -> bool:
@@ -57,7 +60,40 @@ def answers(expected: list[str], out: str) -> bool:
         else:
             words = [re.escape(part) for part in re.split(r"\s*…\s*", line)]
             pattern += r"\s*" + ".*".join(words) + r"\s*?\n"
-    return re.fullmatch(pattern, out if out.endswith("\n") else out + "\n") is not None
+    return re.fullmatch(pattern, out if out.endswith("\n") or not out else out + "\n") is not None
+
+
+class Terminal:
+    """A command that keeps running while the tutorial goes on, and what it has printed."""
+
+    def __init__(self, command: str, folder: Path, environment: dict[str, str]) -> None:
+        self.file = folder / ".terminal"
+        self.read = 0
+        with self.file.open("wb") as out:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", *shlex.split(command)],
+                cwd=folder,
+                env={**environment, "PYTHONUNBUFFERED": "1"},
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+            )
+
+    def expect(self, lines: list[str]) -> None:
+        """Wait until these lines have been printed, after those that were expected before."""
+        end = time.monotonic() + 60
+        while not answers(lines, (printed := self.file.read_text(encoding="utf-8")[self.read :])):
+            assert self.process.poll() is None and time.monotonic() < end, f"{printed}\n-- instead of --\n{lines}"
+            time.sleep(0.1)
+        self.read += len(printed)
+
+    def interrupt(self) -> None:
+        """Press Ctrl-C, and wait for the end."""
+        self.process.send_signal(signal.SIGINT)
+        try:
+            self.process.wait(30)
+        finally:
+            self.process.kill()
 
 
 def play(folder: Path, backend: str) -> None:
@@ -65,9 +101,10 @@ def play(folder: Path, backend: str) -> None:
     runtime = tempfile.mkdtemp(prefix="ms")  # sockets have short paths
     environment = {**os.environ, "XDG_RUNTIME_DIR": runtime, "PYTHONIOENCODING": "utf-8", "COLUMNS": "200"}
 
-    def midstride(*words: str) -> subprocess.CompletedProcess[str]:
+    def run(command: str) -> subprocess.CompletedProcess[str]:
+        words = shlex.split(command)
         return subprocess.run(
-            [sys.executable, "-m", "midstride", *words],
+            [sys.executable, "-m", *words] if words[0] == "midstride" else words,
             cwd=folder,
             env=environment,
             stdin=subprocess.DEVNULL,
@@ -79,26 +116,38 @@ def play(folder: Path, backend: str) -> None:
         )
 
     commands = 0
+    terminals: dict[str, Terminal] = {}
     try:
         for block in blocks():
-            if block.kind == "stride":
-                (folder / block.options["file"]).write_text(block.text, encoding="utf-8")
-            elif block.kind == "edit":
+            if block.kind == "diff":
                 path = folder / block.options["file"]
-                path.write_text(edited(path.read_text(encoding="utf-8"), block), encoding="utf-8")
+                path.write_text(edited(path.read_text(encoding="utf-8"), block.text), encoding="utf-8")
+            elif "file" in block.options:
+                (folder / block.options["file"]).write_text(block.text, encoding="utf-8")
+            elif "terminal" in block.options:
+                name, text = block.options["terminal"], block.text
+                if text.startswith("$ "):
+                    command, _, text = text[2:].partition("\n")
+                    terminals[name] = Terminal(command, folder, environment)
+                    commands += 1
+                terminals[name].expect(text.splitlines())
             else:
                 assert block.kind == "console", block.kind
                 text = block.text.replace("--backend sim", f"--backend {backend}").replace("on sim", f"on {backend}")
-                for part in re.split(r"^\$ midstride ", text, flags=re.MULTILINE)[1:]:
+                for part in re.split(r"^\$ ", text, flags=re.MULTILINE)[1:]:
                     command, *expected = part.rstrip("\n").split("\n")
-                    done = midstride(*shlex.split(command))
+                    end = time.monotonic() + (20 if QUERY.match(command) else 0)
+                    while not answers(expected, (done := run(command)).stdout) and time.monotonic() < end:
+                        time.sleep(0.1)
                     assert done.returncode == int(block.options.get("status", "0")), (command, done)
-                    told = f"$ midstride {command}\n{done.stdout}\n-- instead of --\n" + "\n".join(expected)
-                    assert answers(expected, done.stdout), told
+                    printed = f"$ {command}\n{done.stdout}\n-- instead of --\n" + "\n".join(expected)
+                    assert answers(expected, done.stdout), printed
                     commands += 1
-        assert midstride("status").returncode == 1, "the last chapter ends it"
+        assert run("midstride status").returncode == 1, "the last chapter ends it"
     finally:
-        midstride("down")
+        for terminal in terminals.values():
+            terminal.interrupt()
+        run("midstride down")
         shutil.rmtree(runtime)
     assert commands >= 12
 
@@ -110,8 +159,11 @@ def test_the_tutorial_can_be_done(tmp_path: Path, backend: str) -> None:
 
 
 def test_every_command_of_the_tutorial_is_midstrides() -> None:
+    """But for those that make and remove the file that breaks the sensor."""
     consoles = [block.text for block in blocks() if block.kind == "console"]
-    assert all(line.startswith("$ midstride ") for text in consoles for line in text.split("\n") if line[:1] == "$")
+    commands = [line for text in consoles for line in text.split("\n") if line[:1] == "$"]
+    others = [command for command in commands if not command.startswith("$ midstride ")]
+    assert others == ["$ touch unplugged", "$ rm unplugged"]
 
 
 def test_the_files_of_the_tutorial_are_canonical() -> None:

@@ -38,10 +38,10 @@ def format_number(number: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class QoS:
-    """A QoS profile. None means "not stated": ROS 2's default applies, on either side.
+    """A QoS profile. None means that the policy is not stated: ROS 2's default applies, on either side.
 
-    ``deadline``, ``lease`` and ``lifespan`` are in seconds. ``depth``, ``history`` and
-    ``lifespan`` shape the endpoint but play no part in satisfaction.
+    ``deadline``, ``lease`` and ``lifespan`` are in seconds. ``depth``, ``history`` and ``lifespan`` configure the
+    endpoint, and are not compared between publishers and subscribers (docs/semantics.md section 1).
     """
 
     reliability: Reliability | None = None

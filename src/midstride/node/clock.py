@@ -11,23 +11,26 @@ from midstride.node.host import Host
 
 
 class ComponentClock:
-    """The ROS clock of the component; before it has started, the system's."""
+    """The ROS clock of the component, so ``use_sim_time`` works; before ``start()``, the system's clock.
+
+    It is ``Component.clock``, and not created by itself.
+    """
 
     def __init__(self) -> None:
         self.host: Host | None = None
 
     def now(self) -> int:
-        """Nanoseconds; 0 while ``use_sim_time`` is on and nothing has arrived on ``/clock``."""
+        """The time in nanoseconds; 0 while ``use_sim_time`` is on and nothing has arrived on ``/clock``."""
         return time.time_ns() if self.host is None else self.host.now()
 
     def seconds(self) -> float:
-        """The same in seconds."""
+        """The time in seconds."""
         return self.now() / 1e9
 
     def stamp(self, time_message: Any) -> Any:
-        """Fill a time message, e.g. ``comp.clock.stamp(message.header.stamp)``, of ROS 2 or ROS 1; returns it.
+        """Set a time message of ROS 2 or ROS 1 to now, and return it: ``comp.clock.stamp(message.header.stamp)``.
 
-        Raises NodeError for what is not a time message.
+        Raises NodeError for anything else.
         """
         seconds, nanoseconds = divmod(self.now(), 1_000_000_000)
         if hasattr(time_message, "nanosec"):
@@ -41,9 +44,9 @@ class ComponentClock:
         return time_message
 
     def sleep(self, seconds: float) -> Awaitable[None]:
-        """``await comp.clock.sleep(0.5)`` in an async mode function; elsewhere it has no effect.
+        """``await comp.clock.sleep(0.5)`` in an async mode function waits for 0.5 s of the ROS clock.
 
-        Seconds of the ROS clock. Raises NodeError before the component has started.
+        Without ``await`` it has no effect. Raises NodeError before ``start()``.
         """
         if self.host is None:
             raise NodeError("clock.sleep() belongs in an async mode function, which runs after start()")

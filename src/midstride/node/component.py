@@ -33,22 +33,26 @@ P = TypeVar("P", Input, Output)
 
 
 class Component:
-    """A node of the system: declare ports and functionalities, then ``start()`` (docs/semantics.md section 2).
+    """A node of the system: declare its ports, functionalities and parameters, then call ``start()``.
 
-    ``name`` is the default; the manager may give the instance another one (``instance``). ``clock`` is its ROS clock,
-    ``logger`` its ROS logger. Every declaring method raises NodeError where it is used wrongly, or after ``start()``:
-    the message says what to write instead, and nothing has been declared.
+    ``name`` is the component's own name; it must be a ROS name. Every declaring method raises NodeError if it is used
+    wrongly, or after ``start()``; the message says what to write instead, and nothing has been declared. What these
+    terms mean is in docs/semantics.md section 2.
     """
 
     def __init__(self, name: str) -> None:
+        #: The name given to the constructor.
         self.name = contracts.check_name(name, "Component()")
+        #: The name of this instance. The manager may choose another one than ``name``: ``talker_2``.
         self.instance = name
+        #: The node's ROS clock.
         self.clock = ComponentClock()
         self._parts = DeclaredParts()
         self._started = False
 
     @property
     def logger(self) -> Any:
+        """The node's ROS logger; before ``start()``, a logger of Python's ``logging``."""
         host = self.clock.host
         return logging.getLogger(f"midstride.{self.name}") if host is None else host.logger
 
@@ -57,11 +61,16 @@ class Component:
     def create_input(
         self, name: str, type: type, rate: float | None = None, qos: QoS | int | None = None, where: Where | None = None
     ) -> Input:
-        """An input port, with what it assumes about the topic that it is attached to (docs/semantics.md section 1).
+        """An input port, with what it assumes about any topic that it is attached to (docs/semantics.md section 1).
 
-        ``type`` is the message class; ``rate`` the minimum rate in Hz, None for any. ``qos`` is what the
-        subscription requests: a QoS, or only a depth; what it does not state is ROS's default. ``where`` constrains
-        fields: ``{"width": at_least(640), "encoding": {"rgb8", "bgr8"}}``. Raises NodeError.
+        - ``type`` is the message class.
+        - ``rate`` is the least rate in Hz; None if any will do.
+        - ``qos`` is what the subscription requests: a QoS, or just a depth. Policies that it leaves out have ROS's
+          defaults.
+        - ``where`` constrains fields: ``{"width": at_least(640), "encoding": {"rgb8", "bgr8"}}``. A value is a set of
+          values, a single value, ``at_least(…)``, ``at_most(…)`` or ``between(…, …)``.
+
+        Raises NodeError.
         """
         where_ = f"input {self._new_port(name)}"
         message_type = contracts.check_type(type, where_)
@@ -72,10 +81,10 @@ class Component:
         return self._parts.inputs[name]
 
     def create_output(self, name: str, type: type, qos: QoS | int | None = None) -> Output:
-        """An output port; attached to no topic until the manager attaches it.
+        """An output port. It is attached to no topic until the manager attaches it.
 
-        The modes of the one functionality that owns it state what it guarantees; ``type`` and ``qos``, as for an
-        input, are the same in all of them (docs/semantics.md section 2, M3). Raises NodeError.
+        It belongs to one functionality, whose modes state what it guarantees. ``type`` and ``qos`` are written as for
+        an input, and are the same in all modes (rule M3 of docs/semantics.md section 2). Raises NodeError.
         """
         where = f"output {self._new_port(name)}"
         self._parts.outputs[name] = Output(name, contracts.check_type(type, where), contracts.check_qos(qos, where))
@@ -84,11 +93,11 @@ class Component:
     def create_functionality(
         self, name: str, inputs: Sequence[Input] = (), outputs: Sequence[Output] = (), weight: float = 1
     ) -> Functionality:
-        """What the component does with ``inputs`` for ``outputs``: declare modes on what this returns.
+        """A computation from ``inputs`` to ``outputs``. Declare its modes on the functionality that this returns.
 
-        Functionalities may share an input, but an output belongs to one. ``weight``, greater than 0, is how much its
-        loss matters to the planner: disruption is measured in weight times seconds (docs/semantics.md section 6).
-        Raises NodeError.
+        Functionalities may share an input, but an output belongs to one. ``weight``, greater than 0, says how much the
+        loss of this functionality matters; the planner minimises weight times levels lost times seconds
+        (docs/semantics.md section 6). Raises NodeError.
         """
         self._declaring(f"functionality {name}")
         where = f"functionality {contracts.check_name(name, 'create_functionality()')}"
@@ -133,11 +142,11 @@ class Component:
         return parameter
 
     def on_setup(self, fn: F) -> F:
-        """``fn(node)`` is called with the ROS node on the data thread, before registration: for transforms, services.
+        """``fn(node)`` is called once, before the component registers: to create services or transform broadcasters.
 
-        ``node`` is rclpy's node on ROS 2, the module rospy on ROS 1 (there a process is one node), and None in the
-        simulator. Whatever is not a port is active from then on (docs/semantics.md section 7). If ``fn`` raises, the
-        component does not start.
+        ``node`` is rclpy's node on ROS 2, the module ``rospy`` on ROS 1 (where a process is one node), and None in the
+        simulator. ``fn`` runs on the thread of the modes. What it creates is active from then on; the specification
+        declares it with ``allows`` (docs/semantics.md section 7). If ``fn`` raises, the component does not start.
         """
         self._parts.callbacks.setup = self._callback("on_setup", fn)
         return fn
@@ -177,10 +186,10 @@ class Component:
         return fn
 
     def on_stop(self, fn: F, timeout: float = 2.0) -> F:
-        """``fn()`` is called after the last call of any mode, while outputs are open: e.g. to write zero velocity.
+        """``fn()`` is called when the component ends, after the last call of any mode: to write zero velocity, say.
 
-        It may be async. The component ends after ``timeout`` seconds even if it has not returned; its exceptions are
-        logged. Raises NodeError.
+        Outputs can still be written. ``fn`` may be async. The component ends after ``timeout`` seconds even if ``fn``
+        has not returned; its exceptions are logged. Raises NodeError.
         """
         self._parts.callbacks.stop = self._callback("on_stop", fn)
         self._parts.callbacks.stop_timeout = contracts.check_seconds(timeout, "on_stop(timeout=)")
@@ -206,14 +215,14 @@ class Component:
         return declare(self.name, self._parts)
 
     def start(self) -> None:
-        """Run until stopped: by the manager, SIGTERM or SIGINT. Signal handlers are set here and nowhere else.
+        """Run until the manager, SIGTERM or SIGINT stops it. Installs the handlers of these signals.
 
-        It listens for its manager and waits, degraded and unattached, for commands, whether the manager started it or
-        it was started by hand. ``--standalone out:=/chatter`` on the command line attaches it and runs its best modes
-        without a manager; other arguments are ignored.
+        The component waits, degraded and unattached, until its manager attaches it and upgrades it, whether the manager
+        started it or you did. With ``--standalone out:=/chatter`` on the command line it attaches itself and runs its
+        best modes without a manager. It ignores other arguments.
 
-        Raises NodeError where the declaration is incomplete or breaks a rule of docs/semantics.md section 2, where no
-        ROS can be imported, or where the node's name is taken; BackendError where the platform cannot be joined.
+        Raises NodeError if the declaration is incomplete or breaks a rule of docs/semantics.md section 2, if no ROS can
+        be imported, or if the node's name is in use; BackendError if the platform cannot be joined.
         """
         self._declaring("start()")
         declaration = self.declaration()

@@ -24,32 +24,33 @@ _POLICIES: Final = {
 
 
 def at_least(value: float) -> Interval:
-    """The numbers from ``value`` on: ``where={"width": at_least(640)}``."""
+    """The numbers greater than or equal to ``value``: ``where={"width": at_least(640)}``."""
     return Interval(low=float(value))
 
 
 def at_most(value: float) -> Interval:
-    """The numbers up to ``value``."""
+    """The numbers less than or equal to ``value``."""
     return Interval(high=float(value))
 
 
 def between(low: float, high: float) -> Interval:
-    """The numbers from ``low`` to ``high``, both included."""
+    """The numbers from ``low`` to ``high``, including both."""
     return Interval(float(low), float(high))
 
 
 @dataclass(frozen=True, slots=True)
 class Guarantee:
-    """What a mode promises of an output: made by :func:`guarantee`."""
+    """What a mode guarantees for an output. Created by :func:`guarantee`."""
 
     rate: float | None
     where: tuple[tuple[str, ValueSet], ...]
 
 
 def guarantee(rate: float | None = None, where: Where | None = None) -> Guarantee:
-    """What a mode promises of an output, for ``guarantees={out: guarantee(rate=20, where={"width": 640})}``.
+    """What a mode guarantees for an output: ``guarantees={out: guarantee(rate=20, where={"width": 640})}``.
 
-    ``rate`` in Hz; ``where`` as for ``create_input`` (docs/semantics.md section 1). Raises NodeError.
+    ``rate`` is in Hz; ``where`` is written as for ``Component.create_input`` (docs/semantics.md section 1). Raises
+    NodeError.
     """
     return Guarantee(check_rate(rate, "guarantee()"), field_constraints(where, None, "guarantee()"))
 

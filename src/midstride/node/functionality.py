@@ -11,11 +11,12 @@ from midstride.node.ports import AnyOf, Input, Output
 
 
 class Functionality:
-    """A chain of modes, best first (docs/semantics.md section 2). Made by ``Component.create_functionality``.
+    """A chain of modes, best first (docs/semantics.md section 2). Created by ``Component.create_functionality``.
 
-    The normal mode is the best, and the degraded one assumes nothing (M1); every better mode guarantees what a worse
-    one guarantees (M2). It starts in the degraded mode. The manager changes modes; only where a function raises does
-    the functionality go to its degraded mode by itself.
+    It has a normal mode, which is the best, and a degraded mode, which assumes nothing (rule M1). A better mode
+    guarantees at least what a worse one guarantees (rule M2). A functionality starts in its degraded mode, and the
+    manager changes the mode. If a function raises, its functionality goes to its degraded mode at once, without the
+    manager.
     """
 
     def __init__(
@@ -47,17 +48,21 @@ class Functionality:
         sync: Approximate | None = None,
         name: str = "normal",
     ) -> None:
-        """The best mode.
+        """The best mode, and what it calls.
 
-        With ``rate`` (Hz), ``fn()`` is called at that rate, and that is the guarantee of its ``outputs``. Without,
-        ``fn(message)`` is called for every message of its one input; with several, ``fn`` maps inputs to functions, or
-        ``sync=approximate(…)`` calls it with one message of each. Without either, ``fn()`` is called once, on entry. An
-        ``async`` function counts as running until it returns; it may await what the platform supports: rclpy's futures
-        on ROS 2, asyncio's on ROS 1.
+        - With ``rate`` (Hz), ``fn()`` is called at that rate, which is then the guaranteed rate of ``outputs``.
+        - Without a rate but with one input, ``fn(message)`` is called for each message.
+        - With several inputs, ``fn`` maps inputs to functions, ``{left: on_left, right: on_right}``, or
+          ``sync=approximate(0.05)`` calls ``fn(left, right)`` with one message of each.
+        - Without a rate and without inputs, ``fn()`` is called once, when the mode is entered.
 
-        ``inputs`` names what the mode assumes; ``any_of(left, right)`` for alternatives. ``outputs`` are those it
-        writes: an output that is not among them is guaranteed nothing. ``guarantees`` states rates (Hz) or fields of
-        outputs beyond what follows from ``rate``. ``name`` is the mode's name in the specification. Raises NodeError.
+        An ``async`` function counts as running until it returns. It may await rclpy's futures on ROS 2 and asyncio's on
+        ROS 1. ``comp.clock.sleep`` works on both, and in the simulator.
+
+        ``inputs`` are those that the mode assumes; ``any_of(left, right)`` stands for alternatives. ``outputs`` are
+        those that it writes; the mode guarantees nothing for any other output. ``guarantees`` adds rates (Hz) or fields
+        to what follows from ``rate``: ``{out: 20}`` or ``{out: guarantee(where=…)}``. ``name`` is the mode's name in
+        the specification. Raises NodeError.
         """
         if self._normal is not None:
             raise self._declared_twice("set_normal_mode")
@@ -74,9 +79,9 @@ class Functionality:
         *,
         sync: Approximate | None = None,
     ) -> None:
-        """A mode between the normal and the degraded one; call it for the better ones first.
+        """A mode between the normal and the degraded one. Declare better ones first.
 
-        The arguments are those of ``set_normal_mode``. Raises NodeError.
+        The other arguments are those of ``set_normal_mode``. Raises NodeError.
         """
         self._between.append(self._declare(name, fn, rate, inputs, outputs, guarantees, sync))
 
@@ -90,9 +95,10 @@ class Functionality:
         name: str = "degraded",
         inputs: Sequence[Input | AnyOf] = (),
     ) -> None:
-        """The last mode: what to do when no input can be relied on. It assumes nothing (M1).
+        """The last mode: what to do when no input can be relied on. It assumes nothing (rule M1), so it has no inputs.
 
-        With ``rate`` (Hz), ``fn()`` is called at that rate; without, once, on entry. Raises NodeError.
+        With ``rate`` (Hz), ``fn()`` is called at that rate; without, once, when the mode is entered. Raises NodeError,
+        also for ``inputs``.
         """
         if self._degraded is not None:
             raise self._declared_twice("set_degraded_mode")
@@ -105,7 +111,7 @@ class Functionality:
 
     @property
     def mode(self) -> str | None:
-        """The name of the mode it is in; None before the component has started."""
+        """The name of the current mode; None before ``start()``."""
         return None if self._current_mode is None else self._current_mode()
 
     def start(self, current_mode: Callable[[], str]) -> None:

@@ -18,17 +18,17 @@ Promise: TypeAlias = Guarantee | float | int
 
 @dataclass(frozen=True, slots=True)
 class Approximate:
-    """Sets of messages whose times lie within ``slop`` seconds. Made by :func:`approximate`."""
+    """Sets of messages whose times lie within ``slop`` seconds. Created by :func:`approximate`."""
 
     slop: float
     queue: int
 
 
 def approximate(slop: float, queue: int = 10) -> Approximate:
-    """``sync=approximate(0.05)``: call with one message of each input, at most 0.05 s apart.
+    """For ``sync=approximate(0.05)``: call the mode with one message of each input, at most ``slop`` seconds apart.
 
-    The time of a message is its ``header.stamp`` where it has one, else that of its publication.
-    At most ``queue`` messages of each input wait to be matched; the oldest are dropped first. Raises NodeError.
+    The time of a message is its ``header.stamp`` if it has one, otherwise the time of its publication. At most
+    ``queue`` messages of each input wait to be matched; the oldest are dropped first. Raises NodeError.
     """
     seconds = check_seconds(slop, "approximate()")
     if not queue >= 1:

@@ -31,6 +31,7 @@ class Parameter:
 
     @property
     def value(self) -> Any:
+        """The current value, of the type of the default."""
         return self._value
 
     def begin_with(self, value: Any) -> None:

@@ -162,7 +162,7 @@ class _Port(Generic[L]):
 
     @property
     def attached(self) -> bool:
-        """Whether it is attached to some topic."""
+        """Whether the port is attached to a topic."""
         return bool(self.links)
 
     def link(self, topic: str) -> L | None:
@@ -176,10 +176,10 @@ class _Port(Generic[L]):
 
 
 class Output(_Port[OutputLink]):
-    """An output port. ``write`` publishes on every topic it is attached to; attached to none, it only counts.
+    """An output port. Created by ``Component.create_output``.
 
-    Write only on the data thread: in mode functions, ``on_stop``, ``on_change``, and timers of the ROS node. Do not
-    write from other threads: there is no lock.
+    Write only in mode functions, ``on_stop``, ``on_change`` and callbacks of the ROS 2 node, which all run on one
+    thread. Do not write from other threads, such as those of rospy's callbacks: there is no lock.
     """
 
     # From when the component runs.
@@ -196,10 +196,10 @@ class Output(_Port[OutputLink]):
         self.wrong_type: str | None = None
 
     def write(self, message: Any) -> None:
-        """Publish ``message``. Raises NodeError where it is not of the output's type.
+        """Publish ``message`` on every topic that the output is attached to.
 
-        Behind a closed gate, before and after a hand-over, it is counted and not published (docs/semantics.md
-        section 7).
+        While the output is attached to no topic, or its gate is closed (before and after a hand-over), the message is
+        counted and not published (docs/semantics.md section 7). Raises NodeError if it is not of the output's type.
         """
         if message.__class__ is not self.type and not isinstance(message, self.type):
             self.wrong_type = f"output {self.name} takes {type_name(self.type)}, not {type(message).__name__}"
@@ -221,12 +221,13 @@ class Output(_Port[OutputLink]):
 
 
 class Input(_Port[InputLink]):
-    """An input port. ``latest`` is the newest message since it was attached, or None; ``age`` how old that is (s)."""
+    """An input port. Created by ``Component.create_input``."""
 
     def __init__(self, name: str, type_: type, assumption: Predicate) -> None:
         self.name = name
         self.type = type_
         self.assumption = assumption
+        #: The newest message since the input was attached; None if there is none.
         self.latest: Any = None
         self.listeners: tuple[Listener, ...] = ()
         self.receipts: deque[tuple[int, Any]] = deque(maxlen=REMEMBERED)
@@ -235,7 +236,7 @@ class Input(_Port[InputLink]):
 
     @property
     def age(self) -> float | None:
-        """Seconds on the ROS clock since ``latest`` came; None where there is none."""
+        """The seconds of the ROS clock since ``latest`` arrived; None if there is no message."""
         if self._received_at is None or self._now is None:
             return None
         return (self._now() - self._received_at) / 1e9
@@ -269,7 +270,7 @@ class Input(_Port[InputLink]):
 
 
 class AnyOf:
-    """Inputs that are alternatives: one of them suffices. Made by :func:`any_of`."""
+    """Inputs that are alternatives: one of them suffices. Created by :func:`any_of`."""
 
     def __init__(self, inputs: tuple[Input, ...]) -> None:
         self.inputs = inputs
@@ -279,9 +280,10 @@ class AnyOf:
 
 
 def any_of(*inputs: Input) -> AnyOf:
-    """An assumption that one of several inputs meets: ``inputs=[any_of(left, right)]`` (docs/semantics.md section 2).
+    """An assumption that any one of several inputs can meet: ``inputs=[any_of(left, right)]``.
 
-    Raises NodeError for fewer than two, or for what is not an input.
+    This is a named assumption of docs/semantics.md section 2. Raises NodeError for fewer than two inputs, or for
+    anything that is not an input.
     """
     for port in inputs:
         if not isinstance(port, Input):

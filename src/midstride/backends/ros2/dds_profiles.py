@@ -8,7 +8,7 @@ the lease of 20 s in particular: the manager knows of deaths from sockets and pr
 Three things are easy to get wrong:
 
 - Fast DDS 3 reads the profile named by one variable, Fast DDS 2 by another, in another spelling, and
-  each ignores, or complains of, what is meant for the other.
+  each ignores, or warns about, what is meant for the other.
 - Under ``ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`` rmw_fastrtps replaces all transports, and uses shared
   memory whatever the environment asks for. A profile does what that setting does, with sockets
   alone, and the setting is reset.
