@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace as changed
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -111,10 +112,14 @@ def helper(tmp_path: Path) -> Iterator[Path]:
 
 
 def test_a_process_lists_its_script_and_its_own_modules(helper: Path) -> None:
-    program = ProgramFiles(sys.modules, LATER).listed()
+    script = helper.with_name("script.py")
+    script.touch()
+    main = ModuleType("__main__")
+    main.__file__ = str(script)
+    program = ProgramFiles({**sys.modules, "__main__": main}, LATER).listed()
     paths = [file.path for file in program.files]
     assert str(helper) in paths
-    assert paths[0] == os.path.abspath(sys.modules["__main__"].__file__ or "")
+    assert paths[0] == str(script)
     foreign = [asyncio, pytest, node_program]  # of the interpreter, of its environment, and of Midstride
     assert not {module.__file__ for module in foreign} & set(paths[1:])
     assert program.complete
