@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import io
+from pathlib import Path
 from typing import Any
 
 import pytest
 from rich.console import Console, RenderableType
 
 from midstride.cli import render
+from midstride.cli.files import as_typed_here
 
 
 def shown(rendered: RenderableType) -> list[str]:
@@ -138,6 +140,14 @@ def test_the_mode_of_an_unresponsive_component_is_unknown() -> None:
     silent = {**component, "reachable": False}
     lines = shown(render.status({**state, "valid": False, "violations": [], "components": [silent]}))
     assert " ".join(lines[2].split()) == "talker Talker 7, not responding talk unknown last known mode: normal"
+
+
+def test_a_file_below_the_current_folder_is_shown_as_it_is_typed_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert as_typed_here(str(tmp_path / "robots" / "a.stride")) == "robots/a.stride"
+    assert as_typed_here(str(tmp_path.parent / "a.stride")) == str(tmp_path.parent / "a.stride")
 
 
 def test_after_a_crash_the_remedy_is_named() -> None:

@@ -17,6 +17,12 @@ from midstride.model.specification import Specification
 MAX_CHARACTERS: Final = 64_000_000
 
 
+def as_typed_here(path: str) -> str:
+    """An absolute path as a user would type it: relative to the current folder if it is inside."""
+    here = Path.cwd()
+    return str(Path(path).relative_to(here)) if Path(path).is_relative_to(here) else path
+
+
 def read(path: Path) -> Specification:
     """The specification in a file. Raises SpecificationError with every error of form and of names."""
     text = _text(path)

@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from midstride.cli.console import PrintableTable
+from midstride.cli.files import as_typed_here
 from midstride.cli.programs import code_words
 from midstride.model import wording
 
@@ -255,7 +256,8 @@ def _heading(document: Document) -> str:
     running = document.get("running")
     activity = f", carrying out `{escape(running['command'])}` for {seconds(running['since'])}" if running else ""
     state = "[green]valid[/green]" if document["valid"] else "[red]not valid[/red]"
-    origin = f"\n[dim]brought up from {escape(document['file'])}[/dim]" if document.get("file") else ""
+    file = document.get("file")
+    origin = f"\n[dim]brought up from {escape(as_typed_here(file))}[/dim]" if file else ""
     return f"[bold]{document['system']}[/bold] on {document['backend']}, {state}{activity}{origin}"
 
 
