@@ -91,7 +91,7 @@ def busy_specification(folder: Path) -> Specification:
 
 
 async def a_call_begins(manager: Manager) -> None:
-    """Wait for a call of user code to begin, which takes a second from then on."""
+    """Wait for a call of user code to begin, which takes a second, and for the report of it, within half a second."""
 
     async def is_busy() -> bool:
         return bool((await manager.peek("busy")).functionalities["work"].busy)
@@ -99,8 +99,12 @@ async def a_call_begins(manager: Manager) -> None:
     async def is_idle() -> bool:
         return not await is_busy()
 
+    async def is_shown() -> bool:
+        return (await manager.status()).components[0].functionalities[0].busy is not None
+
     await until_async(is_idle)
     await until_async(is_busy)
+    await until_async(is_shown)
 
 
 @pytest.mark.full

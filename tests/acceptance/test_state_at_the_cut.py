@@ -102,7 +102,8 @@ def assert_exactly_once(heard: list[str], given_up: list[str], replacements: int
     expected = range(numbers[0], numbers[-1] + 1)
     missing = sorted(set(expected) - set(numbers))
     twice = sorted({number for number, next_ in itertools.pairwise(numbers) if number == next_})
-    assert not missing and not twice, f"of {len(expected)}, missing: {missing}, twice: {twice}; given up: {given_up}"
+    seen = [f"line {at}: {line}" for at, line in enumerate(heard) if int(line.split()[0]) in twice[:5]]
+    assert not missing and not twice, f"of {len(expected)}, missing: {missing}, twice: {seen}; given up: {given_up}"
     assert len(given_up) <= max(1, GIVEN_UP_AT_MOST * replacements), given_up
     sides = [line.split()[1] for line in heard]
     assert sum(a != b for a, b in itertools.pairwise(sides)) >= replacements - len(given_up)

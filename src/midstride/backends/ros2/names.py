@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Iterable
 from typing import Any, Final, NamedTuple
 
 from midstride.backends.naming import full as full
@@ -44,6 +45,16 @@ def controlled(full_name: str) -> InstanceNode | None:
         return None
     inside, instance, system, node = found.groups()
     return InstanceNode(inside + instance, inside + (node or instance), system or "")
+
+
+def instances_of(node: str, in_graph: Iterable[str], system: str) -> int:
+    """How many instances of the role with the node ``node`` are among the nodes of the graph; one of them answers.
+
+    One that was started by hand may belong to any system, as may all if ``system`` is empty. One that has ended may
+    still be in the graph beside another of its name: each has a node ``node``, so each counts.
+    """
+    found = [seen for name in in_graph if (seen := controlled(name)) is not None and seen.node == node]
+    return sum(not system or each.system in ("", system) for each in found)
 
 
 def is_hidden(full_name: str) -> bool:

@@ -142,30 +142,19 @@ class ComponentNodes:
             raise NodeError("rclpy was shut down from within the component; leave that to start()")
         if time.monotonic() >= self._checked_until:
             return False
-        if self._nodes_of_our_name() > self._instances_of_our_role():
+        in_graph = self._in_graph()  # once, since others may come and go between two looks
+        if in_graph.count(self._full_name) > max(1, names.instances_of(self._full_name, in_graph, self._system)):
             self._refuse_name()
         return True
 
     def _check_free(self) -> None:
         """Raises NodeError where a node of our name appears soon, before ours has joined."""
         deadline = time.monotonic() + LOOK_BEFORE
-        while self._nodes_of_our_name() == 0:
+        while self._full_name not in self._in_graph():
             if time.monotonic() >= deadline:
                 return
             time.sleep(0.02)
         self._refuse_name()
-
-    def _nodes_of_our_name(self) -> int:
-        return self._in_graph().count(self._full_name)
-
-    def _instances_of_our_role(self) -> int:
-        """How many instances of our role are there, this one included: the manager has one of them answer.
-
-        One that was started by hand may belong to any system.
-        """
-        found = {seen for name in self._in_graph() if (seen := names.controlled(name)) is not None}
-        ours = [each for each in found if each.system in ("", self._system) or not self._system]
-        return max(1, sum(each.node == self._full_name for each in ours))
 
     def _in_graph(self) -> list[str]:
         return [names.full(name, inside) for name, inside in self._control.get_node_names_and_namespaces()]

@@ -1,0 +1,28 @@
+"""Names of nodes: which of them are the instances of a role."""
+
+from __future__ import annotations
+
+import pytest
+
+from midstride.backends.ros2 import names
+
+HERE, ELSEWHERE = names.system_tag("the token of this system"), names.system_tag("that of another")
+
+
+def control(instance: str, system: str = HERE) -> str:
+    return names.full(names.control(instance, "counter", system), "/front")
+
+
+@pytest.mark.parametrize(
+    ("in_graph", "system", "instances"),
+    [
+        ([control("counter"), control("counter_2")], HERE, 2),
+        ([control("counter_2"), control("counter_2")], HERE, 2),  # one has ended, and the graph still has it
+        ([control("counter"), control("counter_2", ELSEWHERE)], HERE, 1),
+        ([control("counter"), control("counter_2", ELSEWHERE)], "", 2),
+        ([control("counter", system="")], HERE, 1),
+        (["/front/counter", "/front/_ros2cli_daemon"], HERE, 0),
+    ],
+)
+def test_how_many_instances_a_role_has(in_graph: list[str], system: str, instances: int) -> None:
+    assert names.instances_of("/front/counter", ["/front/counter", *in_graph], system) == instances
