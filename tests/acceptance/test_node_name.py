@@ -135,7 +135,10 @@ def test_exactly_one_instance_answers_whenever_the_manager_is_killed(tmp_path: P
                 await called_meanwhile(bare, caller, kill_at(*point))
 
             async def change_once_more() -> None:
-                done = await asyncio.to_thread(manage, system, "swap")
+                for _ in range(3):  # a busy machine may give a hand-over up
+                    done = await asyncio.to_thread(manage, system, "swap")
+                    if "rolled_back" not in done.stdout:
+                        break
                 assert done.returncode == 0 and "done None" in done.stdout, done.stdout + done.stderr
 
             await called_meanwhile(bare, caller, change_once_more())

@@ -34,7 +34,7 @@ from midstride.wire import commands
 
 # How far ahead the cut is (s): many round trips, so that both sides know it in time. If the machine is too busy for one
 # of these, the next one is tried.
-LEADS: Final = (0.05, 0.3, 1.0)
+LEADS: Final = (0.1, 0.3, 1.0)
 # How long the new component may take to write once behind its gate (s), on top of 10 of its periods.
 PROBATION: Final = 5.0
 # From how many calls its code must have returned behind the gate, as far as they come within so many seconds of its
