@@ -418,10 +418,10 @@ def test_a_second_component_of_the_same_name_says_so_and_ends(tmp_path: Path, st
 
             await asyncio.sleep(LOOK_AFTER)  # of two that join together, either may give way
             environment, words = without_midstride(), "a node /talker is running already"
-            if started_by != "hand":
-                environment |= {ENV_TOKEN: r.token, ENV_CONTROL: str(tmp_path / "another")}
+            if started_by == "a manager of another system":
+                environment |= {ENV_TOKEN: "the token of that system", ENV_CONTROL: str(tmp_path / "another")}
             if started_by == "a manager of this system":
-                environment |= {ENV_CONTROL: str(tmp_path / "components")}
+                environment |= {ENV_TOKEN: r.token, ENV_CONTROL: str(tmp_path / "components")}
                 words = "a component talker is running already"
             second = await asyncio.to_thread(
                 subprocess.run,
