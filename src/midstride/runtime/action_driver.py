@@ -13,7 +13,7 @@ from typing import Any, Final, TypeVar
 from midstride.errors import CallTimeout, CommandRefused, MidstrideError, StepFailed, Unreachable
 from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
 from midstride.model.component import FunctionalityRef, PortRef
-from midstride.model.configuration import Configuration
+from midstride.model.configuration import Configuration, Instance
 from midstride.runtime.answering import have_answer
 from midstride.runtime.backend import Backend
 from midstride.runtime.component_client import ComponentClient
@@ -88,11 +88,19 @@ class ActionDriver:
                 found.append(f"{ref} entered mode {view.mode} unexpectedly: {view.because.strip()}")
         return found
 
+    async def start(self, instance: Instance) -> bool:
+        """Start the process of an instance that is to be created; see :meth:`Launcher.start`."""
+        standby = self.system.has_instance(instance.role)
+        if self.parameters is None:
+            return await self.launcher.start(instance, standby=standby)
+        return await self.launcher.start(instance, standby=standby, start_values=self.parameters.start_values)
+
     async def _perform(self, action: Action, because: str) -> None:
         match action:
             case Create(instance):
                 standby = self.system.has_instance(instance.role)
-                await self.launcher.registered(instance, standby=standby)
+                await self.start(instance)
+                await self.launcher.registered(instance)
                 if not standby:  # it does already, unless it was started by hand and replaced once
                     await have_answer(self.client, instance.name)
                 if self.parameters is not None:

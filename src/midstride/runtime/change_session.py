@@ -159,7 +159,6 @@ class ChangeSession:
         executor = self.executor()
         executor.on_moved = timer.moved
         executor.driver.parameters = transfer
-        executor.driver.launcher.start_values = transfer.start_values
         executor.driver.before_handover = recording.record_driving_inputs
         executor.after_step = None if verifier is None else verifier.look
         outcome: OutcomeKind = "done"

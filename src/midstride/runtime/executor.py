@@ -241,7 +241,7 @@ class Executor:
         async with self._one_start:
             if instance.name in self.system.configuration.instances:
                 return
-            if await self.driver.launcher.start(instance, standby=self.system.has_instance(instance.role)):
+            if await self.driver.start(instance):
                 self.system.started(instance.name)
                 self.store.write_instance(instance, self.driver.launcher.handles.get(instance.name))
 

@@ -60,8 +60,6 @@ class Launcher:
         self._graces: dict[str, float] = {}
         self._last_registration = -REGISTRATION_TIMEOUT  # steady s
         self.handles: dict[str, Handle] = {}
-        # The values of parameters that an instance starts with instead of the declared ones.
-        self.start_values: Callable[[Instance], dict[str, Any]] = lambda _: {}
         self.ending: set[str] = set()
 
     def exited(self, event: Exited) -> None:
@@ -74,16 +72,23 @@ class Launcher:
         """The connection of a component that was started by hand has closed."""
         self._backend.disconnected(name)
 
-    async def start(self, instance: Instance, *, standby: bool = False) -> bool:
+    async def start(
+        self,
+        instance: Instance,
+        *,
+        standby: bool = False,
+        start_values: Callable[[Instance], dict[str, Any]] = lambda _: {},
+    ) -> bool:
         """Start the process of ``instance`` and return at once; :meth:`registered` waits for it.
 
         Returns False if it is already starting. A component without ``run`` is started by hand. ``standby``: another
-        instance of its role answers requests. Raises StartFailed, or what ``start_values`` raises.
+        instance of its role answers requests. ``start_values``: the values of parameters that it starts with instead of
+        the declared ones. Raises StartFailed, or what ``start_values`` raises.
         """
         name = instance.name
         if name in self._starting:
             return False
-        set_values = self.start_values(instance)
+        set_values = start_values(instance)
         self._exits[name] = asyncio.get_running_loop().create_future()
         self._starting[name] = asyncio.ensure_future(self._client.registered(name))
         self._starting[name].add_done_callback(self._registration_done)
@@ -129,14 +134,14 @@ class Launcher:
                     return name, StartFailed(_describe_exit(exit.result()))
         return None
 
-    async def registered(self, instance: Instance, *, standby: bool = False) -> None:
-        """Wait until ``instance`` registers, check it against its declaration, and accept it.
+    async def registered(self, instance: Instance) -> None:
+        """Start ``instance`` unless it is starting, wait until it registers, check its declaration, and accept it.
 
         As long as other components register, it has more time: the machine is busy with them. Raises StartFailed, after
         terminating the process that was started.
         """
         name = instance.name
-        await self.start(instance, standby=standby)
+        await self.start(instance)
         try:
             greeting, registration = await self._registration(instance)
             self._verify(instance, greeting, registration)
