@@ -175,6 +175,15 @@ def running() -> Iterator[Midstride]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+@pytest.fixture(scope="module")
+def talker() -> Iterator[Midstride]:
+    """The talker's system, up on the simulator. Tests leave it as they found it."""
+    for midstride in running():
+        done = midstride("up", str(EXAMPLES / "talker" / "talker.json"), "--backend", "sim", "--detach")
+        assert done.status == 0, done.err
+        yield midstride
+
+
 def nothing_lost(swaps: list[dict[str, Any]]) -> bool:
     """None where the middleware does not report it: ROS 2 identifies the publisher of a message from kilted on."""
     allowed = {0, None} if "MIDSTRIDE_ROS2_ON_PATHS" in os.environ else {0}

@@ -6,25 +6,12 @@ import json
 import select
 import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from midstride.cli.logs import LONGEST_TAIL, Appended, last_lines, log_files
 from midstride.runtime.workspace import Workspace
-from tests.cli.conftest import EXAMPLES, Midstride, running
-
-TALKER = str(EXAMPLES / "talker" / "talker.json")
-
-
-@pytest.fixture(scope="module")
-def talker() -> Iterator[Midstride]:
-    for midstride in running():
-        done = midstride("up", TALKER, "--backend", "sim", "--detach")
-        assert done.status == 0, done.err
-        yield midstride
+from tests.cli.conftest import Midstride
 
 
 def test_a_nodes_log_is_printed(talker: Midstride) -> None:

@@ -11,7 +11,6 @@ import socket
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,19 +19,10 @@ import pytest
 
 from midstride.cli import main
 from midstride.runtime.workspace import Workspace
-from tests.cli.conftest import EXAMPLES, Midstride, alive, running, unwritten
+from tests.cli.conftest import EXAMPLES, Midstride, alive, unwritten
 from tests.cli.terminal import Terminal
 
 TALKER = str(EXAMPLES / "talker" / "talker.json")
-
-
-@pytest.fixture(scope="module")
-def talker() -> Iterator[Midstride]:
-    """The talker's system, up. Tests leave it as they found it."""
-    for midstride in running():
-        done = midstride("up", TALKER, "--backend", "sim", "--detach")
-        assert done.status == 0, done.err
-        yield midstride
 
 
 def playing(midstride: Midstride, role: str = "talker") -> tuple[str, str]:

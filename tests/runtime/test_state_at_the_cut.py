@@ -214,16 +214,22 @@ def test_of_a_large_state_only_the_changes_move_at_the_cut(tmp_path: Path) -> No
     counting(system(tmp_path, program, out=50), body)
 
 
+async def rolled_back_at_the_removal(manager: Manager, simulator: Simulator) -> Reader:
+    """An exchange whose hand-over succeeds, and whose old component then cannot be removed."""
+    reader = Reader(simulator, "/out")
+    await settle()
+    simulator.faults.fail_next("counter", "export_state", "refused")
+    outcome = await exchanged(manager)
+    assert outcome.outcome == "rolled_back"
+    await settle()
+    return reader
+
+
 def test_a_roll_back_after_the_hand_over_brings_the_state_back(tmp_path: Path) -> None:
     """The old one cannot be removed, so it gets the topic again, and continues where the new one was."""
 
     async def body(manager: Manager, simulator: Simulator) -> None:
-        reader = Reader(simulator, "/out")
-        await settle()
-        simulator.faults.fail_next("counter", "export_state", "refused")
-        outcome = await exchanged(manager)
-        assert outcome.outcome == "rolled_back"
-        await settle()
+        reader = await rolled_back_at_the_removal(manager, simulator)
         reader.assert_exactly_once()
         assert reader.changes == 2
 
@@ -232,12 +238,7 @@ def test_a_roll_back_after_the_hand_over_brings_the_state_back(tmp_path: Path) -
 
 def test_a_roll_back_goes_on_where_the_state_cannot_come_back(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:
-        reader = Reader(simulator, "/out")
-        await settle()
-        simulator.faults.fail_next("counter", "export_state", "refused")
-        outcome = await exchanged(manager)
-        assert outcome.outcome == "rolled_back"
-        await settle()
+        reader = await rolled_back_at_the_removal(manager, simulator)
         notes = [event.words for event in manager.log() if "keeps its own state" in event.words]
         assert len(notes) == 1 and "counter keeps its own state" in notes[0] and "ValueError: lost" in notes[0]
         assert reader.changes == 2 and reader.longest_gap() < 0.05

@@ -12,6 +12,7 @@ The methods ``arm``, ``admit`` and ``release`` run on the data thread, the other
 
 from __future__ import annotations
 
+import abc
 import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -47,7 +48,7 @@ TRANSIT_PER_BYTE: Final = 2e-8
 
 
 @dataclass(eq=False)
-class _Transfer:
+class _Transfer(abc.ABC):
     """What both sides share. ``_armed``: how many cuts the pair has agreed so far; ``_ended``: those that are over."""
 
     transfer: commands.StateTransfer
@@ -73,8 +74,9 @@ class _Transfer:
         for runner in self.runners:
             runner.admission = self.admit
 
+    @abc.abstractmethod
     def admit(self, runner: FunctionalityRunner, call: Call) -> Admission:
-        raise NotImplementedError
+        """Whether a call is made, held back, or dropped."""
 
     def release(self, make: bool) -> None:
         """Hold nothing back any more; ``make`` the calls that were, or drop them."""

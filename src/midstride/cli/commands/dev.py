@@ -10,9 +10,8 @@ import click
 from rich.console import Console
 from rich.text import Text
 
-from midstride.backends import NAMES
 from midstride.cli.client import Client, Document
-from midstride.cli.commands.up import bring_up
+from midstride.cli.commands.up import backend_option, bring_up
 from midstride.cli.dev.changes import Changes, worst
 from midstride.cli.dev.contents import saves
 from midstride.cli.dev.session import DevSession
@@ -26,15 +25,7 @@ from midstride.runtime.workspace import Workspace
 
 @click.command("dev")
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option(
-    "--backend",
-    type=click.Choice(NAMES),
-    default="ros2",
-    show_default=True,
-    envvar="MIDSTRIDE_BACKEND",
-    show_envvar=True,
-    help="The platform, where the system is not running yet.",
-)
+@backend_option("The platform, where the system is not running yet.")
 @json_option
 def dev_command(file: Path, backend: str) -> int:
     """Run the system of FILE, and on each save swap exactly the nodes that it changes, without losing a message.

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -31,17 +31,21 @@ START_TIMEOUT = 30.0
 POLL = 0.02
 
 
+def backend_option(help: str) -> Callable[[Callable[..., int]], Callable[..., int]]:
+    return click.option(
+        "--backend",
+        type=click.Choice(NAMES),
+        default="ros2",
+        show_default=True,
+        envvar="MIDSTRIDE_BACKEND",
+        show_envvar=True,
+        help=help,
+    )
+
+
 @click.command("up")
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option(
-    "--backend",
-    type=click.Choice(NAMES),
-    default="ros2",
-    show_default=True,
-    envvar="MIDSTRIDE_BACKEND",
-    show_envvar=True,
-    help="The platform.",
-)
+@backend_option("The platform.")
 @click.option("--detach", "-d", is_flag=True, help="Return as soon as the system is up.")
 @click.option("--http", type=click.IntRange(1, 65535), metavar="PORT", help="Serve the API on loopback TCP as well.")
 @click.option("--http-host", metavar="ADDRESS", help="With --http: listen on this address instead of loopback.")
