@@ -33,7 +33,7 @@ class Server:
 
 @given(st.lists(st.one_of(st.tuples(st.sampled_from("ab"), st.integers(0, 9)), st.just("change"))))
 def test_each_request_is_handled_exactly_once_however_the_two_receive_it(events: list[Any]) -> None:
-    """Each of two servers receives each request, in an order of its own; in between, the other one's turn comes."""
+    """Each of two servers receives each request, each in its own order; in between, the other one starts to answer."""
     servers = {"a": Server(is_open=True), "b": Server(is_open=False)}
     open_, closed = "ab"
     received = {"a": set[int](), "b": set[int]()}

@@ -22,7 +22,7 @@ def component(name: str, run: str = "python3 node.py", **parameters: ParameterVa
 
 
 def system(of: str, *components: ComponentSpec, **stated: ParameterValue) -> Specification:
-    """One node, a ``Talker`` or another, with ``stated`` values of its own."""
+    """One node, a ``Talker`` or another, with the values ``stated`` for it."""
     return Specification(
         "bench",
         components=Map({each.name: each for each in components}),

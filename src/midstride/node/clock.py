@@ -13,7 +13,7 @@ from midstride.node.host import Host
 class ComponentClock:
     """The ROS clock of the component, so ``use_sim_time`` works; before ``start()``, the system's clock.
 
-    It is ``Component.clock``, and not created by itself.
+    Each component has one, ``Component.clock``; do not create others.
     """
 
     def __init__(self) -> None:

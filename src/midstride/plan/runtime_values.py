@@ -42,7 +42,7 @@ def decide(
 ) -> tuple[RuntimeValue, ...]:
     """What becomes of the ``values`` of a role, set while it ran, when its node changes from ``before`` to ``after``.
 
-    Values that the target declares by itself are left out. Without ``keep``, the target's values are used.
+    Values that the target declares anyway are left out. Without ``keep``, the target's values are used.
     Raises PlanRefused where a value that would travel is of a type that the new component does not take.
     """
     return tuple(_decisions(before, after, role, values, keep))

@@ -180,7 +180,7 @@ async def publishers_found(
     found: dict[PortRef, int] = {}
     for port in sorted(configuration.subscribers_on(connector)):
         asked = AwaitMatchCommand(port=port.port, topic=configuration.topic(connector), peers=0, timeout=0.0)
-        with contextlib.suppress(CallTimeout, Unreachable):  # a fault that is reported by itself
+        with contextlib.suppress(CallTimeout, Unreachable):  # reported as a silence
             for _ in range(LEAVE_ATTEMPTS):
                 found[port] = (await client.read(port.instance, asked)).matched
                 if found[port] <= living:

@@ -38,7 +38,7 @@ class Simulator:
 
     ``Simulator().run(main())`` runs a coroutine in virtual time and shuts the simulator down after it. On any other
     asyncio loop the simulator runs in real time; call :meth:`shutdown` at the end. All times are in seconds; the same
-    ``seed`` gives the same run. ``logs``: the folder for the output of the components, each in a file of its own.
+    ``seed`` gives the same run. ``logs``: the folder for the output of the components, one file for each.
     """
 
     name = "sim"
