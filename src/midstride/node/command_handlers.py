@@ -16,7 +16,6 @@ from functools import partial
 from typing import Any, Final, TypeVar
 
 from midstride.errors import BackendError, CommandRefused
-from midstride.node.answering import Answering
 from midstride.node.attachments import Attachments
 from midstride.node.declaration import DeclaredParts
 from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner, format_error
@@ -75,7 +74,6 @@ class CommandHandlers:
         self._handovers = HandoverCommands(
             self._attachments, self.host, self._data, self.changed, self.token, self._hooks, self._runners
         )
-        answering = Answering(self.host.gate, self._handovers.call, self.changed)
         self._handlers: dict[type[Command[Any]], Handler] = {
             commands.AttachCommand: self._attachments.attach,
             commands.DetachCommand: self._attachments.detach,
@@ -84,13 +82,14 @@ class CommandHandlers:
             commands.AwaitWriteCommand: self._attachments.await_write,
             commands.GridCommand: self._handovers.grid,
             commands.MeetCommand: self._handovers.meet,
+            commands.MuteCommand: self._handovers.mute,
             commands.CutOutCommand: self._handovers.cut_out,
             commands.CutInCommand: self._handovers.cut_in,
             commands.CancelCutCommand: self._handovers.cancel_cut,
             commands.AwaitCutCommand: self._handovers.await_cut,
             commands.CutTakenCommand: self._handovers.taken,
-            commands.AnswerCommand: answering.answer,
-            commands.YieldCommand: answering.stop,
+            commands.AnswerCommand: self._handovers.answer,
+            commands.YieldCommand: self._handovers.answering.stop,
             commands.PrepareStateCommand: self._handovers.prepare_state,
             commands.OfferStateCommand: self._handovers.offer_state,
             commands.FetchStateCommand: self._handovers.fetch_state,

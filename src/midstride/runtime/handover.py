@@ -59,8 +59,8 @@ class LiveHandover:
     """One hand-over on the components of ``configuration``.
 
     ``lingering_readers`` says how many readers on a topic the middleware still counts although their processes have
-    exited, ``is_gone`` whether a component has exited. ``states`` moves their state. ``before_cut(old, new)`` is called
-    when both are ready for it.
+    exited, ``is_gone`` whether a component has exited. ``states`` moves their state; there may be state to move without
+    any swap. ``before_cut(old, new)`` is called when both are ready for it.
     """
 
     client: ComponentClient
@@ -85,7 +85,7 @@ class LiveHandover:
             try:
                 last = await self._agree()
             except MidstrideError:
-                if not all([await self._has_exited(swap.old.instance) for swap in self.swaps]):
+                if not all([await self._has_exited(old) for old, _ in self._pairs]):
                     raise
                 last = await self._take_over()
         except MidstrideError as error:
@@ -108,7 +108,7 @@ class LiveHandover:
     async def _change_answering(self) -> None:
         """Have each replacement answer the requests to its role's node."""
         instances = self.configuration.instances
-        for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps}):
+        for old, new in self._pairs:
             if old != new and instances[old].role == instances[new].role:
                 try:
                     await have_answer(self.client, new, instead_of=None if self.is_gone(old) else old)
@@ -117,7 +117,7 @@ class LiveHandover:
 
     async def _agree(self) -> dict[PortRef, int | None]:
         """Hand over at an agreed moment; the number of each old output's last message."""
-        pairs = sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps})
+        pairs = self._pairs
         for old, new in pairs:
             await require_same_clock(self.client, old, new)
         connectors = sorted({swap.connector for swap in self.swaps})
@@ -147,9 +147,9 @@ class LiveHandover:
 
         Going back would leave the topics without a publisher.
         """
-        publishing = [swap for cut in self._cuts if await self._publishes(cut) for swap in cut.swaps]
-        waiting = [swap for swap in self.swaps if swap not in publishing]
-        await self._cancel(cut for cut in self._cuts if not any(swap in publishing for swap in cut.swaps))
+        published = [cut for cut in self._cuts if await self._publishes(cut)]
+        waiting = [swap for swap in self.swaps if not any(swap in cut.swaps for cut in published)]
+        await self._cancel(cut for cut in self._cuts if cut not in published)
         for swap in waiting:
             if swap not in self._attached:
                 await self._attach(swap, readers=0)
@@ -161,11 +161,9 @@ class LiveHandover:
             latch = grid.trigger == "none"
             opening = commands.GateCommand(port=swap.new.port, topic=self._topic(swap), gate="open", latch=latch)
             await self.client.change(swap.new.instance, opening)
-        for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps}):
+        for old, new in self._pairs:
             self.events.add("note", f"{old} exited during the hand-over, and {new} took over at once")
-            moved = any(
-                (cut.old, cut.new) == (old, new) and swap in publishing for cut in self._cuts for swap in cut.swaps
-            )
+            moved = any((cut.old, cut.new) == (old, new) for cut in published)
             if (old, new) in self.states.agreed and not moved:
                 self.states.note_own_state(new, f"{old} has exited")
         return {}
@@ -194,6 +192,11 @@ class LiveHandover:
                 pass
             return False
         return self.is_gone(instance)
+
+    @property
+    def _pairs(self) -> list[tuple[str, str]]:
+        """Old and new components: those of the swaps, and those between which only state moves."""
+        return sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps} | {*self.states.pairs})
 
     def _topic(self, swap: Swap) -> str:
         return self.configuration.topic(swap.connector)
@@ -306,7 +309,8 @@ class LiveHandover:
             reason = "" if because is None else f": {because}"
             if incoming.outcome != "done" and not any(incoming.first.values()):
                 reason = reason or await self._waits_for(cut.new)
-                raise StepFailed(f"{cut.new} did not publish after the cut; {cut.old} continues{reason}")
+                what = "publish after the cut" if cut.swaps else "take over"
+                raise StepFailed(f"{cut.new} did not {what}; {cut.old} continues{reason}")
             if incoming.outcome != "done" or outgoing.outcome != "done":
                 raise StepFailed(f"{cut.old} resumed before it learned that {cut.new} had published{reason}")
             self.states.ended(cut, incoming)

@@ -57,7 +57,14 @@ class StateTransfers:
             await self.client.change(new, structs.replace(prepare, bulk=True, timeout=BULK_TIMEOUT))
         if offer.exports != "nothing":
             self.agreed[old, new] = StateTransfer(
-                id="", cuts=0, at=0, changes=changes, required=self.required, timeout=STATE_TIMEOUT
+                id="",
+                cuts=0,
+                at=0,
+                changes=changes,
+                required=self.required,
+                timeout=STATE_TIMEOUT,
+                new=new,
+                address=self.client.address(new),
             )
 
     def note_own_state(self, new: str, because: str) -> None:
