@@ -15,6 +15,7 @@ from midstride.errors import NodeError
 from midstride.model.contract import Predicate, QoS
 from midstride.node.contracts import type_name
 from midstride.node.host import Host, Publisher, Subscription
+from midstride.node.message_times import MessageTimes
 from midstride.wire.state import GateState
 
 # How many receipts an input keeps while it does not record: enough to look back 20 periods.
@@ -77,13 +78,15 @@ class OutputLink:
     """One attachment of an output: a publisher behind a gate. Created closed.
 
     ``count`` is the number of published messages, as the middleware counts them; ``gated`` that of the others.
+    ``times`` has the writes of both.
     """
 
-    __slots__ = ("count", "cut", "endpoint", "gated", "last_gated", "open", "output", "publish", "topic")
+    __slots__ = ("count", "cut", "endpoint", "gated", "last_gated", "open", "output", "publish", "times", "topic")
 
-    def __init__(self, output: Output, topic: str, publisher: Publisher) -> None:
+    def __init__(self, output: Output, topic: str, publisher: Publisher, times: MessageTimes) -> None:
         self.output = output
         self.topic = topic
+        self.times = times
         self.endpoint = publisher
         self.publish = publisher.publish
         self.open = False
@@ -136,16 +139,17 @@ class OutputLink:
 
 
 class InputLink:
-    """One attachment of an input: a subscription without a gate, and the number of messages received on it."""
+    """One attachment of an input: a subscription without a gate, and the number and times of its messages."""
 
-    __slots__ = ("count", "endpoint", "input", "topic")
+    __slots__ = ("count", "endpoint", "input", "times", "topic")
     endpoint: Subscription
     gate: Final = None
     gated: Final = 0
 
-    def __init__(self, input: Input, topic: str) -> None:
+    def __init__(self, input: Input, topic: str, times: MessageTimes) -> None:
         self.input = input
         self.topic = topic
+        self.times = times
         self.count = 0
 
     def destroy(self) -> None:
@@ -210,6 +214,7 @@ class Output(_Port[OutputLink]):
         if not links:
             self.unattached += 1
         for link in links:
+            link.times.mark()
             if link.open:
                 link.publish(message)
                 link.count += 1
@@ -243,13 +248,13 @@ class Input(_Port[InputLink]):
 
     def receiver(self, link: InputLink, host: Host) -> Callable[[Any, Any], None]:
         """The callback of one subscription. On the data path: it uses local variables and attributes only."""
-        now, steady = host.now, host.steady
-        self._now = now
+        mark, steady = link.times.mark, host.steady
+        self._now = host.now
 
         def receive(message: Any, info: Any) -> None:
             self.receipts.append((steady(), info))
             self.latest = message
-            self._received_at = now()
+            self._received_at = mark()
             link.count += 1
             for listener in self.listeners:
                 listener(message, info)

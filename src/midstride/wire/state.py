@@ -29,6 +29,23 @@ class FunctionalityState(WireValue, frozen=True, kw_only=True):
     busy: float | None = None
 
 
+class Measured(WireValue, frozen=True, kw_only=True):
+    """What was measured of the messages of one attachment, on the node's ROS clock, in the last ``window`` seconds.
+
+    ``covered`` seconds of the window are known: less than all of it soon after the first message. ``rate`` (Hz) is None
+    before the second message, and 0 if the window has none. ``age``: seconds since the last message, None before the
+    first. ``jitter`` is the standard deviation of the times between messages, ``longest`` the longest of them, that
+    since the last message included (s); None where no two are known.
+    """
+
+    window: float
+    covered: float = 0.0
+    rate: float | None = None
+    age: float | None = None
+    jitter: float | None = None
+    longest: float | None = None
+
+
 class LinkState(WireValue, frozen=True, kw_only=True):
     """One attachment. ``count`` messages have passed, ``gated`` have not; an input has no gate."""
 
