@@ -37,10 +37,10 @@ class Endpoint:
 
 def test_nothing_is_known_before_the_first_message_nor_a_rate_before_the_second() -> None:
     endpoint = Endpoint()
-    assert endpoint.later(5) == Measured(window=1.0)
+    assert endpoint.later(5) == Measured(window=1.0, covered=0.005)
     assert endpoint.times.age() is None
     endpoint.message()
-    assert endpoint.later(30) == Measured(window=1.0, covered=0.03, age=0.03)
+    assert endpoint.later(30) == Measured(window=1.0, covered=0.035, age=0.03)
     assert endpoint.times.age() == 0.03
 
 
@@ -54,7 +54,13 @@ def test_the_rate_of_a_regular_publisher_is_exact_at_any_moment(count: int, phas
     assert found.jitter == pytest.approx(0, abs=1e-12)
     assert found.longest == pytest.approx(0.02)
     assert found.age == pytest.approx(phase / 1e3)
-    assert found.covered == pytest.approx(min(1.0, (count - 1) * 0.02 + phase / 1e3))
+    assert found.covered == pytest.approx(min(1.0, count * 0.02 + phase / 1e3))
+
+
+def test_a_rate_of_0_is_known_once_a_whole_window_had_no_message() -> None:
+    endpoint = Endpoint()
+    assert endpoint.later(999) == Measured(window=1.0, covered=0.999)
+    assert endpoint.later(1) == Measured(window=1.0, covered=1.0, rate=0.0)
 
 
 def test_the_rate_of_a_publisher_that_stops_falls_to_0_within_the_window() -> None:
@@ -147,7 +153,7 @@ def test_the_measurement_starts_afresh_where_the_clock_jumps_back() -> None:
     endpoint.messages(3, every=10)
     found = endpoint.later(0)
     assert found.rate == pytest.approx(100)
-    assert found.covered == pytest.approx(0.02)
+    assert found.covered == pytest.approx(0.03)
 
 
 def test_messages_before_the_clock_runs_do_not_count() -> None:
@@ -155,6 +161,7 @@ def test_messages_before_the_clock_runs_do_not_count() -> None:
     endpoint.messages(100, every=0)
     assert endpoint.later(0) == Measured(window=1.0)
     endpoint.now = START
+    assert endpoint.later(0) == Measured(window=1.0)
     endpoint.messages(3, every=100)
     found = endpoint.later(0)
     assert found.rate == pytest.approx(10)

@@ -31,13 +31,15 @@ def window_of(rate: float | None) -> float:
 class MessageTimes:
     """The times of the last messages of one attachment (ns). Written on the data thread, read on any.
 
-    Where the clock jumps back, the measurement starts afresh; messages before the clock runs (time 0) do not count.
+    The measurement begins when it is created, and afresh where the clock jumps back. Messages before the clock runs
+    (time 0) do not count.
     """
 
-    __slots__ = ("_append", "_now", "_times")
+    __slots__ = ("_append", "_begun", "_now", "_times")
 
     def __init__(self, now: Callable[[], int]) -> None:
         self._now = now
+        self._begun = now()
         self._times: deque[int] = deque(maxlen=KEPT)
         self._append = self._times.append
 
@@ -50,44 +52,53 @@ class MessageTimes:
     def age(self) -> float | None:
         """Seconds since the last message; None if there was none."""
         times = self._times
-        return self._age(times[-1] if times else 0, self._now())
-
-    @staticmethod
-    def _age(last: int, now: int) -> float | None:
-        return (now - last) / 1e9 if 0 < last <= now else None
+        return _age(times[-1] if times else 0, self._now())
 
     def measured(self, window: float) -> Measured:
-        """What was measured in the last ``window`` seconds, or since the first message, if that is later.
+        """What was measured in the last ``window`` seconds.
 
         A gap between messages that began before the window counts in proportion. The time since the last message
         counts as a gap once it is longer than the mean gap. So the rate of a regular publisher does not depend on the
         moment at which it is measured, and that of one that stops falls to 0 within the window.
         """
         times = list(self._times)
-        now = self._now()  # read after the copy: a later time in the copy shows that the clock has jumped back
-        age = self._age(times[-1] if times else 0, now)
+        now = self._now()  # read after the copy: a later time in the copy shows a clock that has jumped back
+        if max([self._begun, *times[-1:]]) > now:
+            self._times.clear()
+            self._begun, times = now, []
+        self._begun = self._begun or now
+        length, age = round(window * 1e9), _age(times[-1] if times else 0, now)
         if age is None:
-            return Measured(window=window)
-        open_gap, length = now - times[-1], round(window * 1e9)
+            waited = now - self._begun
+            rate = 0.0 if waited >= length else None
+            return Measured(window=window, covered=min(waited, length) / 1e9, rate=rate)
+        open_gap = now - times[-1]
         if open_gap >= length:
-            return Measured(window=window, age=age, rate=0.0, longest=age, covered=window)
+            return Measured(window=window, covered=window, rate=0.0, age=age, longest=age)
         gaps = _gaps(times, now - length)
+        known = sum(gaps) + open_gap
+        # Of more messages than are kept, the first one's time is not that of the beginning.
+        begun = now - known if len(times) == KEPT else min(now - known, self._begun)
+        covered = min(now - begun, length) / 1e9
         if not gaps:
-            return Measured(window=window, age=age, covered=age)
-        mean, known = sum(gaps) / len(gaps), sum(gaps) + open_gap
-        outside = max(0, known - length)
+            return Measured(window=window, covered=covered, age=age)
+        mean, outside = sum(gaps) / len(gaps), max(0, known - length)
         count: float = len(gaps) - (outside / gaps[-1] if outside else 0)
         span = known - open_gap - outside
         if open_gap * count > span:
             count, span = count + 1, span + open_gap
         return Measured(
             window=window,
-            age=age,
+            covered=covered,
             rate=count * 1e9 / span if span else None,
+            age=age,
             jitter=math.sqrt(sum((gap - mean) ** 2 for gap in gaps) / len(gaps)) / 1e9,
             longest=max(open_gap, *gaps) / 1e9,
-            covered=min(known, length) / 1e9,
         )
+
+
+def _age(last: int, now: int) -> float | None:
+    return (now - last) / 1e9 if 0 < last <= now else None
 
 
 def _gaps(times: list[int], start: int) -> list[int]:

@@ -32,8 +32,8 @@ class FunctionalityState(WireValue, frozen=True, kw_only=True):
 class Measured(WireValue, frozen=True, kw_only=True):
     """What was measured of the messages of one attachment, on the node's ROS clock, in the last ``window`` seconds.
 
-    ``covered`` seconds of the window are known: less than all of it soon after the first message. ``rate`` (Hz) is None
-    before the second message, and 0 if the window has none. ``age``: seconds since the last message, None before the
+    ``covered`` seconds of the window are measured: less than all of it soon after the attachment. ``rate`` (Hz) is None
+    before the second message, and 0 once the window has none. ``age``: seconds since the last message, None before the
     first. ``jitter`` is the standard deviation of the times between messages, ``longest`` the longest of them, that
     since the last message included (s); None where no two are known.
     """
