@@ -180,8 +180,37 @@ def test_at_a_high_rate_the_last_messages_are_measured() -> None:
     endpoint.messages(20_000, every=0.1)
     found = endpoint.later(0)
     assert found.rate == pytest.approx(10_000)
-    assert found.covered == pytest.approx((KEPT - 1) / 10_000)
+    assert found.covered == found.window == pytest.approx((KEPT - 1) / 10_000)
+    assert found.meets(10_000) is True
 
 
 def test_the_window_has_ten_periods_and_at_least_a_second() -> None:
     assert [window_of(rate) for rate in (1000.0, 50.0, 10.0, 2.0, 0.1, None)] == [1, 1, 1, 5, 100, 10]
+
+
+def test_a_single_message_in_a_whole_window_is_a_rate() -> None:
+    endpoint = Endpoint()
+    endpoint.now += 5_000 * MS
+    endpoint.message()
+    assert endpoint.later(10).rate == pytest.approx(1)
+
+
+def test_a_measurement_that_starts_afresh_covers_nothing_yet() -> None:
+    endpoint = Endpoint()
+    endpoint.messages(100, every=20)
+    endpoint.times.restart()
+    assert endpoint.later(0) == Measured(window=1.0)
+    endpoint.messages(10, every=10)
+    found = endpoint.later(0)
+    assert found.rate == pytest.approx(100)
+    assert found.covered == pytest.approx(0.1)
+
+
+def test_a_declared_rate_is_met_to_within_a_tenth_once_a_window_is_measured() -> None:
+    endpoint = Endpoint()
+    endpoint.messages(40, every=20)
+    assert endpoint.later(0).meets(50) is None
+    endpoint.messages(40, every=20)
+    found = endpoint.later(0)
+    assert [found.meets(rate) for rate in (10, 50, 55, 56)] == [True, True, True, False]
+    assert endpoint.later(1_000).meets(0.001) is False

@@ -43,6 +43,11 @@ class MessageTimes:
         self._times: deque[int] = deque(maxlen=KEPT)
         self._append = self._times.append
 
+    def restart(self) -> None:
+        """Measure from now on: something else is declared. On the data thread."""
+        self._begun = self._now()
+        self._times.clear()
+
     def mark(self) -> int:
         """A message comes or goes now; returns the time (ns)."""
         now = self._now()
@@ -55,7 +60,7 @@ class MessageTimes:
         return _age(times[-1] if times else 0, self._now())
 
     def measured(self, window: float) -> Measured:
-        """What was measured in the last ``window`` seconds.
+        """What was measured in the last ``window`` seconds, or since the first message that is kept.
 
         A gap between messages that began before the window counts in proportion. The time since the last message
         counts as a gap once it is longer than the mean gap. So the rate of a regular publisher does not depend on the
@@ -68,6 +73,9 @@ class MessageTimes:
             self._begun, times = now, []
         self._begun = self._begun or now
         length, age = round(window * 1e9), _age(times[-1] if times else 0, now)
+        if len(times) == KEPT:
+            length = min(length, now - times[0])
+        window = length / 1e9
         if age is None:
             waited = now - self._begun
             rate = 0.0 if waited >= length else None
@@ -77,11 +85,10 @@ class MessageTimes:
             return Measured(window=window, covered=window, rate=0.0, age=age, longest=age)
         gaps = _gaps(times, now - length)
         known = sum(gaps) + open_gap
-        # Of more messages than are kept, the first one's time is not that of the beginning.
-        begun = now - known if len(times) == KEPT else min(now - known, self._begun)
-        covered = min(now - begun, length) / 1e9
+        covered = min(max(known, now - self._begun), length) / 1e9
         if not gaps:
-            return Measured(window=window, covered=covered, age=age)
+            rate = 1 / window if covered == window else None
+            return Measured(window=window, covered=covered, rate=rate, age=age)
         mean, outside = sum(gaps) / len(gaps), max(0, known - length)
         count: float = len(gaps) - (outside / gaps[-1] if outside else 0)
         span = known - open_gap - outside
