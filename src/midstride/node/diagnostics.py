@@ -61,8 +61,10 @@ def _component(state: ComponentState, component: ComponentSpec) -> DiagnosticEnt
         if each.mode != component.functionalities[name].modes[0].name
     ]
     values = {f"mode of {name}": each.mode for name, each in state.functionalities.items()}
-    level = Level.WARN if lowered else Level.OK
-    return DiagnosticEntry("component", level, "; ".join(lowered) or "every functionality is in its normal mode", values)
+    level, message = Level.OK, "every functionality is in its normal mode"
+    if lowered:
+        level, message = Level.WARN, "; ".join(lowered)
+    return DiagnosticEntry("component", level, message, values)
 
 
 def _attachment(port: str, topic: str, link: LinkState, declared: float | None, relied_on: bool) -> DiagnosticEntry:
