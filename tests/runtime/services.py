@@ -96,7 +96,9 @@ class ServingSimulator(Simulator):
 class Caller:
     """Calls ``ask`` every ``interval`` seconds from now on, until :meth:`stop`."""
 
-    def __init__(self, simulator: ServingSimulator, interval: float = 0.001, seed: int = 0, name: str = "request") -> None:
+    def __init__(
+        self, simulator: ServingSimulator, interval: float = 0.001, seed: int = 0, name: str = "request"
+    ) -> None:
         self.sent: list[str] = []
         self.answers: dict[str, list[tuple[str, Any]]] = {}
         self._simulator, self._interval, self._random, self._name = simulator, interval, random.Random(seed), name

@@ -11,16 +11,17 @@ import pytest
 
 from midstride.errors import Unreachable
 from midstride.runtime.manager import Manager
-from tests.runtime.counting import IMPORT, at_rates, counting, exchanged, for_messages, settle, system
+from tests.runtime.counting import EXPORT, IMPORT, at_rates, counting, exchanged, for_messages, settle, system
 from tests.runtime.services import SERVICE, SLOW_SERVICE, Caller, ServingSimulator
 
 Body = Callable[[Manager, ServingSimulator], Awaitable[None]]
 
 
-def serving(folder: Path, body: Body, *, seed: int = 0, **parts: str) -> None:
-    more = parts.pop("more", SERVICE)
+def serving(
+    folder: Path, body: Body, *, seed: int = 0, export: str = EXPORT, import_: str = IMPORT, more: str = SERVICE
+) -> None:
     simulator = ServingSimulator(seed=seed, latency=0.0003, jitter=0.0003)
-    program = at_rates(out=50, more=more, **parts)
+    program = at_rates(export, import_, more, out=50)
 
     async def run(manager: Manager, _: Any) -> None:
         await body(manager, simulator)
@@ -91,7 +92,7 @@ def test_where_the_hand_over_is_rolled_back_the_old_one_answers_again(parts: dic
         assert await caller.stop() == [name for name in caller.sent if caller.answers[name][0][0] == "counter"]
         assert (caller.answered_by["counter_2"] > 0) == (parts.get("import_") == _RAISES_LATER)
 
-    serving(tmp_path, body, **parts)
+    serving(tmp_path, body, export=parts.get("export", EXPORT), import_=parts.get("import_", IMPORT))
 
 
 @pytest.mark.parametrize(

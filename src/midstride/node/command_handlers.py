@@ -190,6 +190,7 @@ class CommandHandlers:
             imported=imported,
             clock_speed=self.host.clock_history.speed(self.host.steady()) if self.host.simulated_time else 1.0,
             declared={each.name: each.declared for each in parameters if each.value != each.declared},
+            keeps_state=self.parts.callbacks.export_state is not None,
         )
 
     def _busy_words(self) -> str:

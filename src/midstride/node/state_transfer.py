@@ -45,8 +45,8 @@ FETCH_INTERVAL: Final = 0.01
 # How often the new side reports that it is still importing (s): often enough for the shortest time before a resumption.
 REPORT_INTERVAL: Final = 0.03
 REPORT_TIMEOUT: Final = 0.25
-# How long a request to a service that is being handled is waited for before the export (s): what it changes later is not
-# in the state.
+# How long the export waits for a request to a service that is being handled (s): what that changes later is not in the
+# state.
 REQUEST_PATIENCE: Final = 0.2
 # How long a state may take on its way (s per byte), besides the time in which the new side must report.
 TRANSIT_PER_BYTE: Final = 2e-8
@@ -299,7 +299,7 @@ class StateImport(_Transfer):
             await self._settle(str(error), self.transfer.required)
         except Unreachable:
             self.answering.take_over(None, self._yields)
-            await self._settle(f"{self.peer} has exited", False)
+            await self._settle(f"{self.peer} exited before it had exported its state", False)
         else:
             await self._settle(None, False)
 

@@ -129,8 +129,9 @@ async def agree_cuts(
     """One cut for the outputs of each old functionality, all at the first slot after one common moment.
 
     There is one such moment on each clock, ``lead`` seconds of real time ahead. ``states`` says how state moves between
-    two components, which have a cut for it alone if they swap nothing. Else the slowest grid is cut first, and each faster one at its first slot after that, so the slots
-    that wait for the last cut do so for a short part of their period.
+    two components, which have a cut for it alone if they swap nothing. Else the slowest grid is cut first, and each
+    faster one at its first slot after that, so the slots that wait for the last cut do so for a short part of their
+    period.
     """
     cuts: dict[tuple[str, str, str], Cut] = {}
     grids: dict[tuple[str, str, str], Grid] = {}

@@ -159,6 +159,7 @@ class ChangeSession:
         executor = self.executor()
         executor.on_moved = timer.moved
         executor.driver.parameters = transfer
+        executor.driver.move_states_of(plan)
         executor.driver.before_handover = recording.record_driving_inputs
         executor.after_step = None if verifier is None else verifier.look
         outcome: OutcomeKind = "done"
@@ -210,6 +211,11 @@ class ChangeSession:
             fallen=degraded_seconds,
             swaps=swaps,
             late=executor.driver.late,
+            own_state={
+                name: words
+                for name, words in executor.driver.own_state.items()
+                if name in system.configuration.instances
+            },
             because=because,
             parameters=transfer.report(outcome == "done"),
             ended=sorted(exited | {name for name, event in system.missing.items() if missing.get(name) is not event}),

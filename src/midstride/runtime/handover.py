@@ -164,8 +164,8 @@ class LiveHandover:
         for old, new in self._pairs:
             self.events.add("note", f"{old} exited during the hand-over, and {new} took over at once")
             moved = any((cut.old, cut.new) == (old, new) for cut in published)
-            if (old, new) in self.states.agreed and not moved:
-                self.states.note_own_state(new, f"{old} has exited")
+            if not moved:
+                self.states.note_own_state(old, new, f"{old} exited before it had exported its state")
         return {}
 
     async def _publishes(self, cut: Cut) -> bool:
