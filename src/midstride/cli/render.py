@@ -299,7 +299,7 @@ def _topics(document: Document) -> Iterable[Text]:
 def _attachments(document: Document) -> Iterable[tuple[Document, Document]]:
     """Each attachment of a component that answers, with what is measured of it."""
     for component in document["components"]:
-        for attachment in component["attachments"]:
+        for attachment in component.get("attachments") or ():
             if measured := attachment.get("measured"):
                 yield attachment, measured
 
