@@ -209,7 +209,7 @@ def with_attachment(gate: str | None = None, fields: Any = (), **figures: Any) -
 
 def test_what_is_measured_is_shown_where_it_differs_from_what_is_declared() -> None:
     assert len(shown(render.status(with_attachment()))) == 3
-    slow = {"rate": 9.87, "met": False}
+    slow: dict[str, Any] = {"rate": 9.87, "met": False}
     lines = shown(render.status(with_attachment(**slow)))
     assert lines[3:] == ["talker.out on /chatter: 9.87 Hz measured, 50 Hz declared (last message 19 ms ago)"]
     assert len(shown(render.status(with_attachment(gate="closed", **slow)))) == 3
