@@ -122,7 +122,7 @@ def shown(outcome: Outcome) -> str:
 def test_each_message_is_received_once_and_the_state_goes_on(seed: int, tmp_path: Path) -> None:
     async def body(manager: Manager, _: Simulator) -> None:
         phases = random.Random(seed)
-        for _ in range(5):
+        for _count in range(5):
             await settle(phases.uniform(0.1, 0.2))
             outcome = await manager.change(RESTART)
             assert (outcome.outcome, outcome.because, outcome.own_state) == ("done", None, {})
@@ -256,7 +256,7 @@ def test_where_no_topic_is_handed_over_the_plan_and_the_outcome_say_so(tmp_path:
         contract = replace(connectors["/out"].guarantee, rate=25.0)
         other = connectors.set("/out", replace(connectors["/out"], guarantee=contract))
         request = PlanRequest(to=replace(manager.specification, connectors=other), restart=("counter",))
-        plan, _ = await manager._session.plan(request)
+        plan, _target = await manager._session.plan(request)
         because = "it takes over no topic of counter, so there is no cut at which the state of counter could move"
         document = encode_plan(plan)
         assert document["own_state"] == {"counter_2": because}

@@ -40,6 +40,7 @@ from midstride.wire.commands import (
     LastWrite,
     MeetCommand,
     ModesCommand,
+    MuteCommand,
     ObserveCommand,
     OfferStateCommand,
     PingCommand,
@@ -102,7 +103,9 @@ STATE = ComponentState(
     declared={"speed": 1.0},
 )
 SWAPS = [CutSwap(port="out", topic="/chatter", latch=True)]
-TRANSFER = StateTransfer(id="t", cuts=2, at=10**18, clock="message", changes=True, required=False, timeout=0.5)
+TRANSFER = StateTransfer(
+    id="t", cuts=2, at=10**18, clock="message", changes=True, required=False, timeout=0.5, new="b", address="a"
+)
 ROW = Receipt(1, 2, 3, "p")
 WRITE = {"out /chatter": LastWrite(number=4, source=5), "log /log": None}
 
@@ -151,6 +154,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
         PrepareStateCommand(peer="old", address="unix:/x", bulk=True, timeout=1.5),
         StateOffer(exports="changes"),
     ),
+    (MuteCommand(timeout=1.5), Done()),
     (
         CutOutCommand(cut="c", swaps=SWAPS, at=10**18, resume_after=0.5, clock="message", state=TRANSFER, timeout=1.5),
         Done(),
@@ -179,7 +183,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (OfferStateCommand(changes=True, timeout=1.5), StateOffer(exports="nothing")),
     (
         FetchStateCommand(transfer="t", timeout=1.5),
-        FetchedState(state=b"\x00\xff\n", handled={"p": 10**18}, since=1),
+        FetchedState(state=b"\x00\xff\n", handled={"p": 10**18}, since=1, requests=["r"]),
     ),
     (ImportingCommand(transfer="t", done=True, timeout=1.5), Relieved(resumed=False)),
 ]

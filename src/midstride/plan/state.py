@@ -27,10 +27,8 @@ def left_behind(change: Change, actions: Iterable[Action]) -> dict[str, str]:
     for action in actions:
         if isinstance(action, Remove):
             removed.add(action.instance)
-        elif (
-            isinstance(action, Create) and (old := old_of.get(action.instance.name)) is not None and old not in removed
-        ):
-            beside[action.instance.name] = old
+        elif isinstance(action, Create) and old_of.get(action.instance.name, "") not in {"", *removed}:
+            beside[action.instance.name] = old_of[action.instance.name]
     return {
         new: f"it takes over no topic of {old}, so there is no cut at which the state of {old} could move"
         for new, old in beside.items()

@@ -180,7 +180,7 @@ class ActionDriver:
     def _keeps_own_state(self, old: str, new: str, because: str) -> None:
         if old in self._keeping:
             self.own_state[new] = own_state(old, new, because)
-            self.events.add("note", self.own_state[new])
+            self.events.add("note", f"{new} keeps its own state: {because}")
 
     def _is_gone(self, instance: str) -> bool:
         """Whether its process has exited, or is about to: the end of its connection is known first."""

@@ -165,7 +165,7 @@ class LiveHandover:
             self.events.add("note", f"{old} exited during the hand-over, and {new} took over at once")
             moved = any((cut.old, cut.new) == (old, new) for cut in published)
             if not moved:
-                self.states.note_own_state(old, new, f"{old} exited before it had exported its state")
+                self.states.note_exit(old, new)
         return {}
 
     async def _publishes(self, cut: Cut) -> bool:

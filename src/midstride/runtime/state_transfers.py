@@ -94,10 +94,13 @@ class StateTransfers:
             )
 
     def note_own_state(self, old: str, new: str, because: str) -> None:
-        """``new`` takes over without the state of ``old``, if that keeps any."""
-        if old in self.keeping:
-            self.lost[new] = own_state(old, new, because, self._bulks.get(new))
-            self.events.add("note", self.lost[new])
+        self.lost[new] = own_state(old, new, because, self._bulks.get(new))
+        self.events.add("note", f"{new} keeps its own state: {because}")
+
+    def note_exit(self, old: str, new: str) -> None:
+        """``old`` has exited before its state moved, if it keeps any."""
+        if old in self.keeping or (old, new) in self.agreed:
+            self.note_own_state(old, new, f"{old} exited before it had exported its state")
 
     def ended(self, cut: Cut, incoming: CutResult) -> None:
         """A cut is done on its new side: note what is missing, and a first slot that was late by more than a period."""
