@@ -27,6 +27,7 @@ from midstride.plan.request import PlanRequest
 from midstride.plan.runtime_values import Values, of_change
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.crash_during_change import CrashResponse
 from midstride.runtime.degradation_timer import DegradationTimer
 from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
@@ -161,6 +162,9 @@ class ChangeSession:
         executor.driver.parameters = transfer
         executor.driver.before_handover = recording.record_driving_inputs
         executor.after_step = None if verifier is None else verifier.look
+        response = CrashResponse(executor, self.reconciler, actions)
+        executor.on_performed = response.performed
+        self.reconciler.on_crash_during_change = response.crashed
         outcome: OutcomeKind = "done"
         because = None
         try:
@@ -179,6 +183,9 @@ class ChangeSession:
             if system.configuration == plan.change.start:  # everything has been rolled back
                 system.configuration = before
             raise
+        finally:
+            self.reconciler.on_crash_during_change = None
+            await response.close()
         system.values.forget_ended(system.configuration)
         self.reconciler.save_values()
         ended = self.clock.steady()

@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -41,7 +41,7 @@ class Reconciler:
     While a command is in progress (``busy``), the command reconciles at its start and its end; otherwise the reconciler
     does so in the background, holding ``lock``. ``executor`` makes the executor that degrades functionalities.
     ``degraded`` are those that degraded unexpectedly since the last change began. ``on_reconciled`` is called when the
-    model is up to date, with no command in progress.
+    model is up to date, with no command in progress, and ``on_crash_during_change`` at a crash during a change.
     """
 
     system: RunningSystem
@@ -56,6 +56,7 @@ class Reconciler:
     degraded: set[FunctionalityRef] = field(default_factory=set)
     pending: dict[FunctionalityRef, MidstrideError | None] = field(default_factory=dict)  # could not be degraded yet
     on_reconciled: Callable[[], None] = lambda: None
+    on_crash_during_change: Callable[[], Coroutine[Any, Any, None]] | None = None
     _why_pending: str = _LOST_BEFORE
     _unanswered: set[str] = field(default_factory=set)  # instances of these that did not answer
     _reconciling: asyncio.Lock = field(default_factory=asyncio.Lock)
@@ -103,7 +104,10 @@ class Reconciler:
         self.system.crashed[event.instance] = event
         status = "" if event.status is None else f" (status {event.status})"
         self.events.add("exited", f"{event.instance} exited unexpectedly{status}", log=event.log_tail)
-        self._reconcile_soon()
+        if self.busy() and self.on_crash_during_change is not None:
+            self._in_background(self.on_crash_during_change())
+        else:
+            self._reconcile_soon()
 
     @contextlib.asynccontextmanager
     async def around(self) -> AsyncIterator[None]:
@@ -123,7 +127,10 @@ class Reconciler:
             self._start_reconciling()
 
     def _start_reconciling(self) -> None:
-        task = asyncio.get_running_loop().create_task(self._reconcile_in_background())
+        self._in_background(self._reconcile_in_background())
+
+    def _in_background(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 

@@ -2,8 +2,8 @@
 
 What to do follows from the state alone: the manager knows which programs have changed on disk since they started, and
 the specification of the files is compared with the one that runs. So no save is lost, whatever happens meanwhile. What
-was refused is tried again when a file that may have to do with it has another content, and so is a node that has crashed:
-what ran before it exists no more, so there is nothing to hand back to.
+was refused is tried again when a file that may have to do with it has another content, and so is a node that has
+crashed: what ran before it exists no more, so there is nothing to hand back to.
 """
 
 from __future__ import annotations
