@@ -310,8 +310,11 @@ def write(path: Path, old: str, new: str) -> None:
 
 def test_dev_swaps_what_is_saved_and_refuses_what_is_faulty(midstride: Midstride, project: Path) -> None:
     file = str(project / "talker.stride")
-    with Terminal(midstride, "dev", file, "--backend", "sim") as terminal:
+    refused = midstride("dev", file, "--backend", "sim", "--use-sim-time")
+    assert (refused.status, "--use-sim-time is for ROS 2" in refused.err) == (2, True)
+    with Terminal(midstride, "dev", file, "--backend", "sim", "--no-middleware-settings") as terminal:
         terminal.until("Swapping on save; Ctrl-C stops the system.")
+        assert not midstride.saved("talker").options.middleware_settings
         write(project / "talker.py", "hello world", "hello new world")
         shown = terminal.until(", missed ")  # in real time: how many depends on the machine
         assert "talker (talker.py): swapped in" in shown
@@ -339,7 +342,8 @@ def test_dev_attaches_to_a_running_system_and_leaves_it_running(midstride: Midst
     file = str(project / "talker.stride")
     assert midstride("up", file, "--backend", "sim", "-d").status == 0
     write(project / "talker.py", "hello world", "hello new world")  # before it attaches
-    with Terminal(midstride, "dev", file) as terminal:
+    with Terminal(midstride, "dev", file, "--no-middleware-settings") as terminal:
+        terminal.until("talker is running already: --use-sim-time and --no-middleware-settings have no effect")
         terminal.until("Swapping on save; Ctrl-C leaves it running.")
         terminal.until("talker (talker.py): swapped in")
         terminal.press("\x03")

@@ -54,11 +54,12 @@ class LoweredFunctionality(Report, frozen=True, kw_only=True):
 
 
 class UpReport(Report, frozen=True):
-    """The system is up, with these instances."""
+    """The system is up, with these instances. `incomplete`: it ran before, and what is `missing` is not restored."""
 
-    outcome: Literal["done"]
+    outcome: Literal["done", "incomplete"]
     components: list[str]
     lowered: Annotated[list[LoweredFunctionality], Meta(description="what is not in its normal mode")] = []
+    missing: Annotated[dict[str, str], Meta(description="why nodes could not be restored")] = {}
 
 
 class DownReport(Report, frozen=True):
@@ -183,6 +184,7 @@ class CrashedInstance(Report, frozen=True):
     status: int | None
     log: str
     remedy: Annotated[str | None, Meta(description="what to do, in words")] = None
+    role: Annotated[str | None, Meta(description="null: the specification does not have it any more")] = None
 
 
 class TopicStatus(Report, frozen=True):
@@ -216,7 +218,7 @@ class Status(Report, frozen=True, kw_only=True):
     running: RunningCommand | None
     unwritten: Annotated[str | None, Meta(description="why the state could not be written to disk")]
     middleware: Middleware
-    file: Annotated[str | None, Meta(description="the file that the system was brought up from")] = None
+    file: Annotated[str | None, Meta(description="the file that was brought up, or applied last")] = None
 
 
 class LiveConfiguration(Report, frozen=True):
@@ -228,9 +230,10 @@ class LiveConfiguration(Report, frozen=True):
 
 
 class Why(Report, frozen=True, kw_only=True):
-    """Why a functionality is in its mode: its own reason, and what each better mode lacks."""
+    """Why a functionality of a node is in its mode: its own reason, and what each better mode lacks."""
 
     functionality: str
+    instance: Annotated[str, Meta(description="of the node: the one that was looked at")]
     mode: str
     normal: bool
     because: str | None

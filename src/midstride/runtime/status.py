@@ -42,7 +42,9 @@ def status(
         violations=[str(violation) for violation in found],
         components=components,
         crashed=[
-            reports.CrashedInstance(name, exited.status, exited.log_tail, _remedy(system, name))
+            reports.CrashedInstance(
+                name, exited.status, exited.log_tail, _remedy(system, name), system.role_of_missing(name)
+            )
             for name, exited in sorted({**system.missing, **system.crashed}.items())
             if name not in configuration.instances
         ],
@@ -159,7 +161,8 @@ def why(configuration: Configuration, client: ComponentClient, functionality: st
     evaluator = Evaluator(configuration)
     inputs = [PortRef(ref.instance, name) for name in configuration.functionality(ref).inputs]
     return reports.Why(
-        functionality=str(ref),
+        functionality=str(FunctionalityRef(configuration.instances[ref.instance].role, ref.functionality)),
+        instance=ref.instance,
         mode=reported.mode,
         normal=reported.normal,
         because=reported.because,
