@@ -217,6 +217,21 @@ def test_a_faulty_specification_is_shown_and_the_system_goes_on(robot: Robot) ->
     assert robot.shown[-1] == "swapped talker.stride"
 
 
+def test_a_save_while_the_specification_is_read_is_not_lost(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    specification = robot.session.specification
+    read, path = specification.read, robot.folder / "talker.stride"
+
+    def saved_meanwhile() -> Any:
+        found = read()
+        path.write_text(path.read_text().replace("20 Hz", "25 Hz"))
+        return found
+
+    monkeypatch.setattr(specification, "read", saved_meanwhile)
+    robot.edit("talker.stride", "10 Hz", "20 Hz")
+    robot.session.look()
+    assert "25" in str(encode_specification(robot.runs)["topics"])
+
+
 def test_a_specification_that_was_refused_is_tried_again_when_a_program_of_it_changes(robot: Robot) -> None:
     (robot.folder / "new_talker.py").write_text("bad")
     robot.edit("talker.stride", "node talker   : Talker ", "node talker   : NewTalker")

@@ -179,6 +179,7 @@ class ChangeSession:
             system.forget_filled_roles()
             if outcome == "rolled_back":
                 system.configuration = before
+                system.missing = {**missing, **system.missing}  # what could not be restored is still missing
         except asyncio.CancelledError:
             if system.configuration == plan.change.start:  # everything has been rolled back
                 system.configuration = before

@@ -33,6 +33,7 @@ from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.backend import Backend
 from midstride.runtime.change_session import ChangeSession
 from midstride.runtime.component_client import ComponentClient, ComponentEvent
+from midstride.runtime.disk import DISK, Disk
 from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
@@ -53,6 +54,7 @@ from midstride.runtime.reports import (
     UpReport,
     Why,
 )
+from midstride.runtime.respawn import Respawner
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.runtime_verification import Verifier
 from midstride.runtime.silence import SilenceMonitor
@@ -74,6 +76,7 @@ class Manager:
         verifier: Verifier | None = None,
         options: SystemOptions = NO_OPTIONS,
         file: Path | None = None,
+        disk: Disk = DISK,
     ) -> None:
         """``file`` is the one that ``specification`` was read from, and ``directory`` where programs are started."""
         self.system = RunningSystem(specification, Configuration(context=specification.context))
@@ -85,7 +88,7 @@ class Manager:
         self._current: str | None = None  # the command in progress
         self._waiting = 0  # how many commands wait for it
         self._since = 0.0  # when it started (steady s)
-        self._store = StateStore(workspace.state, lambda words: self.events.add("note", words))
+        self._store = StateStore(workspace.state, lambda words: self.events.add("note", words), disk)
         self._client = ComponentClient(backend.transport, backend.clock, secrets.token_hex(16))
         self._options = options
         self._launcher = Launcher(backend, self._client, directory, options)
@@ -114,6 +117,11 @@ class Manager:
             verifier or Verifier(),
             self._executor,
         )
+        self._respawner = Respawner(self.system, backend.clock, self.events, self._command, self._restore)
+        self._reconciler.on_reconciled = self._respawner.update
+
+    async def _restore(self, request: PlanRequest) -> Outcome:
+        return await self._session.change(request, brief=True)
 
     def _on_component_event(self, event: ComponentEvent) -> None:
         if isinstance(event, ComponentState):
@@ -154,7 +162,7 @@ class Manager:
         async with self._command(f"up {self.specification.name}"):
             absent = set() if saved is None else await self._recover(saved)
             try:
-                missing = await self._restore(absent)
+                missing = await self._restore_missing(absent)
             except BaseException:
                 if saved is None and not self._launcher.handles:
                     self._store.forget()
@@ -168,7 +176,7 @@ class Manager:
             outcome: Literal["done", "incomplete"] = "incomplete" if missing else "done"
             return UpReport(outcome, sorted(self.configuration.instances), lowered, missing)
 
-    async def _restore(self, absent: set[str]) -> dict[str, str]:
+    async def _restore_missing(self, absent: set[str]) -> dict[str, str]:
         """Bring up what does not run, without the roles ``absent``; returns why each of the others could not be.
 
         One that cannot be started does not keep the others down, or the manager from managing what runs. Raises
@@ -245,6 +253,7 @@ class Manager:
 
     async def close(self) -> None:
         """Disconnect; the components keep running."""
+        await self._respawner.close()
         await self._reconciler.close()
         await self._programs.close()
         self._client.close()
@@ -254,6 +263,7 @@ class Manager:
     async def down(self) -> None:
         """Terminate every component and delete the saved state. Raises ManagerError naming those that still run."""
         async with self._command("down"):
+            self._respawner.stop()
             names = sorted({*self._launcher.handles, *self.configuration.instances})
             ended = await asyncio.gather(*(self._end(name) for name in names))
             if faults := [fault for fault in ended if fault is not None]:
@@ -297,6 +307,7 @@ class Manager:
             running,
             unwritten,
             self._file,
+            self._respawner,
         )
 
     async def programs(self) -> list[ProgramStatus]:
