@@ -358,7 +358,7 @@ def test_dev_attaches_to_a_running_system_and_leaves_it_running(midstride: Midst
     assert midstride("up", file, "--backend", "sim", "-d").status == 0
     write(project / "talker.py", "hello world", "hello new world")  # before it attaches
     with Terminal(midstride, "dev", file, "--no-middleware-settings") as terminal:
-        terminal.until("talker is running already: --use-sim-time and --no-middleware-settings have no effect")
+        terminal.until("talker is running already: --use-sim-time and --no-… have no effect")
         terminal.until("Swapping on save; Ctrl-C leaves it running.")
         terminal.until("talker (talker.py): swapped in")
         terminal.press("\x03")

@@ -28,7 +28,9 @@ from midstride.runtime.workspace import Workspace
 @backend_option("The platform, where the system is not running yet.")
 @platform_options
 @json_option
-def dev_command(file: Path, backend: str, use_sim_time: bool, no_middleware_settings: bool) -> int:
+def dev_command(
+    file: Path, backend: str, use_sim_time: bool, no_middleware_settings: bool, no_diagnostics: bool
+) -> int:
     """Run the system of FILE, and on each save swap exactly the nodes that it changes, without losing a message.
 
     Watched are FILE, what it includes, its parameter files, and the programs with the modules that they import. Code
@@ -36,7 +38,7 @@ def dev_command(file: Path, backend: str, use_sim_time: bool, no_middleware_sett
 
     Ctrl-C ends a system that this command has started; one that was running already goes on.
     """
-    arguments = manager_arguments(file, backend, use_sim_time, no_middleware_settings)
+    arguments = manager_arguments(file, backend, use_sim_time, no_middleware_settings, no_diagnostics)
     specification = WatchedSpecification(file)
     workspace = Workspace.of(specification.wanted.name)
     client, screen = Client(workspace.socket), _Screen(console(stderr=wants_json()), wants_json())
@@ -45,8 +47,8 @@ def dev_command(file: Path, backend: str, use_sim_time: bool, no_middleware_sett
         workspace.require_room()
         for line in missing_lines(bring_up(client, workspace, arguments)):
             screen.say(line, "red")
-    elif use_sim_time or no_middleware_settings:
-        screen.say(f"{workspace.name} is running already: --use-sim-time and --no-middleware-settings have no effect")
+    elif use_sim_time or no_middleware_settings or no_diagnostics:
+        screen.say(f"{workspace.name} is running already: --use-sim-time and --no-… have no effect")
     try:
         session = DevSession(specification, client, Changes(client, str(file.resolve())).carry_out, screen)
         session.look()

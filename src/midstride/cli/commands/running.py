@@ -20,7 +20,7 @@ from midstride.model.diagnostics import suggestion
 
 @click.command("status")
 @click.argument("nodes", nargs=-1, metavar="[NODE]...", shell_complete=completion.nodes)
-@click.option("--verbose", "-v", is_flag=True, help="Also how each component was started, and what is set for it.")
+@click.option("--verbose", "-v", is_flag=True, help="Also what each port measures, and how each component runs.")
 @system_option
 @json_option
 def status_command(nodes: tuple[str, ...], verbose: bool, system: str | None) -> int:
@@ -39,6 +39,7 @@ def status_command(nodes: tuple[str, ...], verbose: bool, system: str | None) ->
 
         console().print(render.status(document))
         if verbose:
+            console().print(render.measured(document))
             console().print(render.platform(document))
     return 0 if document["valid"] else 1
 

@@ -44,7 +44,7 @@ def backend_option(help: str) -> Callable[[Callable[..., int]], Callable[..., in
 
 
 def platform_options(function: Callable[..., int]) -> Callable[..., int]:
-    """What is set for every process of the system: ``use_sim_time`` and ``no_middleware_settings``."""
+    """What holds for every process of the system: the last three arguments of :func:`manager_arguments`."""
     sim_time = click.option(
         "--use-sim-time",
         is_flag=True,
@@ -55,17 +55,22 @@ def platform_options(function: Callable[..., int]) -> Callable[..., int]:
         is_flag=True,
         help="Leave transports and discovery of the middleware as they are: see docs/how-to/middleware-settings.md.",
     )
-    return sim_time(no_settings(function))
+    no_diagnostics = click.option(
+        "--no-diagnostics", is_flag=True, help="Do not publish on /diagnostics: see docs/how-to/diagnostics.md."
+    )
+    return sim_time(no_settings(no_diagnostics(function)))
 
 
-def manager_arguments(file: Path, backend: str, use_sim_time: bool, no_middleware_settings: bool) -> list[str]:
+def manager_arguments(
+    file: Path, backend: str, use_sim_time: bool, no_middleware_settings: bool, no_diagnostics: bool
+) -> list[str]:
     """The arguments of a manager for the system of ``file``. Raises UsageError for what the back end does not have."""
     if use_sim_time and backend != "ros2":
         raise click.UsageError(
             "--use-sim-time is for ROS 2; on ROS 1, `rosparam set use_sim_time true` before `up` does it for every node"
         )
     options = ["--use-sim-time"] * use_sim_time + ["--no-middleware-settings"] * no_middleware_settings
-    return [str(file.resolve()), "--backend", backend, *options]
+    return [str(file.resolve()), "--backend", backend, *options, *["--no-diagnostics"] * no_diagnostics]
 
 
 @click.command("up")
@@ -84,6 +89,7 @@ def up_command(
     http_host: str | None,
     use_sim_time: bool,
     no_middleware_settings: bool,
+    no_diagnostics: bool,
 ) -> int:
     """Start the system of FILE and its manager, and watch them.
 
@@ -92,7 +98,7 @@ def up_command(
     """
     if http_host is not None and http is None:
         raise click.UsageError("--http-host needs --http PORT")
-    arguments = manager_arguments(file, backend, use_sim_time, no_middleware_settings)
+    arguments = manager_arguments(file, backend, use_sim_time, no_middleware_settings, no_diagnostics)
     specification = load(file)
     workspace = Workspace.of(specification.name)
     client = Client(workspace.socket)
