@@ -136,7 +136,7 @@ def apply_command(
             "declared_parameters": declared_parameters,
         }
 
-    return change(system, request, f"apply {new.name}", yes, verify)
+    return change(system, request, f"apply {new.name}", yes, verify, file=str(new.resolve()))
 
 
 def _components(file: Path | None) -> list[Document]:
@@ -150,11 +150,16 @@ def _components(file: Path | None) -> list[Document]:
 
 
 def change(
-    system: str | None, asked: Document | Callable[[Client], Document], title: str, yes: bool, verify: bool
+    system: str | None,
+    asked: Document | Callable[[Client], Document],
+    title: str,
+    yes: bool,
+    verify: bool,
+    file: str | None = None,
 ) -> int:
     """Show the plan, ask for confirmation, make the change and report it. The exit status.
 
-    ``asked``: the request, or what makes it with the help of the system's manager.
+    ``asked``: the request, or what makes it with the help of the system's manager. ``file``: the one that is applied.
     """
     if not yes and not is_interactive():
         raise click.UsageError("not a terminal; pass --yes")
@@ -170,7 +175,7 @@ def change(
             click.echo("Nothing was changed.", err=True)
             return 1
         expected = preview["revision"]
-    document = {"request": request, "expected": expected, "verify": verify}
+    document = {"request": request, "expected": expected, "verify": verify, "file": file}
     outcome = _carry_out(client, document, title, show_plan=yes)
     if wants_json():
         print_json(outcome)
