@@ -36,6 +36,7 @@ from midstride.runtime.component_client import ComponentClient, ComponentEvent
 from midstride.runtime.disk import DISK, Disk
 from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
+from midstride.runtime.fencing import DEFAULT_WAIT
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.lowered import in_words, lowered_functionalities
 from midstride.runtime.observed_configuration import observe
@@ -316,6 +317,7 @@ class Manager:
         expected: int | None = None,
         verify: bool = False,
         brief: bool = False,
+        wait: float = DEFAULT_WAIT,
         id: str | None = None,
     ) -> Outcome:
         """Carry out ``request``.
@@ -323,11 +325,12 @@ class Manager:
         ``expected`` is the revision that the previewed plan was made for: at any other one the change is refused, since
         its plan may differ. With ``verify``, Alloy verifies the plan first, and the change is refused unless the plan
         holds; the live configuration is verified after each step, and the step fails unless it is valid. If ``brief``,
-        the next command does not wait until this one has been measured over 20 periods. The events
+        the next command does not wait until this one has been measured over 20 periods. An old component that hangs is
+        fenced after ``wait`` seconds (docs/semantics.md section 7, *Mode changes*). The events
         `waiting` and `command` contain ``id``, so that a client can distinguish its own from others.
         """
         async with self._command(request.describe(), id):
-            return await self._session.change(request, expected=expected, verify=verify, brief=brief)
+            return await self._session.change(request, expected=expected, verify=verify, brief=brief, wait=wait)
 
     async def set_parameters(self, node: str, values: Mapping[str, ParameterValue]) -> ParametersReport:
         """Set parameters of a role or an instance, all of them or none, once the commands before are done.

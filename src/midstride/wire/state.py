@@ -30,11 +30,15 @@ class FunctionalityState(WireValue, frozen=True, kw_only=True):
 
 
 class LinkState(WireValue, frozen=True, kw_only=True):
-    """One attachment. ``count`` messages have passed, ``gated`` have not; an input has no gate."""
+    """One attachment. ``count`` messages have passed, ``gated`` have not; an input has no gate.
+
+    ``fenced``: its gate was closed although user code did not return, and nothing but lifting that opens it.
+    """
 
     gate: GateState | None
     count: int
     gated: int = 0
+    fenced: bool = False
 
 
 class ComponentState(WireValue, frozen=True, kw_only=True):
