@@ -40,7 +40,9 @@ class Reconciler:
 
     While a command is in progress (``busy``), the command reconciles at its start and its end; otherwise the reconciler
     does so in the background, holding ``lock``. ``executor`` makes the executor that degrades functionalities.
-    ``degraded`` are those that degraded unexpectedly since the last change began.
+    ``degraded`` are those that degraded unexpectedly since the last change began. ``on_failure`` is called with a live
+    instance as soon as it has exited, or reports a worse mode than the model has; ``on_reconciled`` when the model is
+    up to date, with no command in progress.
     """
 
     system: RunningSystem
@@ -53,7 +55,9 @@ class Reconciler:
     lock: Callable[[], AbstractAsyncContextManager[Any]]
     busy: Callable[[], bool]
     degraded: set[FunctionalityRef] = field(default_factory=set)
+    on_failure: Callable[[str], object] = lambda _: None
     pending: dict[FunctionalityRef, MidstrideError | None] = field(default_factory=dict)  # could not be degraded yet
+    on_reconciled: Callable[[], None] = lambda: None
     _why_pending: str = _LOST_BEFORE
     _unanswered: set[str] = field(default_factory=set)  # instances of these that did not answer
     _reconciling: asyncio.Lock = field(default_factory=asyncio.Lock)
@@ -88,7 +92,10 @@ class Reconciler:
                 self.monitor.on_report(state, self.system.configuration)
                 answers_again = state.instance in self._unanswered
                 self._unanswered.discard(state.instance)
-                if answers_again or own_degradations_in(self.system.configuration, state):
+                degraded = own_degradations_in(self.system.configuration, state)
+                if degraded:
+                    self.on_failure(state.instance)
+                if answers_again or degraded:
                     self._reconcile_soon()
 
     def save_values(self) -> None:
@@ -101,6 +108,8 @@ class Reconciler:
         self.system.crashed[event.instance] = event
         status = "" if event.status is None else f" (status {event.status})"
         self.events.add("exited", f"{event.instance} exited unexpectedly{status}", log=event.log_tail)
+        if event.instance in self.system.configuration.instances:
+            self.on_failure(event.instance)
         self._reconcile_soon()
 
     @contextlib.asynccontextmanager
@@ -114,6 +123,7 @@ class Reconciler:
             # Something happened after that, or the command failed.
             if self.system.crashed or own_degradations(self.system.configuration, self.client, ()):
                 self._start_reconciling()
+            self.on_reconciled()
 
     def _reconcile_soon(self) -> None:
         if not self.busy():
@@ -128,6 +138,7 @@ class Reconciler:
         async with self.lock():
             try:
                 await self.reconcile()
+                self.on_reconciled()
             except Exception as error:  # nothing awaits this task, so errors are logged here
                 log.exception("reconciling failed")
                 self.events.add("note", f"reconciling failed: internal error: {error!r}")

@@ -54,11 +54,12 @@ class LoweredFunctionality(Report, frozen=True, kw_only=True):
 
 
 class UpReport(Report, frozen=True):
-    """The system is up, with these instances."""
+    """The system is up, with these instances. `incomplete`: it ran before, and what is `missing` is not restored."""
 
-    outcome: Literal["done"]
+    outcome: Literal["done", "incomplete"]
     components: list[str]
     lowered: Annotated[list[LoweredFunctionality], Meta(description="what is not in its normal mode")] = []
+    missing: Annotated[dict[str, str], Meta(description="why nodes could not be restored")] = {}
 
 
 class DownReport(Report, frozen=True):
@@ -126,12 +127,43 @@ class FunctionalityStatus(Report, frozen=True):
     busy: Annotated[float | None, Meta(description="how long the current call of user code has taken, in seconds")]
 
 
+class FieldStatus(Report, frozen=True, kw_only=True):
+    """Samples of one field that the contract constrains."""
+
+    field: str
+    constraint: str
+    checked: int
+    violations: int
+    run: Annotated[int, Meta(description="how many of the latest samples violate it, without one that meets it")]
+    last: Annotated[bool | int | float | str | None, Meta(description="the last value that violated it")]
+
+
+class MeasuredStatus(Report, frozen=True, kw_only=True):
+    """The messages of an attachment as its component measures them, on its ROS clock, against what is declared.
+
+    Rates are in Hz, times in seconds. Null: not known yet, or nothing is declared.
+    """
+
+    declared: Annotated[float | None, Meta(description="the rate that the mode guarantees, or that the input assumes")]
+    rate: float | None
+    met: Annotated[
+        bool | None,
+        Meta(description="the rate is at least 90 % of the declared one; null until a whole window is measured"),
+    ]
+    window: Annotated[float, Meta(description="the length of the window over which the rate is measured")]
+    age: Annotated[float | None, Meta(description="how old the last message is")]
+    jitter: Annotated[float | None, Meta(description="standard deviation of the times between messages")]
+    longest: Annotated[float | None, Meta(description="the longest time between two messages, or since the last one")]
+    fields: list[FieldStatus]
+
+
 class AttachmentStatus(Report, frozen=True):
     """A port on a topic; the gate of an output lets its messages through or not."""
 
     port: str
     connector: str
     gate: Literal["open", "closed"] | None
+    measured: Annotated[MeasuredStatus | None, Meta(description="null where its component does not answer")] = None
 
 
 class ProgramStatus(Report, frozen=True, kw_only=True):
@@ -186,6 +218,17 @@ class ComponentStatus(Report, frozen=True, kw_only=True):
     log_file: str | None = None
 
 
+class RespawnStatus(Report, frozen=True, kw_only=True):
+    """What the restart policy of a crashed node comes to: how many of its restarts are used up, and what is next."""
+
+    restarting: Annotated[bool, Meta(description="false: its restarts are used up")]
+    seconds: Annotated[float | None, Meta(description="until the next restart; null: it has begun, or there is none")]
+    restarts: int
+    max_retries: int
+    window: Annotated[float, Meta(description="the time in which restarts count, in seconds")]
+    words: str
+
+
 class CrashedInstance(Report, frozen=True):
     """An instance that exited unexpectedly; `status` is negative for a signal, null where it is not known."""
 
@@ -193,6 +236,8 @@ class CrashedInstance(Report, frozen=True):
     status: int | None
     log: str
     remedy: Annotated[str | None, Meta(description="what to do, in words")] = None
+    respawn: Annotated[RespawnStatus | None, Meta(description="null: the node has no restart policy")] = None
+    role: Annotated[str | None, Meta(description="null: the specification does not have it any more")] = None
 
 
 class TopicStatus(Report, frozen=True):
@@ -226,7 +271,7 @@ class Status(Report, frozen=True, kw_only=True):
     running: RunningCommand | None
     unwritten: Annotated[str | None, Meta(description="why the state could not be written to disk")]
     middleware: Middleware
-    file: Annotated[str | None, Meta(description="the file that the system was brought up from")] = None
+    file: Annotated[str | None, Meta(description="the file that was brought up, or applied last")] = None
 
 
 class LiveConfiguration(Report, frozen=True):
@@ -238,9 +283,10 @@ class LiveConfiguration(Report, frozen=True):
 
 
 class Why(Report, frozen=True, kw_only=True):
-    """Why a functionality is in its mode: its own reason, and what each better mode lacks."""
+    """Why a functionality of a node is in its mode: its own reason, and what each better mode lacks."""
 
     functionality: str
+    instance: Annotated[str, Meta(description="of the node: the one that was looked at")]
     mode: str
     normal: bool
     because: str | None

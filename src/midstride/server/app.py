@@ -182,6 +182,7 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
             brief=change.brief,
             wait=change.wait,
             id=change.id,
+            file=change.file,
         )
         return answer(await lifecycle.carry_out(work))
 

@@ -33,8 +33,9 @@ class SubmittedChange(Form, frozen=True):
     `expected`: refuse it unless the configuration still has that revision. `verify`: refuse it unless Alloy finds every
     step of the plan safe, and verify the live configuration after each of them. `brief`: the next command does not wait
     until this change has been measured over 20 periods. `wait`: after how many seconds a component that hangs, and is
-    to go, is fenced: replaced although its code does not return. `id`: any text; the events `waiting` and `command` of
-    this change contain it, and those that follow until the next `command` belong to it.
+    to go, is fenced: replaced although its code does not return. `file`: the one that `to` was read from. `id`: any
+    text; the events `waiting` and `command` of this change contain it, and those that follow until the next `command`
+    belong to it.
     """
 
     what: ClassVar[str] = "a change"
@@ -44,6 +45,7 @@ class SubmittedChange(Form, frozen=True):
     verify: bool = False
     brief: bool = False
     wait: SecondsOrZero = DEFAULT_WAIT
+    file: str | None = None
     id: Annotated[str, field("an id", max_length=100)] | None = None
 
 

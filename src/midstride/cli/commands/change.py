@@ -148,7 +148,7 @@ def apply_command(
             "declared_parameters": declared_parameters,
         }
 
-    return change(system, request, f"apply {new.name}", yes, verify, wait)
+    return change(system, request, f"apply {new.name}", yes, verify, wait, file=str(new.resolve()))
 
 
 def _components(file: Path | None) -> list[Document]:
@@ -168,10 +168,11 @@ def change(
     yes: bool,
     verify: bool,
     wait: float,
+    file: str | None = None,
 ) -> int:
     """Show the plan, ask for confirmation, make the change and report it. The exit status.
 
-    ``asked``: the request, or what makes it with the help of the system's manager.
+    ``asked``: the request, or what makes it with the help of the system's manager. ``file``: the one that is applied.
     """
     if not yes and not is_interactive():
         raise click.UsageError("not a terminal; pass --yes")
@@ -187,7 +188,7 @@ def change(
             click.echo("Nothing was changed.", err=True)
             return 1
         expected = preview["revision"]
-    document = {"request": request, "expected": expected, "verify": verify, "wait": wait}
+    document = {"request": request, "expected": expected, "verify": verify, "wait": wait, "file": file}
     outcome = _carry_out(client, document, title, show_plan=yes)
     if wants_json():
         print_json(outcome)
