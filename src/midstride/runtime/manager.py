@@ -36,6 +36,7 @@ from midstride.runtime.component_client import ComponentClient, ComponentEvent
 from midstride.runtime.disk import DISK, Disk
 from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
+from midstride.runtime.fencing import DEFAULT_WAIT
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.lowered import in_words, lowered_functionalities
 from midstride.runtime.observed_configuration import observe
@@ -350,6 +351,7 @@ class Manager:
         expected: int | None = None,
         verify: bool = False,
         brief: bool = False,
+        wait: float = DEFAULT_WAIT,
         id: str | None = None,
         file: str | None = None,
     ) -> Outcome:
@@ -358,12 +360,13 @@ class Manager:
         ``expected`` is the revision that the previewed plan was made for: at any other one the change is refused, since
         its plan may differ. With ``verify``, Alloy verifies the plan first, and the change is refused unless the plan
         holds; the live configuration is verified after each step, and the step fails unless it is valid. If ``brief``,
-        the next command does not wait until this one has been measured over 20 periods. The events
-        `waiting` and `command` contain ``id``, so that a client can distinguish its own from others. The
-        specification of ``request`` was read from ``file``.
+        the next command does not wait until this one has been measured over 20 periods. An old component that hangs is
+        fenced after ``wait`` seconds (docs/semantics.md section 7, *Mode changes*). The events `waiting` and `command`
+        contain ``id``, so that a client can distinguish its own from others. The specification of ``request`` was read
+        from ``file``.
         """
         async with self._command(request.describe(), id):
-            outcome = await self._session.change(request, expected=expected, verify=verify, brief=brief)
+            outcome = await self._session.change(request, expected=expected, verify=verify, brief=brief, wait=wait)
             if request.to is not None and outcome.outcome == "done":
                 self._file = file
                 self._store.write_file(file)

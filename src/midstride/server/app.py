@@ -180,6 +180,7 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
             expected=change.expected,
             verify=change.verify,
             brief=change.brief,
+            wait=change.wait,
             id=change.id,
             file=change.file,
         )
