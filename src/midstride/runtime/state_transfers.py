@@ -97,10 +97,11 @@ class StateTransfers:
         self.lost[new] = own_state(old, new, because, self._bulks.get(new))
         self.events.add("note", f"{new} keeps its own state: {because}")
 
-    def note_exit(self, old: str, new: str) -> None:
-        """``old`` has exited before its state moved, if it keeps any."""
+    def note_exit(self, old: str, new: str, *, hangs: bool) -> None:
+        """``old`` has exited, or ``hangs``, before its state moved, if it keeps any."""
         if old in self.keeping or (old, new) in self.agreed:
-            self.note_own_state(old, new, f"{old} exited before it had exported its state")
+            how = "hangs" if hangs else "exited before it had exported its state"
+            self.note_own_state(old, new, f"{old} {how}")
 
     def ended(self, cut: Cut, incoming: CutResult) -> None:
         """A cut is done on its new side: note what is missing, and a first slot that was late by more than a period."""
