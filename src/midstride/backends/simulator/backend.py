@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -129,6 +129,15 @@ class Simulator:
         while not process.dead and self.time.steady() < deadline:
             await self.time.sleep(min(0.01, grace))
         process.kill()
+
+    def keep_spares(self, number: int, token: str) -> None:
+        pass
+
+    def spares(self) -> int:
+        return 0
+
+    def takes_spare(self, arguments: Sequence[str], directory: Path) -> bool:
+        return False
 
     def disconnected(self, instance: str) -> None:
         pass  # it has left the simulated graph

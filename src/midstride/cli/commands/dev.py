@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from midstride.cli.client import Client, Document
-from midstride.cli.commands.up import backend_option, bring_up
+from midstride.cli.commands.up import backend_option, bring_up, spares_option
 from midstride.cli.dev.changes import Changes, worst
 from midstride.cli.dev.contents import saves
 from midstride.cli.dev.session import DevSession
@@ -26,8 +26,9 @@ from midstride.runtime.workspace import Workspace
 @click.command("dev")
 @click.argument("file", type=click.Path(path_type=Path))
 @backend_option("The platform, where the system is not running yet.")
+@spares_option(1)
 @json_option
-def dev_command(file: Path, backend: str) -> int:
+def dev_command(file: Path, backend: str, spares: int) -> int:
     """Run the system of FILE, and on each save swap exactly the nodes that it changes, without losing a message.
 
     Watched are FILE, what it includes, its parameter files, and the programs with the modules that they import. Code
@@ -41,7 +42,7 @@ def dev_command(file: Path, backend: str) -> int:
     started = client.service() is None
     if started:
         workspace.require_room()
-        bring_up(client, workspace, [str(file.resolve()), "--backend", backend])
+        bring_up(client, workspace, [str(file.resolve()), "--backend", backend, "--spares", str(spares)])
     try:
         session = DevSession(specification, client, Changes(client).carry_out, screen)
         session.look()
