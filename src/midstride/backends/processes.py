@@ -112,7 +112,9 @@ class ProcessBackend(abc.ABC):
             if self._spares is None:
                 if number == 0:
                     return
-                self._spares = Spares(self.name, self._python(), self._log_folder(token) / "spares.log")
+                self._spares = Spares(
+                    f"{__package__}.{self.name}", self._python(), self._log_folder(token) / "spares.log"
+                )
             self._spares.keep(number, self._environment_of_spares(token))
         except BackendError as error:
             log.warning("no spare process can be started: %s", error)

@@ -1,9 +1,10 @@
 """A spare: a process that has imported the client library, and joined ROS 2, before it knows its component.
 
-``python -m midstride.backends.spare BACKEND DESCRIPTOR ROOM`` prepares itself, says so on the socket DESCRIPTOR, and
-waits there for a :class:`SpareProgram`. That one then finds a process like one that was started for it: its arguments,
-environment, working directory, output, ``__main__`` and ``sys.path``. Where the socket closes instead, it exits. ROOM is
-:data:`.process_title.ARGUMENT_ROOM`.
+``python -m midstride.backends.spare MODULE DESCRIPTOR ROOM`` has MODULE prepare the process (``prepare()`` of a back
+end's package), says so on the socket DESCRIPTOR, and waits there for a :class:`SpareProgram`. That program finds its
+arguments, environment, working directory, output, ``__main__`` and ``sys.path`` as in a process that was started for
+it. If the socket closes instead, the spare exits.
+ROOM is :data:`.process_title.ARGUMENT_ROOM`.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ READY: Final = b"ready\n"
 
 
 class SpareProgram(msgspec.Struct, frozen=True):
-    """What a spare is to run: ``python FILE …`` or ``python -m MODULE …``, in ``directory``, with its output in ``log``."""
+    """What a spare is to run: ``python FILE …`` or ``python -m MODULE …``, in ``directory``, with output to ``log``."""
 
     command: list[str]
     directory: str
@@ -35,10 +36,10 @@ class SpareProgram(msgspec.Struct, frozen=True):
     log: str
 
 
-def main(backend: str, descriptor: int) -> None:
+def main(module: str, descriptor: int) -> None:
     with socket.socket(fileno=descriptor) as channel:
         channel.set_inheritable(False)
-        importlib.import_module(f"midstride.backends.{backend}").prepare()
+        importlib.import_module(module).prepare()
         channel.sendall(READY)
         with channel.makefile("rb") as lines:
             line = lines.readline()
@@ -70,7 +71,7 @@ def _become(own: SpareProgram) -> None:
         else:
             _search_first(os.path.dirname(os.path.realpath(own.command[1])))
             sys.argv = list(own.command[1:])
-            _run_script(main_module, os.path.abspath(own.command[1]))
+            _run_script(main_module, os.path.join(os.getcwd(), own.command[1]))
     except SystemExit:
         raise
     except BaseException as error:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,12 +53,12 @@ class _Spare:
 
 
 class Spares:
-    """To be used on the manager's event loop, and closed. ``python`` starts them, for the back end ``backend``."""
+    """To be used on the manager's event loop, and closed. ``module`` prepares each, in the interpreter ``python``."""
 
-    def __init__(self, backend: str, python: str, log: Path) -> None:
+    def __init__(self, module: str, python: str, log: Path) -> None:
         self.python = python
         self.wanted = 0
-        self._backend = backend
+        self._module = module
         self._log = log
         self._spares: list[_Spare] = []
         self._ending: set[asyncio.Task[None]] = set()
@@ -78,7 +78,7 @@ class Spares:
     def _start(self, environment: Mapping[str, str]) -> _Spare:
         ours, theirs = socket.socketpair()
         with theirs:
-            command = [self.python, "-m", f"{__package__}.spare", self._backend, str(theirs.fileno()), ARGUMENT_ROOM]
+            command = [self.python, "-m", f"{__package__}.spare", self._module, str(theirs.fileno()), ARGUMENT_ROOM]
             given = {**environment, ENV_INSTANCE: VALUE_ROOM}
             try:
                 process = spawn(command, Path("/"), given, self._log, descriptors=(theirs.fileno(),))
@@ -99,11 +99,13 @@ class Spares:
         if not spare.ready:
             self._end(spare)
 
-    def run(
-        self, command: Sequence[str], directory: Path, environment: Mapping[str, str], log: Path
-    ) -> Process | None:
+    def run(self, command: Sequence[str], directory: Path, environment: Mapping[str, str], log: Path) -> Process | None:
         """The process of a spare that runs ``command`` from now on; None where none is ready, or it does not fit."""
-        if command[0] != self.python or len(environment[ENV_INSTANCE]) > len(VALUE_ROOM) or not fits(command, directory):
+        if (
+            command[0] != self.python
+            or len(environment[ENV_INSTANCE]) > len(VALUE_ROOM)
+            or not fits(command, directory)
+        ):
             return None
         program = SpareProgram(list(command), str(directory), dict(environment), str(log))
         shared = _shared(environment)

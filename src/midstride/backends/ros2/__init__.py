@@ -35,7 +35,7 @@ def create_host(name: str, namespace: str) -> Host:
 
 
 def prepare() -> None:
-    """Import what a component needs, and join ROS 2, before the component is known. Raises BackendError without ROS 2."""
+    """Import what a component needs, and join ROS 2, before the component is known. Raises BackendError."""
     _require_rclpy()
     from midstride.backends.ros2 import early_join, host  # noqa: F401
 
