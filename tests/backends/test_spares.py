@@ -23,7 +23,8 @@ import json, os, sys
 import beside
 print(json.dumps({
     "argv": sys.argv, "orig": sys.orig_argv[1:], "path": sys.path[:1], "file": __file__, "name": __name__,
-    "spec": __spec__ and (__spec__.name, __spec__.origin), "main": sys.modules["__main__"].__dict__ is globals(), "directory": os.getcwd(),
+    "spec": __spec__ and (__spec__.name, __spec__.origin),
+    "main": sys.modules["__main__"].__dict__ is globals(), "directory": os.getcwd(),
     "environment": dict(os.environ), "package": __package__, "children": sorted(os.listdir("/proc/self/fd"))[:3],
 }, sort_keys=True))
 """

@@ -9,7 +9,7 @@ import logging
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -17,7 +17,7 @@ from midstride.backends.spares import Spares, fits
 from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.runtime.backend import Handle, Launch
 from midstride.runtime.clock import Clock, SystemClock
-from midstride.runtime.process import Process, find, spawn
+from midstride.runtime.process import Process, end_orphans, find, spawn
 from midstride.runtime.reaper import Reaper
 from midstride.wire import environment as variables
 from midstride.wire.sockets import SocketFolder
@@ -123,7 +123,8 @@ class ProcessBackend(abc.ABC):
         return 0 if self._spares is None else self._spares.ready
 
     def takes_spare(self, arguments: Sequence[str], directory: Path) -> bool:
-        return arguments[0] in _OURS and fits(arguments, directory)
+        ours = (*_OURS, self._spares.python) if self._spares is not None else _OURS
+        return arguments[0] in ours and fits(arguments, directory)
 
     @abc.abstractmethod
     def _exited(self, instance: str, status: int | None, process: Process) -> None:
@@ -170,6 +171,9 @@ class ProcessBackend(abc.ABC):
             await process.end(grace)
             self._forget(instance, process)
         await self._died(instance)
+
+    async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
+        return await end_orphans(token, known, grace)
 
     def _watch(self, instance: str, process: Process) -> None:
         self._processes[instance] = process

@@ -7,7 +7,7 @@ are translated here: a back end raises ``BackendError`` and its kinds only.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -111,6 +111,13 @@ class Backend(Protocol):
 
     def takes_spare(self, arguments: Sequence[str], directory: Path) -> bool:
         """Whether a command can be run in one of them, in ``directory``; others get a new process."""
+
+    async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
+        """Terminate the system's processes whose instance is not ``known``; returns the names of those instances.
+
+        An earlier manager started them, but could not record them before it was killed; ``token`` identifies them.
+        After ``grace`` seconds each is killed. Raises BackendError.
+        """
 
     def disconnected(self, instance: str) -> None:
         """A component that was started by hand has exited, as its control connection shows."""
