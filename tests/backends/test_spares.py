@@ -120,7 +120,7 @@ def test_others_see_the_command_and_the_instance(tmp_path: Path) -> None:
         await spares.close()
         assert process.running  # no spare any longer
         await process.end(0.0)
-        assert process.status == -signal.SIGTERM or process.status == -signal.SIGKILL
+        assert await process.wait() in (-signal.SIGTERM, -signal.SIGKILL)
         process.close()
 
     run(body)
