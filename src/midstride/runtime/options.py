@@ -12,11 +12,13 @@ class SystemOptions(msgspec.Struct, frozen=True):
 
     ``middleware_settings``: Midstride sets transports and discovery for its processes, where the user has not.
     ``spares``: how many processes to keep ready for the next components.
+    ``diagnostics``: components publish on ``/diagnostics``.
     """
 
     use_sim_time: bool = False
     middleware_settings: bool = True
     spares: int = 0
+    diagnostics: bool = True
 
     def with_(self, later: SystemOptions) -> SystemOptions:
         """These, and what a later ``up`` asks for besides; `midstride down` ends them."""
@@ -24,6 +26,7 @@ class SystemOptions(msgspec.Struct, frozen=True):
             self.use_sim_time or later.use_sim_time,
             self.middleware_settings and later.middleware_settings,
             max(self.spares, later.spares),
+            self.diagnostics and later.diagnostics,
         )
 
 

@@ -116,12 +116,43 @@ class FunctionalityStatus(Report, frozen=True):
     busy: Annotated[float | None, Meta(description="how long the current call of user code has taken, in seconds")]
 
 
+class FieldStatus(Report, frozen=True, kw_only=True):
+    """Samples of one field that the contract constrains."""
+
+    field: str
+    constraint: str
+    checked: int
+    violations: int
+    run: Annotated[int, Meta(description="how many of the latest samples violate it, without one that meets it")]
+    last: Annotated[bool | int | float | str | None, Meta(description="the last value that violated it")]
+
+
+class MeasuredStatus(Report, frozen=True, kw_only=True):
+    """The messages of an attachment as its component measures them, on its ROS clock, against what is declared.
+
+    Rates are in Hz, times in seconds. Null: not known yet, or nothing is declared.
+    """
+
+    declared: Annotated[float | None, Meta(description="the rate that the mode guarantees, or that the input assumes")]
+    rate: float | None
+    met: Annotated[
+        bool | None,
+        Meta(description="the rate is at least 90 % of the declared one; null until a whole window is measured"),
+    ]
+    window: Annotated[float, Meta(description="the length of the window over which the rate is measured")]
+    age: Annotated[float | None, Meta(description="how old the last message is")]
+    jitter: Annotated[float | None, Meta(description="standard deviation of the times between messages")]
+    longest: Annotated[float | None, Meta(description="the longest time between two messages, or since the last one")]
+    fields: list[FieldStatus]
+
+
 class AttachmentStatus(Report, frozen=True):
     """A port on a topic; the gate of an output lets its messages through or not."""
 
     port: str
     connector: str
     gate: Literal["open", "closed"] | None
+    measured: Annotated[MeasuredStatus | None, Meta(description="null where its component does not answer")] = None
 
 
 class ProgramStatus(Report, frozen=True, kw_only=True):

@@ -70,6 +70,7 @@ def spares_option(default: int) -> Callable[[Callable[..., int]], Callable[..., 
     help="Leave transports and discovery of the middleware as they are: see docs/how-to/middleware-settings.md.",
 )
 @spares_option(0)
+@click.option("--no-diagnostics", is_flag=True, help="Do not publish on /diagnostics: see docs/how-to/diagnostics.md.")
 @json_option
 def up_command(
     file: Path,
@@ -80,6 +81,7 @@ def up_command(
     use_sim_time: bool,
     no_middleware_settings: bool,
     spares: int,
+    no_diagnostics: bool,
 ) -> int:
     """Start the system of FILE and its manager, and watch them.
 
@@ -106,6 +108,7 @@ def up_command(
         arguments += ["--http", str(http), *(["--http-host", http_host] if http_host else [])]
     arguments += ["--spares", str(spares)]
     arguments += ["--use-sim-time"] * use_sim_time + ["--no-middleware-settings"] * no_middleware_settings
+    arguments += ["--no-diagnostics"] * no_diagnostics
     answer = bring_up(client, workspace, arguments)
     if client.get("/specification") != encode_specification(specification):
         click.echo(
