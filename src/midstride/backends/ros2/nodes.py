@@ -19,6 +19,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from midstride.backends.ros2 import early_join, names
+from midstride.backends.ros2.data_node import DataNode
 from midstride.backends.ros2.diagnostics import DiagnosticsPublisher
 from midstride.backends.ros2.gated_node import GatedNode
 from midstride.backends.ros2.parameter_services import ParameterServices
@@ -88,6 +89,7 @@ class ComponentNodes:
         gate: ServiceGate,
         system: str,
         parameters: Mapping[str, Any],
+        set_parameters: Mapping[str, Any],
         failed: Callable[[str], None],
     ) -> None:
         self._own_context = not rclpy.ok()
@@ -113,13 +115,14 @@ class ComponentNodes:
             self._leave_ros()
             raise
         pinned = ["--ros-args", "-r", f"__node:={name}", "-r", f"__ns:={namespace}"] if system else None
-        self.data: Any = GatedNode(
+        self.data: Any = DataNode(
             name,
             gate,
             namespace=namespace,
             cli_args=pinned,
             start_parameter_services=False,
-            parameter_overrides=[Parameter(name, value=value) for name, value in parameters.items()],
+            parameters=parameters,
+            set_parameters=set_parameters,
         )
         self._full_name = self.data.get_fully_qualified_name()
         self.control_name = self._control.get_fully_qualified_name()
