@@ -322,8 +322,7 @@ def _problems(document: Document) -> Iterable[Text]:
         status = "" if crash["status"] is None else f" (status {crash['status']})"
         remedy = f"; {crash['remedy']}" if crash.get("remedy") else ""
         problems.append(f"{crash['name']} exited unexpectedly{status}{remedy}")
-    if document.get("unwritten"):
-        problems.append(document["unwritten"])
+    problems += [document[name] for name in ("unwritten", "damaged") if document.get(name)]
     return [Text(problem, style="red") for problem in problems]
 
 

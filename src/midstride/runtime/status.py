@@ -26,6 +26,7 @@ def status(
     programs: Iterable[reports.ProgramStatus],
     running: reports.RunningCommand | None,
     unwritten: str | None,
+    damaged: str | None,
     file: str | None,
 ) -> reports.Status:
     """The answer to ``midstride status``."""
@@ -61,6 +62,7 @@ def status(
         revision=system.revision,
         running=running,
         unwritten=unwritten,
+        damaged=damaged,
         middleware=backend.middleware(),
         file=file,
     )
