@@ -23,7 +23,7 @@ from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import reported_modes
 from midstride.runtime.state_store import SavedInstance
 from midstride.wire.commands import GateCommand, RecordCommand
-from midstride.wire.state import ComponentState
+from midstride.wire.state import NOT_WELCOMED, ComponentState
 
 
 async def recover(
@@ -57,6 +57,11 @@ async def recover(
         if state is None:
             events.add("gone", f"{instance.name} is no longer running")
             await launcher.abandon(instance.name)
+            continue
+        if state.waiting == NOT_WELCOMED and handle is not None:  # what it is has not been checked
+            events.add("ended", f"stopped {instance.name}, which an earlier manager had just started")
+            with suppress(MidstrideError):
+                await launcher.end(instance.name)
             continue
         found[instance.name] = (instance, state)
         events.add("adopted", f"{instance.name} was reattached unchanged")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 
 import msgspec
 
@@ -27,6 +27,10 @@ class FunctionalityState(WireValue, frozen=True, kw_only=True):
     since: float
     because: str
     busy: float | None = None
+
+
+# What a component waits for that has been started, and is not yet part of its system.
+NOT_WELCOMED: Final = "no manager has welcomed it yet"
 
 
 class LinkState(WireValue, frozen=True, kw_only=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Container, Coroutine
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -129,6 +129,13 @@ class Simulator:
         while not process.dead and self.time.steady() < deadline:
             await self.time.sleep(min(0.01, grace))
         process.kill()
+
+    async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
+        started = {name for name, process in self.processes.items() if process.token == token}
+        orphans = sorted(name for name in started if name not in known)
+        for name in orphans:
+            await self.end(name, grace)
+        return orphans
 
     def disconnected(self, instance: str) -> None:
         pass  # it has left the simulated graph

@@ -36,6 +36,7 @@ class SimulatedProcess:
         log: Path | None = None,
     ) -> None:
         self.instance = launch.instance
+        self.token = launch.token
         self.pid = pid
         self.clock = clock
         self.log = ProcessOutput(log)
