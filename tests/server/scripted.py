@@ -70,6 +70,7 @@ class ScriptedManager:
         verify: bool = False,
         brief: bool = False,
         id: str | None = None,
+        by: str | None = None,
     ) -> Any:
         return await self._answer("change", (request, expected, verify))
 

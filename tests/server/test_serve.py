@@ -150,6 +150,7 @@ class Changing(ScriptedManager):
         verify: bool = False,
         brief: bool = False,
         id: str | None = None,
+        by: str | None = None,
     ) -> Any:
         self.asked.append(("change", None))
         try:

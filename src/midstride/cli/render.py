@@ -355,6 +355,31 @@ def time_of_day(at: float) -> str:
     return f"{time.strftime('%H:%M:%S', time.localtime(whole))}.{millis:03d}"
 
 
+def history(document: Document) -> RenderableType:
+    """The changes and the incidents, oldest first."""
+    left, right = ("", "when", "what", "outcome", "version"), ("steps", "missed", "gap", "took")
+    rows = table(left, right)
+    entries = [*document["changes"], *document["incidents"]]
+    for each in sorted(entries, key=lambda entry: float(entry["at"])):
+        when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(each["at"]))
+        if "number" not in each:
+            rows.add_row("", when, Text(each["words"].splitlines()[0], style="dim"), *[""] * 6)
+            continue
+        done = sum(step["outcome"] == "done" for step in each["steps"])
+        outcome = (each["outcome"] or "in progress").replace("_", " ")
+        figures: list[RenderableType] = [_count(each["missed"]), seconds(each["gap"]), seconds(each["seconds"])]
+        what = each["by"] or each["command"]
+        style = "green" if each["outcome"] == "done" else "yellow"
+        version = f"v{each['version']}"
+        rows.add_row(
+            str(each["number"]), when, what, Text(outcome, style=style), version, f"{done}/{each['total']}", *figures
+        )
+        if each["because"]:
+            rows.add_row("", "", Text(each["because"].splitlines()[0], style="dim"), *[""] * 6)
+    damaged = [Text(document["damaged"], style="red")] if document["damaged"] else []
+    return Group(rows, *damaged)
+
+
 def event(document: Document) -> Text:
     """One event on one line."""
     words = f"outcome: {document['words']}" if document["kind"] == "outcome" else document["words"]

@@ -40,7 +40,9 @@ class Changes:
 
         def send() -> None:
             try:
-                outcome = dict(self._client.post("/change", {"request": request, "brief": True, "id": id}))
+                outcome = dict(
+                    self._client.post("/change", {"request": request, "brief": True, "id": id, "by": "midstride dev"})
+                )
                 answer.append(outcome)
                 if outcome["outcome"] == "done":
                     finished(outcome)
