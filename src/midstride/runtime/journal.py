@@ -58,6 +58,7 @@ class Journal:
         self._disk = disk
         self._database: Database | None = None
         self._holder = f"{os.getpid()} {secrets.token_hex(8)}"
+        self._holds = False  # the lease: taken with the first write to a file
         self._backlog: list[Statement] = []
         self._lock = Lock()
         self._flushing: asyncio.Task[None] | None = None
@@ -69,7 +70,7 @@ class Journal:
         """
 
         def take(database: Database) -> list[Interrupted]:
-            database.write([("INSERT OR REPLACE INTO about VALUES ('holder', ?)", (self._holder,))])
+            self._commit(database, ())
             self.estimates = journal_records.estimates(database, self._backend)
             return journal_records.interrupted(database)
 
@@ -82,8 +83,9 @@ class Journal:
         """Write what is left, if the disk takes it."""
         if self._flushing is not None:
             self._flushing.cancel()
-        if self._backlog:
-            self._write(())
+        with suppress(Superseded):
+            if self._backlog:
+                self._write(())
         with self._lock:
             self._disconnect()
 
@@ -143,7 +145,12 @@ class Journal:
 
     def _commit(self, database: Database, statements: Sequence[Statement]) -> None:
         waiting = self._backlog[:]
-        database.write([*waiting, *statements], only_if=(_HOLDER, (self._holder,)))
+        if self._holds:
+            database.write([*waiting, *statements], only_if=(_HOLDER, (self._holder,)))
+        else:
+            lease = ("INSERT OR REPLACE INTO about VALUES ('holder', ?)", (self._holder,))
+            database.write([lease, *waiting, *statements])
+        self._holds = True
         del self._backlog[: len(waiting)]
         self.unwritten = None
 
@@ -158,6 +165,8 @@ class Journal:
 
     async def history(self, latest: int) -> History:
         """The latest changes and incidents. Raises ManagerError if they cannot be read."""
+        with suppress(Superseded):
+            await self.write()  # incidents that wait
         return await self._beside(lambda database: read_history(database, latest, self.damaged))
 
     async def specification(self, version: int | None = None) -> SpecificationVersion:
@@ -211,7 +220,6 @@ class Journal:
             raise sqlite3.DatabaseError(found)
         if database.read("SELECT value FROM about WHERE key = 'version'") != [(journal_records.VERSION,)]:
             raise sqlite3.DatabaseError("another version of Midstride wrote it")
-        database.write([("INSERT OR IGNORE INTO about VALUES ('holder', ?)", (self._holder,))])
 
     def _disconnect(self) -> None:
         if self._database is not None:
@@ -220,6 +228,7 @@ class Journal:
 
     def _keep_aside(self, error: Exception) -> str:
         self._disconnect()
+        self._holds = False
         aside = self._disk.set_aside(self.path)
         self.damaged = f"the journal {self.path} was damaged ({error}): it is kept as {aside}, and a new one is begun"
         return self.damaged
