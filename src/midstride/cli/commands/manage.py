@@ -33,6 +33,7 @@ CHECK_LOG: Final = 1.0
 @click.option("--http-host")
 @click.option("--use-sim-time", is_flag=True)
 @click.option("--no-middleware-settings", is_flag=True)
+@click.option("--finish-interrupted", is_flag=True)
 def manager_command(
     file: Path,
     backend: str,
@@ -40,6 +41,7 @@ def manager_command(
     http_host: str | None,
     use_sim_time: bool,
     no_middleware_settings: bool,
+    finish_interrupted: bool,
 ) -> int:
     """Manage the system of FILE until it is down or SIGTERM arrives."""
     requested = load(file)
@@ -50,7 +52,7 @@ def manager_command(
         shortening = asyncio.ensure_future(_shorten_log(workspace.manager_log))
         try:
             saved = await _still_running(workspace)
-            options = SystemOptions(use_sim_time, not no_middleware_settings)
+            options = SystemOptions(use_sim_time, not no_middleware_settings, finish_interrupted)
             if saved is not None:
                 options = saved.options.with_(options)
             platform = backends.make(backend, workspace, middleware_settings=options.middleware_settings)
