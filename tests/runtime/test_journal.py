@@ -250,6 +250,9 @@ def test_the_next_manager_finds_what_was_interrupted_and_where(tmp_path: Path) -
         assert (await changes(second))[1].because == f"{found}; the next one has rolled it back"
         await second.settle(found, FIRST)
         assert (await changes(second))[1].because == f"{found}; the next one has finished it"
+        await second.settle(found, None)
+        last = (await changes(second))[1]
+        assert (last.outcome, last.because) == ("failed", f"{found}; no component of the system was left")
         assert await journal(tmp_path).take_over() == []
 
     run(body)

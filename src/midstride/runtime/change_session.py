@@ -193,6 +193,7 @@ class ChangeSession:
             outcome, because = cast("OutcomeKind", error.outcome), str(error)
             if outcome == "rolled_back":
                 system.configuration = before
+                system.missing = {**missing, **system.missing}  # what could not be restored is still missing
         except asyncio.CancelledError:
             undone = system.configuration == plan.change.start
             if undone:

@@ -34,7 +34,7 @@ from midstride.runtime.reports import Event, OutcomeKind
 T = TypeVar("T")
 
 # The kinds of events that are incidents.
-INCIDENTS: Final = frozenset({"up", "down", "exited", "degraded", "parameters", "reflex", "respawn", "rollback_failed"})
+INCIDENTS: Final = frozenset("up down exited degraded parameters reflex respawn respawn_ended rollback_failed".split())
 # How many statements are kept in memory while the disk refuses them.
 BACKLOG: Final = 2_000
 # SQLite's words for damage that it reports as an error of the statement.
@@ -106,10 +106,15 @@ class Journal:
                 raise
             return JournalEntry(self, None)
 
-    async def settle(self, interrupted: Interrupted, specification: Specification) -> None:
-        """An interrupted change has been finished, if ``specification`` is its target, or else rolled back."""
+    async def settle(self, interrupted: Interrupted, specification: Specification | None) -> None:
+        """An interrupted change has been finished, if ``specification`` is its target, or else rolled back.
+
+        None: no component was left.
+        """
         outcome, words = "rolled_back", f"{interrupted}; the next one has rolled it back"
-        if specification == interrupted.target:
+        if specification is None:
+            outcome, words = "failed", f"{interrupted}; no component of the system was left"
+        elif specification == interrupted.target:
             outcome, words = "done", f"{interrupted}; the next one has finished it"
         update = "UPDATE changes SET outcome = ?, because = ? WHERE number = ?"
         await self.write((update, (outcome, words, interrupted.number)))
