@@ -519,3 +519,16 @@ def test_of_a_torn_journal_the_whole_transactions_are_read(tmp_path: Path) -> No
         found.close()
 
     run(body)
+
+
+def test_a_version_that_is_not_valid_any_more_is_no_damage(tmp_path: Path) -> None:
+    async def body() -> None:
+        await three_changes(tmp_path)
+        statement("UPDATE specifications SET form = '{\"system\": 5}' WHERE version = 1")(tmp_path / "journal.db")
+        found = journal(tmp_path)
+        await found.take_over()
+        with pytest.raises(ManagerError, match="/system"):
+            await found.specification(1)
+        assert found.damaged is None and len(await changes(found)) == 3
+
+    run(body)

@@ -7,7 +7,6 @@ from typing import Annotated, Any, Final
 import msgspec
 from msgspec import Meta
 
-from midstride.codec.reading import parse_json
 from midstride.codec.specification import SpecificationForm, decode_specification
 from midstride.runtime.disk import Database
 from midstride.runtime.journal_records import IN_FORCE
@@ -98,12 +97,12 @@ def _named(names: tuple[str, ...], row: tuple[Any, ...]) -> dict[str, Any]:
 def read_specification(database: Database, version: int | None) -> SpecificationVersion | None:
     """A version, by default the one before the latest change of the specification; None if it is not kept.
 
-    Raises sqlite3.Error, or SpecificationError where it is damaged.
+    Raises sqlite3.Error, ValueError where it is damaged, SpecificationError where it is not valid (any more).
     """
     if version is None:
         found = database.read(_PREVIOUS)
         version = found[0][0] if found else None
     for (form,) in database.read("SELECT form FROM specifications WHERE version = ?", version):
-        checked = decode_specification(parse_json(form))
+        checked = decode_specification(msgspec.json.decode(form))
         return SpecificationVersion(int(version or 0), SpecificationForm.of(checked))
     return None

@@ -62,6 +62,7 @@ class Journal:
         self._backlog: list[Statement] = []
         self._lock = Lock()
         self._flushing: asyncio.Task[None] | None = None
+        self._closed = False
 
     async def take_over(self) -> list[Interrupted]:
         """Take the lease; returns the changes that were interrupted, oldest first.
@@ -81,6 +82,7 @@ class Journal:
 
     def close(self) -> None:
         """Write what is left, if the disk takes it."""
+        self._closed = True
         if self._flushing is not None:
             self._flushing.cancel()
         with suppress(Superseded):
@@ -121,7 +123,7 @@ class Journal:
 
     def note(self, event: Event) -> None:
         """Keep ``event`` if it is an incident: it is written soon, and the caller does not wait."""
-        if event.kind not in INCIDENTS:
+        if self._closed or event.kind not in INCIDENTS:
             return
         insert = "INSERT INTO incidents (at, kind, words) VALUES (?, ?, ?)"
         self._backlog.append((insert, (event.at, event.kind, event.words)))
@@ -240,10 +242,10 @@ class Journal:
 
 
 def _is_damage(error: Exception) -> bool:
-    """Whether the file is damaged; a full disk, say, is not damage."""
+    """Whether the file is damaged: a full disk is no damage, nor a specification that is not valid any more."""
     if isinstance(error, sqlite3.OperationalError):
         return any(words in str(error) for words in _DAMAGE)
-    return not isinstance(error, OSError)
+    return not isinstance(error, (OSError, MidstrideError))
 
 
 @dataclass(slots=True)
