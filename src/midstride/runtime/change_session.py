@@ -33,6 +33,7 @@ from midstride.runtime.executor import Executor
 from midstride.runtime.journal import Journal, JournalEntry
 from midstride.runtime.journal_records import NewChange
 from midstride.runtime.lowered import in_words, lowered_functionalities
+from midstride.runtime.observed_configuration import with_failures
 from midstride.runtime.parameter_transfer import ParameterTransfer
 from midstride.runtime.reconciler import Reconciler
 from midstride.runtime.recording import Recording
@@ -147,6 +148,7 @@ class ChangeSession:
         try:
             return await self._carry_out(plan, target, entry, recording, transfer, verifier)
         finally:
+            self.reconciler.on_failure = lambda _: None
             await recording.stop(self.system.configuration.instances)
 
     async def _carry_out(
@@ -170,13 +172,14 @@ class ChangeSession:
         self.events.add("plan", f"{steps}, disruption {plan.disruption:g}{afterwards}", plan=preview)
         actions = [step.action for step in plan.steps]
         await recording.begin(system.configuration, actions)
-        timer = DegradationTimer(plan.change, self.clock.steady)
+        timer = DegradationTimer(plan.change, self.clock.steady, self._with_failures)
         started, before, missing = self.clock.steady(), system.configuration, dict(system.missing)
         self.reconciler.degraded.clear()
         system.configuration = plan.change.start
         executor = self.executor()
         executor.on_moved = timer.moved
         executor.entry = entry
+        self.reconciler.on_failure = lambda instance: timer.moved(system.configuration, (instance,))
         executor.driver.parameters = transfer
         executor.driver.before_handover = recording.record_driving_inputs
         executor.after_step = None if verifier is None else verifier.look
@@ -191,6 +194,8 @@ class ChangeSession:
             system.forget_filled_roles()
         except StepFailed as error:
             outcome, because = cast("OutcomeKind", error.outcome), str(error)
+            system.missing = {**missing, **system.missing}  # those that it has tried to restore
+            system.forget_filled_roles()
             if outcome == "rolled_back":
                 system.configuration = before
                 system.missing = {**missing, **system.missing}  # what could not be restored is still missing
@@ -241,6 +246,9 @@ class ChangeSession:
             silences=[fault for words, fault in silences.items() if words not in silent_before],
             lowered=lowered,
         )
+
+    def _with_failures(self, configuration: Configuration, instances: Iterable[str]) -> Configuration:
+        return with_failures(configuration, instances, self.client, self.system.crashed)
 
     def _first_calls(self, actions: Iterable[Action]) -> float:
         """How long the first calls of the functionalities that ``actions`` have raised take (s)."""

@@ -16,7 +16,7 @@ from collections.abc import AsyncIterator, Collection, Iterable, Mapping, Sequen
 from contextlib import AbstractAsyncContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from midstride.codec.configuration import ConfigurationForm
 from midstride.errors import CommandRefused, ManagerError, MidstrideError, PlanRefused, StepFailed
@@ -156,8 +156,9 @@ class Manager:
     async def up(self) -> UpReport:
         """Recover the components that still run, and bring up the rest of the specification.
 
-        Raises ManagerError if the running system has another specification or back end, StepFailed if a component could
-        not be brought up (the components that this call started are then terminated).
+        Where components still run, what cannot be restored beside them is in the report. Raises ManagerError if the
+        running system has another specification or back end; StepFailed, where none runs, if a component could not be
+        brought up (the components that this call started are then terminated).
         """
         saved = self._store.load()
         if saved is not None:
@@ -170,8 +171,9 @@ class Manager:
                 self.events.add("note", self._journal.damaged)
             absent = set() if saved is None else await self._recover(saved, interrupted)
             try:
+                missing: dict[str, str] = {}
                 if saved is None or not await self._finish(absent, interrupted):
-                    await self._complete(absent, self.specification, is_new=saved is None)
+                    missing = await self._restore_missing(absent, is_new=saved is None)
             except BaseException:
                 if saved is None and not self._launcher.handles:
                     self._store.forget()
@@ -182,8 +184,33 @@ class Manager:
             intended = initial(self.specification)
             lowered = lowered_functionalities(self.system, self._client, Configuration(), intended)
             degraded = f"; degraded: {in_words(lowered)}" if lowered else ""
-            self.events.add("up", f"{self.specification.name} is up: {many}{degraded}")
-            return UpReport(outcome="done", components=sorted(self.configuration.instances), lowered=lowered)
+            without = f" without {', '.join(missing)}" if missing else ""
+            self.events.add("up", f"{self.specification.name} is up{without}: {many}{degraded}")
+            outcome: Literal["done", "incomplete"] = "incomplete" if missing else "done"
+            return UpReport(outcome, sorted(self.configuration.instances), lowered, missing)
+
+    async def _restore_missing(self, absent: set[str], *, is_new: bool) -> dict[str, str]:
+        """Bring up what does not run, without the roles ``absent``; returns why each of the others could not be.
+
+        One that cannot be started does not keep the others down, or the manager from managing what runs. Raises
+        StepFailed or PlanRefused where nothing else runs, or all roles do.
+        """
+        present = self.configuration.instances_by_role
+        gone = [role for role in self.specification.roles() if role not in absent and not present.get(role)]
+        missing, alone = dict.fromkeys(gone, ""), not self.configuration.instances
+        for group in [gone, *([role] for role in gone if len(gone) > 1)]:
+            try:
+                without = {*absent, *missing}.difference(group)
+                await self._complete(without, self.specification, is_new=is_new)
+            except (PlanRefused, StepFailed) as error:
+                if alone or not gone:
+                    raise
+                missing |= dict.fromkeys(group, str(error))
+            else:
+                missing = {role: because for role, because in missing.items() if role not in group}
+                if not missing:
+                    break
+        return missing
 
     async def _finish(self, absent: Collection[str], interrupted: Sequence[Interrupted]) -> bool:
         """Finish the change that an earlier manager began, if that is the system's policy; whether that was possible.
@@ -205,7 +232,7 @@ class Manager:
         return True
 
     async def _complete(self, absent: Collection[str], specification: Specification, *, is_new: bool = False) -> None:
-        """Bring up the part of ``specification`` that does not run, without the roles ``absent``.
+        """Bring up the part of ``specification`` that does not run, without the roles ``absent``; ``is_new``: none ran.
 
         Raises StepFailed after a roll-back.
         """
@@ -375,6 +402,7 @@ class Manager:
         brief: bool = False,
         id: str | None = None,
         by: str | None = None,
+        file: str | None = None,
     ) -> Outcome:
         """Carry out ``request``.
 
@@ -382,11 +410,15 @@ class Manager:
         its plan may differ. With ``verify``, Alloy verifies the plan first, and the change is refused unless the plan
         holds; the live configuration is verified after each step, and the step fails unless it is valid. If ``brief``,
         the next command does not wait until this one has been measured over 20 periods. The events
-        `waiting` and `command` contain ``id``, so that a client can distinguish its own from others. ``by`` says in the
-        history who asked.
+        `waiting` and `command` contain ``id``, so that a client can distinguish its own from others. The
+        specification of ``request`` was read from ``file``. ``by`` says in the history who asked.
         """
         async with self._command(request.describe(), id):
-            return await self._session.change(request, expected=expected, verify=verify, brief=brief, by=by)
+            outcome = await self._session.change(request, expected=expected, verify=verify, brief=brief, by=by)
+            if request.to is not None and outcome.outcome == "done":
+                self._file = file
+                self._store.write_file(file)
+            return outcome
 
     async def set_parameters(self, node: str, values: Mapping[str, ParameterValue]) -> ParametersReport:
         """Set parameters of a role or an instance, all of them or none, once the commands before are done.

@@ -11,11 +11,13 @@ class SystemOptions(msgspec.Struct, frozen=True):
     """``use_sim_time``: ``/clock`` drives every node that does not say otherwise.
 
     ``middleware_settings``: Midstride sets transports and discovery for its processes, where the user has not.
+    ``diagnostics``: components publish on ``/diagnostics``.
     ``finish_interrupted``: a change that was interrupted because the manager was killed is finished, not rolled back.
     """
 
     use_sim_time: bool = False
     middleware_settings: bool = True
+    diagnostics: bool = True
     finish_interrupted: bool = False
 
     def with_(self, later: SystemOptions) -> SystemOptions:
@@ -23,6 +25,7 @@ class SystemOptions(msgspec.Struct, frozen=True):
         return SystemOptions(
             self.use_sim_time or later.use_sim_time,
             self.middleware_settings and later.middleware_settings,
+            self.diagnostics and later.diagnostics,
             self.finish_interrupted or later.finish_interrupted,
         )
 

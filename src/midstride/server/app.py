@@ -200,6 +200,7 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
             brief=change.brief,
             id=change.id,
             by=change.by,
+            file=change.file,
         )
         return answer(await lifecycle.carry_out(work))
 

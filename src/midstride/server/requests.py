@@ -31,9 +31,9 @@ class SubmittedChange(Form, frozen=True):
 
     `expected`: refuse it unless the configuration still has that revision. `verify`: refuse it unless Alloy finds every
     step of the plan safe, and verify the live configuration after each of them. `brief`: the next command does not wait
-    until this change has been measured over 20 periods. `id`: any text; the events `waiting`
-    and `command` of this change contain it, and those that follow until the next `command` belong to it. `by`: who
-    asks, and for what, for the history.
+    until this change has been measured over 20 periods. `file`: the one that `to` was read from. `id`: any
+    text; the events `waiting` and `command` of this change contain it, and those that follow until the next `command`
+    belong to it. `by`: who asks, and for what, for the history.
     """
 
     what: ClassVar[str] = "a change"
@@ -42,6 +42,7 @@ class SubmittedChange(Form, frozen=True):
     expected: int | None = None
     verify: bool = False
     brief: bool = False
+    file: str | None = None
     id: Annotated[str, field("an id", max_length=100)] | None = None
     by: Annotated[str, field("who asks", max_length=200)] | None = None
 

@@ -13,7 +13,7 @@ Everything but ``component`` is optional. A mode that guarantees a rate is calle
 guarantees; one that only assumes inputs, for every message; one that does neither, once. A call writes one message to
 each output that its mode guarantees: the text of the message it answers, or else "instance mode n". ``sleep`` blocks
 and ``pause`` awaits before the write; with ``at_call``, these and ``raise`` apply to that call only. With ``every``,
-only every fifth call, say, writes. The exported state lists what was received, called and imported.
+not each call writes, but every fifth, say. The exported state lists what was received, called and imported.
 """
 
 from __future__ import annotations

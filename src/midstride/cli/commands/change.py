@@ -138,7 +138,7 @@ def apply_command(
             "declared_parameters": declared_parameters,
         }
 
-    return change(system, request, f"apply {new.name}", yes, verify)
+    return change(system, request, f"apply {new.name}", yes, verify, file=str(new.resolve()))
 
 
 def _components(file: Path | None) -> list[Document]:
@@ -158,10 +158,12 @@ def change(
     yes: bool,
     verify: bool,
     dry_run: bool = False,
+    file: str | None = None,
 ) -> int:
     """Show the plan, ask for confirmation, make the change and report it. The exit status.
 
     ``asked``: the request, or what makes it with the help of the system's manager. ``dry_run``: only show the plan.
+    ``file``: the one that is applied.
     """
     if not (yes or dry_run or is_interactive()):
         raise click.UsageError("not a terminal; pass --yes")
@@ -182,7 +184,7 @@ def change(
             click.echo("Nothing was changed.", err=True)
             return 1
         expected = preview["revision"]
-    document = {"request": request, "expected": expected, "verify": verify, "by": asked_by(title)}
+    document = {"request": request, "expected": expected, "verify": verify, "file": file, "by": asked_by(title)}
     outcome = _carry_out(client, document, title, show_plan=yes)
     if wants_json():
         print_json(outcome)
