@@ -39,6 +39,7 @@ from midstride.wire.commands import (
     AttachCommand,
     Attached,
     AwaitCutCommand,
+    AwaitIdleCommand,
     AwaitMatchCommand,
     AwaitWriteCommand,
     Command,
@@ -51,6 +52,7 @@ from midstride.wire.commands import (
     GatedWrites,
     Grid,
     GridCommand,
+    Idle,
     ModesCommand,
     ObserveCommand,
     PrepareStateCommand,
@@ -84,6 +86,7 @@ UNREACHABLE = Unreachable("the component cannot be reached")
 REPLIES: dict[type[Command[Any]], Any] = {
     AttachCommand: Attached(matched=1),
     AwaitCutCommand: CutResult(outcome="done"),
+    AwaitIdleCommand: Idle(busy=None),
     AwaitMatchCommand: lambda command: Attached(matched=command.peers),
     AwaitWriteCommand: GatedWrites(gated=1, wrong_type=None),
     DetachCommand: Detached(acknowledged=True, last=None),

@@ -149,6 +149,7 @@ class Changing(ScriptedManager):
         expected: int | None = None,
         verify: bool = False,
         brief: bool = False,
+        wait: float = 5.0,
         id: str | None = None,
         by: str | None = None,
         file: str | None = None,

@@ -26,6 +26,7 @@ _STYLES: Final = {
     "up_failed": "red",
     "exited": "red",
     "silence": "red",
+    "fenced": "red",
     "degraded": "yellow",
     "rollback": "yellow",
     "respawn": "yellow",
@@ -199,6 +200,7 @@ def _fallen_lines(document: Document) -> list[str]:
         lines.append(f"Exited unexpectedly meanwhile: {', '.join(ended)}; see `midstride log`.")
     if degraded := document.get("degraded"):
         lines.append(f"Degraded unexpectedly meanwhile: {', '.join(degraded)}; see `midstride why {degraded[0]}`.")
+    lines += [f"Fenced: {each['words']}." for each in document.get("fenced") or ()]
     lines += map(_silence, document.get("silences") or ())
     swaps = document.get("swaps") or ()
     lines += [line for swap in swaps if (line := _faults(swap))]

@@ -20,6 +20,7 @@ from midstride.model.component import ROS_PARAMETERS
 from midstride.node.answering import Answering
 from midstride.node.attachments import Attachments
 from midstride.node.declaration import DeclaredParts
+from midstride.node.fencing import Fencing
 from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner, format_error
 from midstride.node.handover_commands import HandoverCommands
 from midstride.node.host import HeldParameter, Host
@@ -76,6 +77,7 @@ class CommandHandlers:
         self._handovers = HandoverCommands(
             self._attachments, self.host, self._data, self.changed, self.token, self._hooks, self._runners
         )
+        self._fencing = Fencing(self._attachments, self.host, self._data, self._runners, self.changed)
         answering = Answering(self.host.gate, self._handovers.call, self.changed)
         self._handlers: dict[type[Command[Any]], Handler] = {
             commands.AttachCommand: self._attachments.attach,
@@ -90,6 +92,8 @@ class CommandHandlers:
             commands.CancelCutCommand: self._handovers.cancel_cut,
             commands.AwaitCutCommand: self._handovers.await_cut,
             commands.CutTakenCommand: self._handovers.taken,
+            commands.AwaitIdleCommand: self._fencing.await_idle,
+            commands.FenceCommand: self._fencing.fence,
             commands.AnswerCommand: answering.answer,
             commands.YieldCommand: answering.stop,
             commands.PrepareStateCommand: self._handovers.prepare_state,
@@ -122,6 +126,7 @@ class CommandHandlers:
 
     def begin(self) -> None:
         """On the data thread: start every functionality in its last mode."""
+        self._fencing.data_thread = threading.get_ident()
         for functionality in self.parts.functionalities.values():
             runner = FunctionalityRunner(functionality, self.host, self.degraded)
             functionality.start(runner.current_mode)

@@ -27,9 +27,11 @@ from midstride.plan.request import PlanRequest
 from midstride.plan.runtime_values import Values, of_change
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.crash_during_change import CrashResponse
 from midstride.runtime.degradation_timer import DegradationTimer
 from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
+from midstride.runtime.fencing import DEFAULT_WAIT
 from midstride.runtime.journal import Journal, JournalEntry
 from midstride.runtime.journal_records import NewChange
 from midstride.runtime.lowered import in_words, lowered_functionalities
@@ -91,6 +93,7 @@ class ChangeSession:
         expected: int | None = None,
         verify: bool = False,
         brief: bool = False,
+        wait: float = DEFAULT_WAIT,
         by: str | None = None,
     ) -> Outcome:
         """Carry out ``request``; see :meth:`midstride.runtime.manager.Manager.change`."""
@@ -118,7 +121,7 @@ class ChangeSession:
         except ManagerError as error:
             return self._refuse(str(error), verdict)
         keep = not request.declared_parameters
-        outcome = await self.carry_out(plan, target, entry, step_verifier, keep=keep, brief=brief)
+        outcome = await self.carry_out(plan, target, entry, step_verifier, keep=keep, brief=brief, wait=wait)
         return structs.replace(outcome, verdict=verdict)
 
     def _verified(self, verdict: Verdict) -> None:
@@ -137,16 +140,17 @@ class ChangeSession:
         *,
         keep: bool = True,
         brief: bool = False,
+        wait: float = DEFAULT_WAIT,
     ) -> Outcome:
         """Carry out ``plan``, measure, report, and record it in ``entry``.
 
         ``keep``: with the parameter values that were set at run time. ``brief``: the next command does not wait for the
-        whole measurement.
+        whole measurement. ``wait``: after how long a component that hangs, and is to go, is fenced (s).
         """
         recording = Recording(self.client, self.clock, self.another_waits if brief else None, self._measured_until)
         transfer = ParameterTransfer(self.client, self.system.values, plan.change, plan.parameters, keep)
         try:
-            return await self._carry_out(plan, target, entry, recording, transfer, verifier)
+            return await self._carry_out(plan, target, entry, recording, transfer, verifier, wait)
         finally:
             self.reconciler.on_failure = lambda _: None
             await recording.stop(self.system.configuration.instances)
@@ -159,6 +163,7 @@ class ChangeSession:
         recording: Recording,
         transfer: ParameterTransfer,
         verifier: StepVerifier | None,
+        wait: float,
     ) -> Outcome:
         system = self.system
         preview = PlanPreview.of(plan)
@@ -180,9 +185,12 @@ class ChangeSession:
         executor.on_moved = timer.moved
         executor.entry = entry
         self.reconciler.on_failure = lambda instance: timer.moved(system.configuration, (instance,))
-        executor.driver.parameters = transfer
+        executor.driver.parameters, executor.driver.fences.wait = transfer, wait
         executor.driver.before_handover = recording.record_driving_inputs
         executor.after_step = None if verifier is None else verifier.look
+        response = CrashResponse(executor, self.reconciler, actions)
+        executor.on_performed = response.performed
+        self.reconciler.on_crash_during_change = response.crashed
         outcome: OutcomeKind = "done"
         because = None
         try:
@@ -198,25 +206,28 @@ class ChangeSession:
             system.forget_filled_roles()
             if outcome == "rolled_back":
                 system.configuration = before
-                system.missing = {**missing, **system.missing}  # what could not be restored is still missing
         except asyncio.CancelledError:
             undone = system.configuration == plan.change.start
             if undone:
                 system.configuration = before
             await entry.end("rolled_back" if undone else "failed", "the manager was terminated", None)
             raise
+        finally:
+            self.reconciler.on_crash_during_change = None
+            await response.close()
         system.values.forget_ended(system.configuration)
         self.reconciler.save_values()
         ended = self.clock.steady()
         seconds, degraded_seconds = ended - started, timer.stop()
-        exited = {name for name in system.crashed if name in before.instances}
+        fenced = executor.driver.fences.fenced
+        exited = {name for name in system.crashed if name in before.instances and name not in fenced}
         await self.reconciler.reconcile_crashes()  # before measuring: dependent functionalities must not wait for it
         await entry.end(outcome, because, round(seconds, 6))
         if recording.recorded:
             self.events.add("measuring", "watching the subscribers for 20 periods more")
         self.measuring = True
         try:
-            swaps = await recording.finish(executor.driver.last_numbers, resumed=outcome != "done")
+            swaps = await recording.finish(executor.driver.last_numbers, resumed=outcome != "done", hung=fenced)
             if outcome == "done":
                 await self.clock.sleep(ended + self._first_calls(actions) - self.clock.steady())
         finally:
@@ -239,6 +250,7 @@ class ChangeSession:
             fallen=degraded_seconds,
             swaps=swaps,
             late=executor.driver.late,
+            fenced=[fenced[name] for name in sorted(fenced)],
             because=because,
             parameters=transfer.report(outcome == "done"),
             ended=sorted(exited | {name for name, event in system.missing.items() if missing.get(name) is not event}),

@@ -36,6 +36,7 @@ from midstride.runtime.component_client import ComponentClient, ComponentEvent
 from midstride.runtime.disk import DISK, Disk
 from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
+from midstride.runtime.fencing import DEFAULT_WAIT
 from midstride.runtime.history import History, SpecificationVersion
 from midstride.runtime.journal import Journal
 from midstride.runtime.journal_records import Interrupted, NewChange
@@ -400,6 +401,7 @@ class Manager:
         expected: int | None = None,
         verify: bool = False,
         brief: bool = False,
+        wait: float = DEFAULT_WAIT,
         id: str | None = None,
         by: str | None = None,
         file: str | None = None,
@@ -409,12 +411,15 @@ class Manager:
         ``expected`` is the revision that the previewed plan was made for: at any other one the change is refused, since
         its plan may differ. With ``verify``, Alloy verifies the plan first, and the change is refused unless the plan
         holds; the live configuration is verified after each step, and the step fails unless it is valid. If ``brief``,
-        the next command does not wait until this one has been measured over 20 periods. The events
-        `waiting` and `command` contain ``id``, so that a client can distinguish its own from others. The
-        specification of ``request`` was read from ``file``. ``by`` says in the history who asked.
+        the next command does not wait until this one has been measured over 20 periods. An old component that hangs is
+        fenced after ``wait`` seconds (docs/semantics.md section 7, *Mode changes*). The events `waiting` and `command`
+        contain ``id``, so that a client can distinguish its own from others. The specification of ``request`` was read
+        from ``file``. ``by`` says in the history who asked.
         """
         async with self._command(request.describe(), id):
-            outcome = await self._session.change(request, expected=expected, verify=verify, brief=brief, by=by)
+            outcome = await self._session.change(
+                request, expected=expected, verify=verify, brief=brief, by=by, wait=wait
+            )
             if request.to is not None and outcome.outcome == "done":
                 self._file = file
                 self._store.write_file(file)

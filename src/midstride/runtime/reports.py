@@ -68,6 +68,15 @@ class DownReport(Report, frozen=True):
     outcome: Literal["done"] = "done"
 
 
+class FencedInstance(Report, frozen=True, kw_only=True):
+    """An instance that hung, was stopped or too slow, and was replaced inside a call of its user code."""
+
+    instance: str
+    how: Annotated[Literal["gate", "killed"], Meta(description="its outputs were closed, or its process was killed")]
+    because: str
+    words: str
+
+
 class Outcome(Report, frozen=True, kw_only=True):
     """The result of a change; `refused`: nothing was changed."""
 
@@ -84,6 +93,7 @@ class Outcome(Report, frozen=True, kw_only=True):
     parameters: Annotated[list[RuntimeValue], Meta(description="what became of values that were set at run time")] = []
     ended: Annotated[list[str], Meta(description="instances that exited unexpectedly meanwhile")] = []
     degraded: Annotated[list[str], Meta(description="functionalities that degraded unexpectedly meanwhile")] = []
+    fenced: Annotated[list[FencedInstance], Meta(description="replaced although they hung")] = []
     silences: Annotated[list[SilenceFault], Meta(description="faults that began meanwhile, and last")] = []
     lowered: Annotated[list[LoweredFunctionality], Meta(description="what is lower afterwards")] = []
     verdict: Annotated[Verdict | UnsetType, Meta(description="what Alloy found, where requested")] = UNSET

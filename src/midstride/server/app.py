@@ -198,6 +198,7 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
             expected=change.expected,
             verify=change.verify,
             brief=change.brief,
+            wait=change.wait,
             id=change.id,
             by=change.by,
             file=change.file,

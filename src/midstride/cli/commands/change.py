@@ -21,7 +21,8 @@ def request_options(function: Any) -> Any:
     yes = click.option("--yes", "-y", is_flag=True, help="Do not ask for confirmation.")
     summary = "Verify the plan with Alloy before it starts, and the running system after each step."
     verify = click.option("--verify", is_flag=True, help=summary)
-    return json_option(system_option(change_options.strategy_option(verify(yes(function)))))
+    options = change_options.strategy_option(change_options.wait_option(verify(yes(function))))
+    return json_option(system_option(options))
 
 
 def _components_option(function: Any) -> Any:
@@ -47,13 +48,14 @@ def replace_command(
     declared_parameters: bool,
     system: str | None,
     strategy: str,
+    wait: float,
     verify: bool,
     yes: bool,
 ) -> int:
     """Replace the component of NODE with COMPONENT, on the same topics."""
     request = {"replace": [[node, component]], "components": _components(file), "strategy": strategy}
     request["declared_parameters"] = declared_parameters
-    return change(system, request, f"replace {node} with {component}", yes, verify)
+    return change(system, request, f"replace {node} with {component}", yes, verify, wait)
 
 
 @click.command("restart")
@@ -61,11 +63,17 @@ def replace_command(
 @change_options.declared_parameters_option
 @request_options
 def restart_command(
-    nodes: tuple[str, ...], declared_parameters: bool, system: str | None, strategy: str, verify: bool, yes: bool
+    nodes: tuple[str, ...],
+    declared_parameters: bool,
+    system: str | None,
+    strategy: str,
+    wait: float,
+    verify: bool,
+    yes: bool,
 ) -> int:
     """Start nodes again, with what their programs are now: each is handed over to a new instance, without a gap."""
     request = {"restart": list(nodes), "strategy": strategy, "declared_parameters": declared_parameters}
-    return change(system, request, f"restart {', '.join(nodes)}", yes, verify)
+    return change(system, request, f"restart {', '.join(nodes)}", yes, verify, wait)
 
 
 @click.command("add")
@@ -83,22 +91,25 @@ def add_command(
     file: Path | None,
     system: str | None,
     strategy: str,
+    wait: float,
     verify: bool,
     yes: bool,
 ) -> int:
     """Add NODE, with COMPONENT, and attach its ports to topics."""
     new = change_options.new_node(node, component, attachments, parameters)
     request = {"add": [new], "components": _components(file), "strategy": strategy}
-    return change(system, request, f"add {node} ({component})", yes, verify)
+    return change(system, request, f"add {node} ({component})", yes, verify, wait)
 
 
 @click.command("remove")
 @click.argument("nodes", nargs=-1, required=True, metavar="NODE...", shell_complete=completion.nodes)
 @request_options
-def remove_command(nodes: tuple[str, ...], system: str | None, strategy: str, verify: bool, yes: bool) -> int:
+def remove_command(
+    nodes: tuple[str, ...], system: str | None, strategy: str, wait: float, verify: bool, yes: bool
+) -> int:
     """Remove nodes. The functionalities that rely on them degrade only as far as they must."""
     request = {"remove": list(nodes), "strategy": strategy}
-    return change(system, request, f"remove {', '.join(nodes)}", yes, verify)
+    return change(system, request, f"remove {', '.join(nodes)}", yes, verify, wait)
 
 
 @click.command("apply")
@@ -112,6 +123,7 @@ def apply_command(
     declared_parameters: bool,
     system: str | None,
     strategy: str,
+    wait: float,
     verify: bool,
     yes: bool,
 ) -> int:
@@ -138,7 +150,7 @@ def apply_command(
             "declared_parameters": declared_parameters,
         }
 
-    return change(system, request, f"apply {new.name}", yes, verify, file=str(new.resolve()))
+    return change(system, request, f"apply {new.name}", yes, verify, wait, file=str(new.resolve()))
 
 
 def _components(file: Path | None) -> list[Document]:
@@ -157,6 +169,7 @@ def change(
     title: str,
     yes: bool,
     verify: bool,
+    wait: float,
     dry_run: bool = False,
     file: str | None = None,
 ) -> int:
@@ -184,7 +197,8 @@ def change(
             click.echo("Nothing was changed.", err=True)
             return 1
         expected = preview["revision"]
-    document = {"request": request, "expected": expected, "verify": verify, "file": file, "by": asked_by(title)}
+    document = {"request": request, "expected": expected, "verify": verify, "wait": wait, "file": file}
+    document["by"] = asked_by(title)
     outcome = _carry_out(client, document, title, show_plan=yes)
     if wants_json():
         print_json(outcome)

@@ -45,6 +45,7 @@ def rollback_command(
     declared_parameters: bool,
     system: str | None,
     strategy: str,
+    wait: float,
     verify: bool,
     yes: bool,
 ) -> int:
@@ -59,4 +60,4 @@ def rollback_command(
     def request(_: Client) -> Document:
         return {"to": found["specification"], "strategy": strategy, "declared_parameters": declared_parameters}
 
-    return change(system, request, f"rollback to version {found['version']}", yes, verify, dry_run)
+    return change(system, request, f"rollback to version {found['version']}", yes, verify, wait, dry_run)
