@@ -29,6 +29,7 @@ def status(
     unwritten: str | None,
     damaged: str | None,
     file: str | None,
+    spares: int,
     respawner: Respawner,
 ) -> reports.Status:
     """The answer to ``midstride status``."""
@@ -74,6 +75,13 @@ def status(
         damaged=damaged,
         middleware=backend.middleware(),
         file=file,
+        spares=reports.Spares(
+            kept=spares,
+            ready=backend.spares(),
+            unused_by=[name for name, each in sorted(configuration.instances.items()) if not launcher.takes_spare(each)]
+            if spares
+            else [],
+        ),
     )
 
 
