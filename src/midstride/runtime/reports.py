@@ -281,7 +281,8 @@ class Status(Report, frozen=True, kw_only=True):
     backend: str
     revision: int
     running: RunningCommand | None
-    unwritten: Annotated[str | None, Meta(description="why the state could not be written to disk")]
+    unwritten: Annotated[str | None, Meta(description="why the state or the journal could not be written to disk")]
+    damaged: Annotated[str | None, Meta(description="where a damaged journal is kept, and what was wrong with it")]
     middleware: Middleware
     spares: Spares
     file: Annotated[str | None, Meta(description="the file that was brought up, or applied last")] = None

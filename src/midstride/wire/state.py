@@ -68,6 +68,10 @@ class FieldSamples(WireValue, frozen=True, kw_only=True):
     last: bool | int | float | str | None = None
 
 
+# What a component waits for that has been started, and is not yet part of its system.
+NOT_WELCOMED: Final = "no manager has welcomed it yet"
+
+
 class LinkState(WireValue, frozen=True, kw_only=True):
     """One attachment. ``count`` messages have passed, ``gated`` have not; an input has no gate.
 
