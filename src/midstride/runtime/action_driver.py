@@ -6,24 +6,39 @@ each component that can be reached.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Collection, Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
 from midstride.errors import CallTimeout, CommandRefused, MidstrideError, StepFailed, Unreachable
-from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
+from midstride.model.action import (
+    Action,
+    Attach,
+    Create,
+    Degrade,
+    Detach,
+    Handover,
+    Remove,
+    SetParameters,
+    Swap,
+    Upgrade,
+)
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
+from midstride.plan.plan import Plan
+from midstride.plan.state import left_behind, without_outputs
 from midstride.runtime.answering import have_answer
 from midstride.runtime.backend import Backend
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
+from midstride.runtime.fencing import Fences
 from midstride.runtime.handover import ATTACH_TIMEOUT, DETACH_TIMEOUT, LiveHandover
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import own_degradations_in
 from midstride.runtime.parameter_transfer import ParameterTransfer
 from midstride.runtime.running_system import RunningSystem
-from midstride.runtime.state_transfers import StateTransfers
+from midstride.runtime.state_moves import StateMoves
+from midstride.runtime.state_transfers import StateTransfers, keeps_state, own_state
 from midstride.wire import commands
 from midstride.wire.commands import Command
 
@@ -53,8 +68,17 @@ class ActionDriver:
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
     late: dict[str, float] = field(default_factory=dict)
     parameters: ParameterTransfer | None = None
+    # By instance: what state of its predecessor it continues without, and why.
+    own_state: dict[str, str] = field(default_factory=dict)
+    moves: StateMoves | None = None
+    leaving: Container[str] = ()  # the instances that the plan removes
+    fences: Fences = field(init=False)
+    _keeping: set[str] = field(default_factory=set)  # instances that keep state, also where they have exited since
     _before_setting: dict[str, commands.PreviousParameters] = field(default_factory=dict)  # by instance
     _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
+
+    def __post_init__(self) -> None:
+        self.fences = Fences(self.client, self.launcher, self.system, self.events)
 
     @property
     def configuration(self) -> Configuration:
@@ -65,12 +89,42 @@ class ActionDriver:
 
         ``because`` is the reason that components report for their new modes.
         """
+        begun = self.fences.now()
+        if any(self.fences.hangs_already(name) for name in action.instances()):
+            await self._fence_leaving(action, begun)
         try:
-            await self._perform(action, because)
+            if self.moves is not None:
+                gone = {name for name in self.configuration.instances if self._is_gone(name)} | {*self.fences.fenced}
+                await self.moves.before(action, self.configuration.instances, gone)
+            try:
+                await self._perform(action, because)
+            except (CommandRefused, CallTimeout):
+                if not await self._fence_leaving(action, begun + self.fences.wait):
+                    raise
+                await self._perform(action, because)
         except (CommandRefused, StepFailed) as error:
             if degradations := await self._own_degradations(action):
                 raise StepFailed("; ".join(degradations)) from error
             raise
+
+    async def _fence_leaving(self, action: Action, deadline: float) -> bool:
+        """Fence the instances of a step that the plan removes and that hang until ``deadline``; whether there are any.
+
+        They need not do their part: what they still do in that call is neither heard nor relied on.
+        """
+        if self.rolling_back or not isinstance(action, Degrade | Detach | Remove):
+            return False
+        found = False
+        for name in sorted(action.instances()):
+            if name not in self.leaving or name in self.fences.fenced:
+                continue
+            if (because := await self.fences.unresponsive(name, deadline)) is not None:
+                found = True
+                links = [(port, self.configuration.topic(key)) for port, key in self.configuration.attached_ports(name)]
+                await self.fences.fence(
+                    name, because, [link for link in links if self.configuration.is_output(link[0])]
+                )
+        return found
 
     async def _own_degradations(self, action: Action) -> list[str]:
         """What degraded by itself in the instances of ``action``: the root cause of whatever they refused."""
@@ -123,7 +177,11 @@ class ActionDriver:
                 await self._change_answering(instance, runs=False)
             case Attach(port, connector) if not self._has_endpoint(port, connector):
                 await self._attach(action)
-            case Detach(port, connector) if not (self._is_gone(port.instance) or self._has_endpoint(port, connector)):
+            case Detach(port, connector) if not (
+                self._is_gone(port.instance)
+                or port.instance in self.fences.fenced
+                or self._has_endpoint(port, connector)
+            ):
                 await self._detach(action)
 
     async def _set_parameters(self, instance: str, declared: dict[str, Any]) -> None:
@@ -140,6 +198,28 @@ class ActionDriver:
                 values = {name: reply.before[name] for name in reply.declared}
                 self.parameters.set_in_place(self.configuration.instances[instance], values)
 
+    def move_states_of(self, plan: Plan) -> None:
+        """From now on, move the states of the replacements in ``plan`` that have no outputs to hand over."""
+        change = plan.change
+        self._keeping.update(name for name in change.replaced if keeps_state(self.client, name))
+        self.moves = StateMoves(self.client, self._move_state, self._keeps_own_state, without_outputs(change))
+        predecessors = {new: old for old, new in change.replaced.items()}
+        for new, because in left_behind(change, (step.action for step in plan.steps)).items():
+            self._keeps_own_state(predecessors[new], new, because)
+
+    async def _move_state(self, old: str, new: str) -> None:
+        try:
+            await self._live_handover((), [(old, new)])
+        except MidstrideError as error:
+            if not self.rolling_back:
+                raise
+            self._keeps_own_state(old, new, str(error))
+
+    def _keeps_own_state(self, old: str, new: str, because: str) -> None:
+        if old in self._keeping:
+            self.own_state[new] = own_state(old, new, because)
+            self.events.add("note", f"{new} keeps its own state: {because}")
+
     def _is_gone(self, instance: str) -> bool:
         """Whether its process has exited, or is about to: the end of its connection is known first."""
         return instance in self.system.crashed or self.client.is_lost(instance)
@@ -154,7 +234,10 @@ class ActionDriver:
 
     async def _remove(self, action: Remove) -> None:
         instance = self.configuration.instances[action.instance]
-        if not self.rolling_back:  # else this change created it, and the instance that returns has its own state
+        fenced = action.instance in self.fences.fenced
+        if (
+            not self.rolling_back and not fenced
+        ):  # else this change created it, and the instance that returns has its own state
             try:
                 exported = await self.client.read(action.instance, commands.ExportStateCommand())
                 if exported.state is not None:
@@ -164,7 +247,13 @@ class ActionDriver:
         if self.parameters is not None:
             await self.parameters.leaving(action.instance, self.configuration)
         if instance.component.run is None:
-            await self.launcher.release(action.instance)
+            try:
+                await self.launcher.release(action.instance)
+            except MidstrideError as error:
+                if not fenced:
+                    raise
+                self.client.disconnect(action.instance)
+                self.events.add("note", f"{action.instance} could not be released: {error}; end its process")
             self.events.add("note", f"{action.instance} was started elsewhere: it is released, and left running")
         else:
             await self.launcher.end(action.instance)
@@ -221,7 +310,7 @@ class ActionDriver:
         changed: list[tuple[str, commands.ModesCommand]] = []
         try:
             for instance, modes in by_instance(action.modes).items():
-                if isinstance(action, Degrade) and self._is_gone(instance):
+                if isinstance(action, Degrade) and (self._is_gone(instance) or instance in self.fences.fenced):
                     continue
                 before = {ref: self.configuration.modes[ref] for ref in modes}
                 changed.append((instance, self._modes_command(before, "roll-back")))
@@ -253,10 +342,23 @@ class ActionDriver:
             await self.before_handover(configuration, action)
         # Where the outputs of other roles are swapped, nothing is replaced.
         replaced = [(old, new) for old, new in pairs if old != new and roles[old] == roles[new]]
-        states = StateTransfers(self.client, self.events, replaced, required=not self.rolling_back)
+        await self._live_handover(action.swaps, replaced)
+
+    async def _live_handover(self, swaps: Sequence[Swap], replaced: Collection[tuple[str, str]]) -> None:
+        """Hand over what is swapped, and the state of ``replaced``, pairs of old and new."""
+        states = StateTransfers(self.client, self.events, replaced, required=not self.rolling_back, lost=self.own_state)
+        self._keeping.update(old for old, _ in replaced if keeps_state(self.client, old))
+        states.keeping = self._keeping
         lingering_readers = self.backend.lingering_readers
         handover = LiveHandover(
-            self.client, self.events, configuration, action.swaps, lingering_readers, self._is_gone, states
+            self.client,
+            self.events,
+            self.configuration,
+            swaps,
+            lingering_readers,
+            self._is_gone,
+            states,
+            self.fences,
         )
         handover.before_cut = self._carry_parameters
         self.last_numbers |= await handover.run()

@@ -68,6 +68,15 @@ class DownReport(Report, frozen=True):
     outcome: Literal["done"] = "done"
 
 
+class FencedInstance(Report, frozen=True, kw_only=True):
+    """An instance that hung, was stopped or too slow, and was replaced inside a call of its user code."""
+
+    instance: str
+    how: Annotated[Literal["gate", "killed"], Meta(description="its outputs were closed, or its process was killed")]
+    because: str
+    words: str
+
+
 class Outcome(Report, frozen=True, kw_only=True):
     """The result of a change; `refused`: nothing was changed."""
 
@@ -80,10 +89,15 @@ class Outcome(Report, frozen=True, kw_only=True):
         dict[str, float],
         Meta(description="seconds by which a new component's first slot waited for its state, over a period"),
     ] = {}
+    own_state: Annotated[
+        dict[str, str],
+        Meta(description="new components that continue without the state of the old one: what is lost, and why"),
+    ] = {}
     because: str | None = None
     parameters: Annotated[list[RuntimeValue], Meta(description="what became of values that were set at run time")] = []
     ended: Annotated[list[str], Meta(description="instances that exited unexpectedly meanwhile")] = []
     degraded: Annotated[list[str], Meta(description="functionalities that degraded unexpectedly meanwhile")] = []
+    fenced: Annotated[list[FencedInstance], Meta(description="replaced although they hung")] = []
     silences: Annotated[list[SilenceFault], Meta(description="faults that began meanwhile, and last")] = []
     lowered: Annotated[list[LoweredFunctionality], Meta(description="what is lower afterwards")] = []
     verdict: Annotated[Verdict | UnsetType, Meta(description="what Alloy found, where requested")] = UNSET
@@ -246,6 +260,14 @@ class RunningCommand(Report, frozen=True):
     since: float
 
 
+class Spares(Report, frozen=True, kw_only=True):
+    """The processes that are kept ready for the next components."""
+
+    kept: int
+    ready: int
+    unused_by: Annotated[list[str], Meta(description="instances whose command no spare can run")]
+
+
 class Status(Report, frozen=True, kw_only=True):
     """The running system."""
 
@@ -259,8 +281,10 @@ class Status(Report, frozen=True, kw_only=True):
     backend: str
     revision: int
     running: RunningCommand | None
-    unwritten: Annotated[str | None, Meta(description="why the state could not be written to disk")]
+    unwritten: Annotated[str | None, Meta(description="why the state or the journal could not be written to disk")]
+    damaged: Annotated[str | None, Meta(description="where a damaged journal is kept, and what was wrong with it")]
     middleware: Middleware
+    spares: Spares
     file: Annotated[str | None, Meta(description="the file that was brought up, or applied last")] = None
 
 

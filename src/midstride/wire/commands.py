@@ -5,7 +5,7 @@ has a *gate*: while it is closed, what the component writes is counted and type-
 
 A *reading* command changes nothing and needs no revision. A *changing* one names the revision that its sender expects
 the component to be at; the component refuses it at any other. A command between the two components of a hand-over is
-neither: the manager may be gone by then.
+neither: the manager may be gone by then; nor is the one that fences a component whose user code does not return.
 """
 
 from __future__ import annotations
@@ -85,12 +85,13 @@ class FetchedState(WireValue, frozen=True, kw_only=True):
     """The state at a cut. ``handled``: by publisher, the time of the newest message that it includes (ns).
 
     That is for functionalities without an output in the cut. Of other publishers, it includes what was published until
-    ``since``.
+    ``since``. ``requests``: those to the node's services that it includes; None where the old side did not answer them.
     """
 
     state: bytes | None
     handled: dict[str, int]
     since: int
+    requests: list[str] | None = None
 
 
 class StateOffer(WireValue, frozen=True, kw_only=True):
@@ -171,6 +172,18 @@ class Yielded(WireValue, frozen=True, kw_only=True):
     handled: list[str]
 
 
+class Idle(WireValue, frozen=True, kw_only=True):
+    """``busy``: why user code had not returned in time, in words; None where the data thread is free."""
+
+    busy: str | None
+
+
+class FencedOutputs(WireValue, frozen=True, kw_only=True):
+    """The number of the last message of each of these outputs, by ``"port topic"``."""
+
+    last: dict[str, int]
+
+
 class Relieved(WireValue, frozen=True, kw_only=True):
     """``resumed``: it is too late, and the old side writes again."""
 
@@ -215,10 +228,10 @@ class ProgramCommand(Command[Program], frozen=True, kw_only=True, tag="program")
 
 
 class GridCommand(Command[Grid], frozen=True, kw_only=True, tag="grid"):
-    """The time grid of an output; with a topic, its readers there as well."""
+    """The time grid of an output; with a topic, its readers there as well. Without a port: the clock of messages."""
 
     kind = "reading"
-    port: str
+    port: str | None = None
     topic: str | None = None
 
 
@@ -257,6 +270,12 @@ class AwaitMatchCommand(Command[Attached], frozen=True, kw_only=True, tag="await
     topic: str
     peers: int
     timeout: Seconds = 5.0
+
+
+class AwaitIdleCommand(Command[Idle], frozen=True, kw_only=True, tag="await_idle"):
+    """Wait until user code has returned, so that the data thread is free."""
+
+    kind = "reading"
 
 
 class AwaitCutCommand(Command[CutResult], frozen=True, kw_only=True, tag="await_cut"):
@@ -347,7 +366,7 @@ class StateTransfer(WireValue, frozen=True, kw_only=True):
 
     That is at ``at`` on ``clock``. ``changes``: a bulk has moved before, and only what has changed since follows. It
     may take ``timeout`` seconds. If it fails, the new side does not take over where the state is ``required``; else it
-    continues with its own.
+    continues with its own. ``new`` at ``address`` is the new side.
     """
 
     id: str
@@ -357,6 +376,8 @@ class StateTransfer(WireValue, frozen=True, kw_only=True):
     changes: bool = False
     required: bool = True
     timeout: Seconds = 2.0
+    new: str = ""
+    address: str = ""
 
 
 class PrepareStateCommand(Command[StateOffer], frozen=True, kw_only=True, tag="prepare_state"):
@@ -367,11 +388,19 @@ class PrepareStateCommand(Command[StateOffer], frozen=True, kw_only=True, tag="p
     bulk: bool = False
 
 
+class MuteCommand(Command[Done], frozen=True, kw_only=True, tag="mute"):
+    """Make no call for a slot or a message until state has moved to this component, or until it is to `answer`.
+
+    Its predecessor, which has no output to cut, makes them meanwhile.
+    """
+
+
 class CutOutCommand(Command[Done], frozen=True, kw_only=True, tag="cut_out"):
     """The old side: write up to ``at``, then close the gates.
 
     It writes again if the new side has not reported its first write within ``resume_after`` seconds after ``at``; where
-    messages drive the output, after the first input newer than ``at``. Both are on ``clock``.
+    messages drive the output, after the first input newer than ``at``. Both are on ``clock``. Without ``swaps``, only
+    ``state`` moves, and this side makes no call any more.
     """
 
     cut: str
@@ -411,6 +440,19 @@ class GateCommand(Command[Done], frozen=True, kw_only=True, tag="gate"):
     topic: str
     gate: GateState
     latch: bool = False
+
+
+class FenceCommand(Command[FencedOutputs], frozen=True, kw_only=True, tag="fence"):
+    """Let nothing more pass on these attachments (port, topic), whatever user code is doing; or ``lift`` that.
+
+    It is carried out at once, on the control thread, at any revision: other commands may be waiting for the data
+    thread. Refused where a message is just being published, and that does not end in time.
+    """
+
+    kind = "between"
+    attachments: list[tuple[str, str]]
+    lift: bool = False
+    timeout: Seconds = 0.3
 
 
 class AnswerCommand(Command[Done], frozen=True, kw_only=True, tag="answer"):
