@@ -91,7 +91,8 @@ def test_a_port_is_attached_once_it_is_matched_with_the_other_side(tmp_path: Pat
 
     async def body(b: Bench) -> None:
         await perform(b, Attach(IN, "/chatter"))
-        assert b.client.commands() == [AttachCommand(port="in", topic="/chatter", peers=2, timeout=ATTACH_TIMEOUT)]
+        attach = AttachCommand(port="in", topic="/chatter", peers=2, timeout=ATTACH_TIMEOUT, rate=5.0)
+        assert b.client.commands() == [attach]
         await perform(b, Attach(build.port("second.out"), "/chatter"))
         [attach] = b.client.of(AttachCommand, "second")
         assert attach.peers == 0, "an output waits for subscribers, and there is none"
