@@ -88,5 +88,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 if marker in _MODULES:
                     for warning in _ROS_WARNINGS:
                         item.add_marker(pytest.mark.filterwarnings(warning))
+                    if os.environ.get("MIDSTRIDE_RERUN_ROS"):
+                        item.add_marker(pytest.mark.flaky(reruns=1))
                 if reason := _unavailable(marker):
                     item.add_marker(pytest.mark.skip(reason=reason))

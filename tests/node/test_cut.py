@@ -10,6 +10,7 @@ import pytest
 from midstride.model.contract import QoS
 from midstride.node.cut import GRACE, IncomingCut, OutgoingCut, belongs_after, source_of
 from midstride.node.host import Host, MessageInfo
+from midstride.node.message_times import MessageTimes
 from midstride.node.ports import Output, OutputLink
 from midstride.node.trigger import InfoSet
 
@@ -83,7 +84,7 @@ class Wire:
 def link_of(owner: Owner, topic: str = "/chatter") -> tuple[OutputLink, list[str]]:
     output, wire = Output("out", String, QoS()), Wire()
     output.owner = owner
-    link = OutputLink(output, topic, cast(Any, wire))
+    link = OutputLink(output, topic, cast(Any, wire), MessageTimes(lambda: T))
     output.links = (link,)
     return link, wire.published
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Container, Coroutine
 from dataclasses import dataclass, field
 from dataclasses import replace as changed
 from pathlib import Path
@@ -271,6 +271,9 @@ class ScriptedBackend:
         if instance in self.fail_end:
             raise self.fail_end[instance]
         self.running.discard(instance)
+
+    async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
+        return []
 
     def disconnected(self, instance: str) -> None:
         self.disconnections.append(instance)

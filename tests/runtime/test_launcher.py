@@ -295,9 +295,8 @@ def test_the_graph_forgets_what_was_started_and_not_recorded(tmp_path: Path, mon
         assert token == TOKEN and "talker" in known
         return ["late"]
 
-    monkeypatch.setattr("midstride.runtime.launcher.end_orphans", ended)
-
     async def body(b: Bench) -> None:
+        monkeypatch.setattr(b.backend, "end_orphans", ended)
         assert await b.launcher.end_orphans({"talker"}) == ["late"]
         assert b.backend.ended == [("late", 0.0)]
 

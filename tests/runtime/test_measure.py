@@ -161,6 +161,17 @@ def test_a_late_message_is_not_taken_for_two_faults() -> None:
     assert (seen.missed, seen.duplicates) == (0, 0)
 
 
+@pytest.mark.parametrize("late", [(22,), (25, 21)], ids=["one", "two"])
+def test_a_last_message_late_by_more_than_a_period_is_not_taken_for_two_faults(late: tuple[int, ...]) -> None:
+    recorder = Recorder()
+    for slot in range(40):
+        recorder.write("old", slot, late=([0] * (40 - len(late)) + list(late))[slot] * MS)
+    for slot in range(40, 80):
+        recorder.write("new", slot)
+    seen = recorder.observe(35, 80, last=40)
+    assert (seen.missed, seen.lost, seen.duplicates) == (0, 0, 0)
+
+
 @pytest.mark.parametrize("phase", [0.1, 0.3, 0.5, 0.7, 0.74, 0.76, 0.9])
 def test_a_new_grid_of_another_phase_is_counted_evenly(phase: float) -> None:
     recorder = Recorder()

@@ -102,7 +102,7 @@ def test_the_specification_is_replaced(path: Path) -> None:
 def statements(store: StateStore, write: Callable[[], None]) -> list[str]:
     """What ``write`` writes, without the values."""
     found: list[str] = []
-    database = store._open()
+    database = store._open().connection
     database.set_trace_callback(found.append)
     write()
     database.set_trace_callback(None)
@@ -145,7 +145,7 @@ def test_a_specification_that_the_disk_refused_is_written_later(path: Path) -> N
     store = begun(path)
     target = SPECIFICATION.without_node("listener")
     with sqlite3.connect(path) as blocker:
-        store._open().execute("PRAGMA busy_timeout = 0")
+        store._open().connection.execute("PRAGMA busy_timeout = 0")
         blocker.execute("BEGIN IMMEDIATE")
         store.write_specification(target)
         assert store.unwritten is not None
@@ -275,6 +275,6 @@ def test_a_write_costs_a_row_whatever_the_size_of_the_system(path: Path) -> None
     for index in range(50):
         store.write_instance(changed(TALKER, name=f"talker_{index}"), HANDLE)
     assert store._database is not None
-    store._database.set_trace_callback(statements.append)
+    store._database.connection.set_trace_callback(statements.append)
     store.write_instance(changed(TALKER, name="talker_7"), HANDLE)
     assert [statement.split()[0] for statement in statements] == ["BEGIN", "INSERT", "COMMIT"]

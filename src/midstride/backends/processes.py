@@ -8,14 +8,14 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 from midstride.errors import StartFailed, Unreachable
 from midstride.runtime.backend import Handle, Launch
 from midstride.runtime.clock import Clock, SystemClock
-from midstride.runtime.process import Process, find, spawn
+from midstride.runtime.process import Process, end_orphans, find, spawn
 from midstride.runtime.reaper import Reaper
 from midstride.wire import environment as variables
 from midstride.wire.sockets import SocketFolder
@@ -135,6 +135,9 @@ class ProcessBackend(abc.ABC):
             await process.end(grace)
             self._forget(instance, process)
         await self._died(instance)
+
+    async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
+        return await end_orphans(token, known, grace)
 
     def _watch(self, instance: str, process: Process) -> None:
         self._processes[instance] = process

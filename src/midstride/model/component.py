@@ -243,6 +243,17 @@ class ComponentSpec:
         stated = (mode.guarantees.get(output) for mode in self.owner(output).modes)
         return next(((guarantee.type, guarantee.qos) for guarantee in stated if guarantee is not None), None)
 
+    def stated_rate(self, port: str, modes: Mapping[str, str]) -> float | None:
+        """The rate (Hz) that an input assumes, or that an output guarantees in the mode of its functionality.
+
+        ``modes``: the current mode of each functionality. None where no rate is stated.
+        """
+        contract: Contract = self.inputs.get(port, NOTHING)
+        if (owner := self.find_owner(port)) is not None:
+            current = (mode.guarantee(port) for mode in owner.modes if mode.name == modes.get(owner.name))
+            contract = next(current, NOTHING)
+        return contract.rate if isinstance(contract, Predicate) else None
+
     def ports(self) -> list[str]:
         """Every port, outputs first, in order of declaration."""
         return [*self.outputs, *self.input_order]

@@ -16,6 +16,7 @@ from typing import Final
 from midstride.errors import CommandRefused
 from midstride.node.declaration import DeclaredParts
 from midstride.node.host import Host
+from midstride.node.message_times import MessageTimes
 from midstride.node.mode_switch import DataExecutor, within
 from midstride.node.ports import Input, InputLink, Output, OutputLink
 from midstride.wire import commands
@@ -160,13 +161,14 @@ class Attachments:
     # -- data thread -------------------------------------------------------------------------------
 
     def _create(self, port: Output | Input, topic: str) -> OutputLink | InputLink:
+        times = MessageTimes(self.host.now)
         if isinstance(port, Input):
-            inlet = InputLink(port, topic)
+            inlet = InputLink(port, topic, times)
             receive = port.receiver(inlet, self.host)
             inlet.endpoint = self.host.create_subscription(topic, port.type, port.assumption.qos, receive)
             port.links = (*port.links, inlet)
             return inlet
-        link = OutputLink(port, topic, self.host.create_publisher(topic, port.type, port.qos))
+        link = OutputLink(port, topic, self.host.create_publisher(topic, port.type, port.qos), times)
         if port.last is not None and (port.latched or port.owner.driven == "none"):
             link.write_gated(port.last)  # a mode that writes once, on entry, may have written while unattached
         port.wrong_type = None

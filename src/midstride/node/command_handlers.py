@@ -27,7 +27,7 @@ from midstride.node.reflex import Reflex
 from midstride.node.state_hooks import StateHooks
 from midstride.wire import commands
 from midstride.wire.commands import Command
-from midstride.wire.state import ComponentState, LinkState, WireValue
+from midstride.wire.state import ComponentState, WireValue
 
 T = TypeVar("T")
 Handler = Callable[[Any], Awaitable[WireValue]]
@@ -181,12 +181,6 @@ class CommandHandlers:
 
     def state(self, instance: str, uuid: str, pid: int, waiting: str | None, imported: int) -> ComponentState:
         """The component's state, read without waiting for the data thread."""
-        ports = {
-            port.name: {
-                link.topic: LinkState(gate=link.gate, count=link.count, gated=link.gated) for link in port.links
-            }
-            for port in self.parts.ports.values()
-        }
         parameters = list(self.parts.parameters.values())
         return ComponentState(
             instance=instance,
@@ -194,7 +188,7 @@ class CommandHandlers:
             pid=pid,
             revision=self.revision.value,
             functionalities={runner.name: runner.state() for runner in self._runners},
-            ports=ports,
+            ports={name: port.states() for name, port in self.parts.ports.items()},
             parameters={each.name: each.value for each in parameters},
             stopping=self.parts.callbacks.stop_timeout + SHUTDOWN_SECONDS,
             waiting=waiting,

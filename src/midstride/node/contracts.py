@@ -46,6 +46,9 @@ class Guarantee:
     where: tuple[tuple[str, ValueSet], ...]
 
 
+NO_PROMISE: Final = Guarantee(None, ())
+
+
 def guarantee(rate: float | None = None, where: Where | None = None) -> Guarantee:
     """What a mode guarantees for an output: ``guarantees={out: guarantee(rate=20, where={"width": 640})}``.
 

@@ -12,7 +12,7 @@ from immutables import Map
 from midstride.errors import NodeError
 from midstride.model import component as model
 from midstride.model.contract import NOTHING, Predicate, explain, satisfies
-from midstride.node.contracts import Guarantee, type_name
+from midstride.node.contracts import type_name
 from midstride.node.functionality import Functionality
 from midstride.node.modes import DeclaredMode
 from midstride.node.parameters import Parameter
@@ -91,9 +91,8 @@ def _mode(mode: DeclaredMode) -> model.Mode:
     guarantees: dict[str, Predicate] = {}
     for port in mode.outputs:
         # A rate-driven mode guarantees its rate; a message-driven one guarantees only what is stated.
-        stated = mode.guarantees.get(port, Guarantee(None, ()))
-        rate = mode.rate if stated.rate is None else stated.rate
-        guarantees[port.name] = Predicate(type_name(port.type), rate, port.qos, stated.where)
+        promise = mode.promise(port)
+        guarantees[port.name] = Predicate(type_name(port.type), promise.rate, port.qos, promise.where)
     assumptions = tuple(
         model.InputAlternatives(tuple(port.name for port in alternatives)) for alternatives in mode.assumptions
     )

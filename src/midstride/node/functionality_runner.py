@@ -71,6 +71,7 @@ class FunctionalityRunner(OutputOwner):
         self._postponed: deque[Call] = deque(maxlen=self._depth)
         self.admission: Callable[[FunctionalityRunner, Call], Admission] | None = None
         self._held: deque[Call] = deque(maxlen=HELD)
+        self._promise()
 
     @property
     def mode(self) -> DeclaredMode:
@@ -128,6 +129,11 @@ class FunctionalityRunner(OutputOwner):
         self.failed = failed
         self.falling = None
         self.entered += 1
+        self._promise()
+
+    def _promise(self) -> None:
+        for port in self.outputs:
+            port.promise(self.mode.promise(port))
 
     def start_calls(self) -> None:
         """Start the current mode's calls; the first may come at once. Errors of the platform count as the mode's."""

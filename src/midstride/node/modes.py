@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from midstride.errors import NodeError
-from midstride.node.contracts import Guarantee, check_name, check_rate, check_seconds
+from midstride.node.contracts import NO_PROMISE, Guarantee, check_name, check_rate, check_seconds
 from midstride.node.ports import AnyOf, Driven, Input, Output
 
 Function: TypeAlias = Callable[..., Any]
@@ -54,6 +54,13 @@ class DeclaredMode:
     @property
     def period(self) -> float | None:
         return None if self.rate is None else 1.0 / self.rate
+
+    def promise(self, port: Output) -> Guarantee:
+        """What it guarantees for an output. Its rate is that of its calls, unless another one is stated."""
+        stated = self.guarantees.get(port, NO_PROMISE)
+        if port not in self.outputs or stated.rate is not None:
+            return stated
+        return Guarantee(self.rate, stated.where)
 
 
 def declare_mode(

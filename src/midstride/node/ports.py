@@ -13,9 +13,11 @@ from typing import Any, Final, Generic, Literal, Protocol, TypeAlias, TypeVar
 
 from midstride.errors import NodeError
 from midstride.model.contract import Predicate, QoS
-from midstride.node.contracts import type_name
+from midstride.node.contracts import Guarantee, type_name
+from midstride.node.field_checks import FieldChecks
 from midstride.node.host import Host, Publisher, Subscription
-from midstride.wire.state import GateState
+from midstride.node.message_times import MessageTimes, window_of
+from midstride.wire.state import GateState, LinkState, Measured
 
 # How many receipts an input keeps while it does not record: enough to look back 20 periods.
 REMEMBERED: Final = 64
@@ -77,13 +79,15 @@ class OutputLink:
     """One attachment of an output: a publisher behind a gate. Created closed.
 
     ``count`` is the number of published messages, as the middleware counts them; ``gated`` that of the others.
+    ``times`` has the writes of both.
     """
 
-    __slots__ = ("count", "cut", "endpoint", "gated", "last_gated", "open", "output", "publish", "topic")
+    __slots__ = ("count", "cut", "endpoint", "gated", "last_gated", "open", "output", "publish", "times", "topic")
 
-    def __init__(self, output: Output, topic: str, publisher: Publisher) -> None:
+    def __init__(self, output: Output, topic: str, publisher: Publisher, times: MessageTimes) -> None:
         self.output = output
         self.topic = topic
+        self.times = times
         self.endpoint = publisher
         self.publish = publisher.publish
         self.open = False
@@ -126,6 +130,10 @@ class OutputLink:
         self.output.remove(self)
 
     @property
+    def fields(self) -> FieldChecks:
+        return self.output.fields
+
+    @property
     def gate(self) -> GateState:
         if self.cut is not None:
             return self.cut.shows(self)
@@ -136,16 +144,18 @@ class OutputLink:
 
 
 class InputLink:
-    """One attachment of an input: a subscription without a gate, and the number of messages received on it."""
+    """One attachment of an input: a subscription without a gate, and the number and times of its messages."""
 
-    __slots__ = ("count", "endpoint", "input", "topic")
+    __slots__ = ("count", "endpoint", "fields", "input", "times", "topic")
     endpoint: Subscription
     gate: Final = None
     gated: Final = 0
 
-    def __init__(self, input: Input, topic: str) -> None:
+    def __init__(self, input: Input, topic: str, times: MessageTimes) -> None:
         self.input = input
         self.topic = topic
+        self.times = times
+        self.fields = FieldChecks(input.assumption.fields)
         self.count = 0
 
     def destroy(self) -> None:
@@ -159,6 +169,29 @@ class _Port(Generic[L]):
     """A port, with its attachments: one for each topic."""
 
     links: tuple[L, ...] = ()
+
+    #: The rate (Hz) that is declared for its messages now, None where none is.
+    rate: float | None = None
+
+    @property
+    def measured(self) -> dict[str, Measured]:
+        """By topic: rate, age and jitter of its messages, as measured on the component's ROS clock."""
+        window = window_of(self.rate)
+        return {link.topic: link.times.measured(window) for link in self.links}
+
+    def states(self) -> dict[str, LinkState]:
+        """By topic: the attachments as reported. Read without waiting for the data thread."""
+        window = window_of(self.rate)
+        return {
+            link.topic: LinkState(
+                gate=link.gate,
+                count=link.count,
+                gated=link.gated,
+                measured=link.times.measured(window),
+                fields=link.fields.samples(),
+            )
+            for link in self.links
+        }
 
     @property
     def attached(self) -> bool:
@@ -194,6 +227,15 @@ class Output(_Port[OutputLink]):
         self.latched = qos.effective().durability == "transient_local"
         self.last: Any = None
         self.wrong_type: str | None = None
+        self.fields = FieldChecks()
+
+    def promise(self, guaranteed: Guarantee) -> None:
+        """What the current mode guarantees, from now on; a rate that has changed is measured afresh."""
+        self.fields.require(guaranteed.where)
+        if guaranteed.rate != self.rate:
+            self.rate = guaranteed.rate
+            for link in self.links:
+                link.times.restart()
 
     def write(self, message: Any) -> None:
         """Publish ``message`` on every topic that the output is attached to.
@@ -209,12 +251,16 @@ class Output(_Port[OutputLink]):
             self.last = message
         if not links:
             self.unattached += 1
+        now = 0
         for link in links:
+            now = link.times.mark()
             if link.open:
                 link.publish(message)
                 link.count += 1
             else:
                 link.write_gated(message)
+        if links and self.fields.active:
+            self.fields.sample(message, now)
 
     @property
     def count(self) -> int:
@@ -256,14 +302,16 @@ class Input(_Port[InputLink]):
 
     def receiver(self, link: InputLink, host: Host) -> Callable[[Any, Any], None]:
         """The callback of one subscription. On the data path: it uses local variables and attributes only."""
-        now, steady = host.now, host.steady
-        self._now = now
+        mark, steady, fields = link.times.mark, host.steady, link.fields
+        self._now = host.now
 
         def receive(message: Any, info: Any) -> None:
             self.receipts.append((steady(), info))
             self.latest = message
-            self._received_at = now()
+            self._received_at = now = mark()
             link.count += 1
+            if fields.active:
+                fields.sample(message, now)
             for listener in self.listeners:
                 listener(message, info)
 

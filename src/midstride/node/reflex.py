@@ -69,18 +69,12 @@ class Watch:
             else:
                 shortfall.advance(seconds * port.rate, port.count)
         for output, shortfall in self.outputs.items():
-            rate = self.promised(output)
-            if rate is None or not any(link.lets_pass for link in output.links):
+            if output.rate is None or not any(link.lets_pass for link in output.links):
                 shortfall.restart(output.count)
             else:
-                shortfall.advance(seconds * rate, output.count)
+                shortfall.advance(seconds * output.rate, output.count)
         if self.probe is not None:
             self.probed += seconds
-
-    def promised(self, output: Output) -> float | None:
-        mode = self.runner.mode
-        stated = mode.guarantees.get(output)
-        return mode.rate if stated is None or stated.rate is None else stated.rate
 
     def tolerated(self, port: Input, speed: float) -> float:
         """For how many periods ``port`` may be silent; infinite where it has no rate."""
@@ -91,15 +85,15 @@ class Watch:
 
     def due(self, output: Output, speed: float) -> float:
         """For how many periods ``output`` may be silent; infinite where nothing is promised."""
-        rate, floor = self.promised(output), FLOOR if self.runner.calls else LONG_FLOOR
-        return float("inf") if rate is None else tolerated_periods(rate, None, floor * speed)
+        floor = FLOOR if self.runner.calls else LONG_FLOOR
+        return float("inf") if output.rate is None else tolerated_periods(output.rate, None, floor * speed)
 
     def shortest(self, speed: float) -> float | None:
         """The shortest silence that is tolerated (s of the steady clock); None where nothing is due."""
         if self.runner.index == self.runner.last:
             return None
         found = [self.tolerated(port, speed) / port.rate for port in self.inputs if port.rate is not None]
-        found += [self.due(output, speed) / rate for output in self.outputs if (rate := self.promised(output))]
+        found += [self.due(output, speed) / output.rate for output in self.outputs if output.rate is not None]
         return min(found) / speed if found else None
 
     # -- assumptions -------------------------------------------------------------------------------------
@@ -212,7 +206,7 @@ class Reflex:
                 return None
         elif watch.probed < 0.4 * FLOOR * speed:
             return None
-        rate, busy = watch.promised(output), self._busy_words(runner)
+        rate, busy = output.rate, self._busy_words(runner)
         assert rate is not None
         wrote, seconds = watch.outputs[output].words(rate)
         mode = f"mode {runner.mode.name} wrote {wrote} on output {output.name}"

@@ -7,7 +7,7 @@ are translated here: a back end raises ``BackendError`` and its kinds only.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -98,6 +98,13 @@ class Backend(Protocol):
         """Terminate a started component, and kill it after ``grace`` seconds. Returns once it has exited.
 
         What the graph still shows of it is ignored from then on, even if its process had exited before.
+        """
+
+    async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
+        """Terminate the system's processes whose instance is not ``known``; returns the names of those instances.
+
+        An earlier manager started them, but could not record them before it was killed; ``token`` identifies them.
+        After ``grace`` seconds each is killed. Raises BackendError.
         """
 
     def disconnected(self, instance: str) -> None:

@@ -23,7 +23,6 @@ from midstride.model.configuration import Instance
 from midstride.runtime.backend import Backend, Exited, Handle, Launch
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
-from midstride.runtime.process import end_orphans
 from midstride.runtime.registration import mismatches, unexpected_endpoints
 from midstride.runtime.timeouts import within
 from midstride.wire.commands import ReleaseCommand, WelcomeCommand
@@ -270,7 +269,7 @@ class Launcher:
 
     async def end_orphans(self, known: Container[str]) -> list[str]:
         """Terminate the system's processes whose instance is not ``known``. Raises BackendError."""
-        ended = await end_orphans(self._client.token, known, STOP_GRACE)
+        ended = await self._backend.end_orphans(self._client.token, known, STOP_GRACE)
         for name in ended:
             await self._backend.end(name, 0.0)  # the graph may still show it, and its name may be used again
         return ended

@@ -33,6 +33,7 @@ from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.backend import Backend
 from midstride.runtime.change_session import ChangeSession
 from midstride.runtime.component_client import ComponentClient, ComponentEvent
+from midstride.runtime.disk import DISK, Disk
 from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
@@ -74,6 +75,7 @@ class Manager:
         verifier: Verifier | None = None,
         options: SystemOptions = NO_OPTIONS,
         file: Path | None = None,
+        disk: Disk = DISK,
     ) -> None:
         """``file`` is the one that ``specification`` was read from, and ``directory`` where programs are started."""
         self.system = RunningSystem(specification, Configuration(context=specification.context))
@@ -85,7 +87,7 @@ class Manager:
         self._current: str | None = None  # the command in progress
         self._waiting = 0  # how many commands wait for it
         self._since = 0.0  # when it started (steady s)
-        self._store = StateStore(workspace.state, lambda words: self.events.add("note", words))
+        self._store = StateStore(workspace.state, lambda words: self.events.add("note", words), disk)
         self._client = ComponentClient(backend.transport, backend.clock, secrets.token_hex(16))
         self._options = options
         self._launcher = Launcher(backend, self._client, directory, options)

@@ -24,7 +24,7 @@ WINDOW_PERIODS: Final = 20
 _EARLY: Final = 0.25
 # A publisher that answers less than this fraction of its inputs does not write one answer to each.
 _ANSWERED: Final = 0.8
-# An answer may be written after this many later inputs.
+# A message may be written after this many later slots have begun, an answer after this many later inputs.
 _LATE: Final = 5
 
 _Publishers = dict[str, list[Receipt]]  # the rows of each
@@ -160,9 +160,11 @@ def _slots(rows: Sequence[Receipt], by_side: _Publishers, period: float, ended: 
     names = list(by_side)
     old = min(names, key=lambda name: by_side[name][0].received)
     origin = _phase([_source(row) for row in by_side[old]], step)
+    slots = {name: list(_assign([_source(row) for row in by_side[name]], origin, step)) for name in names}
+    _shift_late(slots)
     taken: dict[int, set[str]] = {}
-    for name in names:
-        for slot in _assign([_source(row) for row in by_side[name]], origin, step):
+    for name, own in slots.items():
+        for slot in own:
             taken.setdefault(slot, set()).add(name)
     # The end of the window on the source's clock, estimated from the fastest transmission.
     offset = min(row.received - _source(row) for row in rows)
@@ -226,7 +228,7 @@ def _answers(by_side: _Publishers, inputs: Sequence[int]) -> tuple[int, int] | N
                 break  # answers to inputs before the first known one
             own.append(following)
         own.reverse()
-    _shift_late_answers(answers)
+    _shift_late(answers)
     answered = Counter(slot for own in answers.values() for slot in own)
     if not answered or len(answered) < _ANSWERED * len(slots):
         return None
@@ -234,13 +236,13 @@ def _answers(by_side: _Publishers, inputs: Sequence[int]) -> tuple[int, int] | N
     return missed, sum(1 for count in answered.values() if count > 1)
 
 
-def _shift_late_answers(answers: dict[str, list[int]]) -> None:
-    """Assign late last answers of the old publisher to the inputs before.
+def _shift_late(written: dict[str, list[int]]) -> None:
+    """Assign late last messages of the old publisher to the slots (or inputs) before.
 
-    By time alone, an answer written after the next input counts as a duplicate of the new publisher's answer to that
-    one, and the input that it belongs to as missed.
+    By time alone, one written after the next slot began counts as a duplicate of the new publisher's message in that
+    slot, and the slot that it belongs to as missed.
     """
-    sides = sorted((own for own in answers.values() if own), key=lambda own: own[0])
+    sides = sorted((own for own in written.values() if own), key=lambda own: own[0])
     if len(sides) < 2:
         return
     old, new = sides[0], {slot for own in sides[1:] for slot in own}

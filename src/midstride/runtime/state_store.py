@@ -7,10 +7,9 @@ on the size of the system.
 
 from __future__ import annotations
 
-import os
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -25,6 +24,7 @@ from midstride.errors import ManagerError, MidstrideError
 from midstride.model.configuration import Instance
 from midstride.model.specification import Specification
 from midstride.runtime.backend import Handle
+from midstride.runtime.disk import DISK, Database, Disk, Statement
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.wire.folders import COMPONENTS
 
@@ -41,8 +41,8 @@ CREATE TABLE IF NOT EXISTS instances (name TEXT PRIMARY KEY, form TEXT NOT NULL,
 _REST: Final = "rest"
 # Before the name of a role, for its parameter values that were set at run time.
 _VALUES: Final = "values of "
-# SQL statements with their values, by what they write.
-_Statements: TypeAlias = dict[str, tuple[str, tuple[str | None, ...]]]
+# Statements by what they write.
+_Statements: TypeAlias = dict[str, Statement]
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,11 +75,12 @@ class StateStore:
     A failed write does not interrupt a change: ``unwritten`` says why it failed until a later write succeeds.
     """
 
-    def __init__(self, path: Path, warn: Callable[[str], object] = lambda _: None) -> None:
+    def __init__(self, path: Path, warn: Callable[[str], object] = lambda _: None, disk: Disk = DISK) -> None:
         self.path = path
         self.unwritten: str | None = None
         self._warn = warn
-        self._database: sqlite3.Connection | None = None
+        self._disk = disk
+        self._database: Database | None = None
         self._specification = Specification("")  # as last written
         self._pending: _Statements = {}  # writes that failed
 
@@ -87,16 +88,16 @@ class StateStore:
 
     def load(self) -> SavedState | None:
         """The state that an earlier manager saved, or None. Raises ManagerError if it cannot be read."""
-        if not self.path.exists():
-            return None
         try:
-            with sqlite3.connect(f"file:{self.path}?mode=rw", uri=True) as database:
-                system = dict(database.execute("SELECT key, CAST(value AS TEXT) FROM system"))
+            database = self._disk.read_only(self.path)
+            if database is None:
+                return None
+            with closing(database):
+                system = dict(database.read("SELECT key, CAST(value AS TEXT) FROM system"))
                 if system.get("version") != str(VERSION):
                     raise self._unreadable("another version of Midstride wrote it")
-                parts = database.execute("SELECT section, name, form FROM specification").fetchall()
-                rows = database.execute("SELECT form, handle FROM instances ORDER BY name").fetchall()
-            database.close()
+                parts = database.read("SELECT section, name, form FROM specification")
+                rows = database.read("SELECT form, handle FROM instances ORDER BY name")
             return SavedState(
                 system["backend"],
                 system["token"],
@@ -197,14 +198,12 @@ class StateStore:
     def forget(self) -> None:
         """Delete the database: the system is down, or was never up."""
         self.close()
-        for suffix in ("", "-wal", "-shm"):
-            self.path.with_name(self.path.name + suffix).unlink(missing_ok=True)
+        self._disk.remove(self.path)
 
     def close(self) -> None:
         database, self._database = self._database, None
         if database is not None:
-            with suppress(sqlite3.Error):
-                database.close()
+            database.close()
 
     def _put(self, *pairs: str) -> None:
         rows = zip(pairs[::2], pairs[1::2], strict=True)
@@ -213,10 +212,7 @@ class StateStore:
     def _write(self, statements: _Statements) -> None:
         self._pending.update(statements)
         try:
-            database = self._open()
-            with database:
-                for statement, values in self._pending.values():
-                    database.execute(statement, values)
+            self._open().write(self._pending.values())
         except (sqlite3.Error, OSError) as error:
             why = f"cannot write {self.path}: {error}"
             if self.unwritten is None:
@@ -226,14 +222,9 @@ class StateStore:
         self._pending.clear()
         self.unwritten = None
 
-    def _open(self) -> sqlite3.Connection:
+    def _open(self) -> Database:
         if self._database is None:
-            os.close(os.open(self.path, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600))  # it holds the system's token
-            database = sqlite3.connect(self.path, check_same_thread=False)
-            database.execute("PRAGMA journal_mode = WAL")
-            database.execute("PRAGMA synchronous = FULL")
-            database.executescript(_SCHEMA)
-            self._database = database
+            self._database = self._disk.open(self.path, _SCHEMA)  # for its user alone: it holds the system's token
         return self._database
 
 

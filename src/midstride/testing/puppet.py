@@ -4,7 +4,7 @@ It runs any component of the model on any back end. The description is JSON::
 
     {"component": <the component's document, its name in it>,
      "modes": {"talk.normal": {"rate": 50, "sleep": 0.5, "pause": 0.5, "raise": "words", "at_call": 3,
-                               "silent": true, "driven": "message", "sync": 0.05}},
+                               "silent": true, "every": 5, "driven": "message", "sync": 0.05}},
      "refuse": {"speed": [13]}, "on_stop": {"write": "bye", "sleep": 1, "timeout": 2},
      "at_import": {"sleep": 1, "raise": "words", "exit": 3}, "keeps_state": true,
      "latest": ["in"], "wrong_type": "out", "endless": true}
@@ -12,8 +12,8 @@ It runs any component of the model on any back end. The description is JSON::
 Everything but ``component`` is optional. A mode that guarantees a rate is called at the highest rate that it
 guarantees; one that only assumes inputs, for every message; one that does neither, once. A call writes one message to
 each output that its mode guarantees: the text of the message it answers, or else "instance mode n". ``sleep`` blocks
-and ``pause`` awaits before the write; with ``at_call``, these and ``raise`` apply to that call only. The exported state
-lists what was received, called and imported.
+and ``pause`` awaits before the write; with ``at_call``, these and ``raise`` apply to that call only. With ``every``,
+not each call writes, but every fifth, say. The exported state lists what was received, called and imported.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ class Puppet:
         def finish(words: str, applies: dict[str, Any]) -> None:
             if "raise" in applies:
                 raise RuntimeError(applies["raise"])
-            if not behaviour.get("silent"):
+            if not behaviour.get("silent") and self._calls[key] % behaviour.get("every", 1) == 0:
                 for output in outputs:
                     self._write(output, words)
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 
 import msgspec
 
 GateState: TypeAlias = Literal["open", "closed"]
+
+# By how much a measured rate may be below the declared one: the tolerance of ROS's own diagnostic_updater.
+RATE_TOLERANCE: Final = 0.1
 
 
 class WireValue(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -29,12 +32,53 @@ class FunctionalityState(WireValue, frozen=True, kw_only=True):
     busy: float | None = None
 
 
+class Measured(WireValue, frozen=True, kw_only=True):
+    """What was measured of the messages of one attachment, on the node's ROS clock, in the last ``window`` seconds.
+
+    ``covered`` seconds of the window are measured: less than all of it soon after the attachment. ``rate`` (Hz) is then
+    None before the second message; it is 0 once the window has none. ``age``: seconds since the last message, None
+    before the first. ``jitter`` is the standard deviation of the times between messages, ``longest`` the longest of
+    them, that since the last message included (s); None where no two are known.
+    """
+
+    window: float
+    covered: float = 0.0
+    rate: float | None = None
+    age: float | None = None
+    jitter: float | None = None
+    longest: float | None = None
+
+    def meets(self, rate: float) -> bool | None:
+        """Whether a declared rate (Hz) is kept, to within ``RATE_TOLERANCE``; None until a whole window is measured."""
+        if self.covered < self.window:
+            return None
+        return (self.rate or 0.0) >= (1 - RATE_TOLERANCE) * rate
+
+
+class FieldSamples(WireValue, frozen=True, kw_only=True):
+    """Of ``checked`` messages, ``violations`` did not meet a constraint on a field: ``run`` since the last that met it.
+
+    ``last``: the field's value in the last one that did not meet it, None where there is none.
+    """
+
+    constraint: str
+    checked: int
+    violations: int
+    run: int
+    last: bool | int | float | str | None = None
+
+
 class LinkState(WireValue, frozen=True, kw_only=True):
-    """One attachment. ``count`` messages have passed, ``gated`` have not; an input has no gate."""
+    """One attachment. ``count`` messages have passed, ``gated`` have not; an input has no gate.
+
+    ``fields``: samples of the fields that the contract in force constrains.
+    """
 
     gate: GateState | None
     count: int
     gated: int = 0
+    measured: Measured | None = None
+    fields: dict[str, FieldSamples] = msgspec.field(default_factory=dict)
 
 
 class ComponentState(WireValue, frozen=True, kw_only=True):

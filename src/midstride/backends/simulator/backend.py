@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Container, Coroutine
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -62,7 +62,7 @@ class Simulator:
         self.faults = Faults(self.processes, self.network)
         self.control = SimulatedControl(self.time, latency, self.faults)
         self.transport: Transport = self.control
-        self._starting = starting
+        self.starting = starting  # how long the processes take that are started from now on (s)
         self._logs = logs
         self._on_exit: Callable[[Exited], None] = lambda exited: None
         self._patches = ExitStack()
@@ -110,9 +110,9 @@ class Simulator:
         self._pids += 1
         name = naming.full(launch.instance, launch.namespace).strip("/").replace("/", ".")
         log = None if self._logs is None else self._logs / f"{name}.log"
-        process = SimulatedProcess(launch, self._pids, self.time, self._host, self._exited, log)
+        process = self._process(launch, log)
         self.processes[launch.instance] = process
-        self.time.loop.call_later(self._starting, process.resume)
+        self.time.loop.call_later(self.starting, process.resume)
         # No pid: it is not a process of this machine, and must not be sent a signal.
         return Handle(launch.instance, None, self.time.steady(), None if log is None else str(log))
 
@@ -130,6 +130,13 @@ class Simulator:
             await self.time.sleep(min(0.01, grace))
         process.kill()
 
+    async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
+        started = {name for name, process in self.processes.items() if process.token == token}
+        orphans = sorted(name for name in started if name not in known)
+        for name in orphans:
+            await self.end(name, grace)
+        return orphans
+
     def disconnected(self, instance: str) -> None:
         pass  # it has left the simulated graph
 
@@ -146,6 +153,9 @@ class Simulator:
 
     async def lingering_readers(self, topic: str) -> int:
         return 0  # a process that has ended is not in the simulated graph
+
+    def _process(self, launch: Launch, log: Path | None) -> SimulatedProcess:
+        return SimulatedProcess(launch, self._pids, self.time, self._host, self._exited, log)
 
     def _host(self, process: SimulatedProcess, name: str) -> Host:
         return SimulatedHost(process, name, self.network, self.control.of(process))

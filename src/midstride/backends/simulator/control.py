@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 
 from midstride.backends.simulator.clock import SimulatedClock
-from midstride.backends.simulator.faults import Faults
+from midstride.backends.simulator.faults import FailingCall, Faults
 from midstride.backends.simulator.process import SimulatedProcess
 from midstride.errors import NodeError, Unreachable
 from midstride.wire import frames
@@ -29,7 +29,7 @@ class ClientEnd:
         self._control = control
         self._instance = instance
         self._end = end
-        self._lost_replies: set[str] = set()
+        self._faulty_replies: dict[str, FailingCall] = {}  # by the id of the request
         self.close = end.close
 
     async def send(self, frame: bytes) -> None:
@@ -38,7 +38,8 @@ class ClientEnd:
             name = frames.command_name(request)
             if self._control.before_request is not None:
                 await self._control.before_request(self._instance, name)
-            match self._control.faults.take_fault(self._instance, name):
+            fault = self._control.faults.take_fault(self._instance, name)
+            match None if fault is None else fault.how:
                 case "unreachable":
                     raise Unreachable("an injected fault makes it unreachable")
                 case "refused":
@@ -47,8 +48,14 @@ class ClientEnd:
                     return
                 case "lost_request":
                     return
-                case "lost_reply":
-                    self._lost_replies.add(request.id)
+                case "delayed_request":
+                    assert fault is not None
+                    await asyncio.sleep(fault.seconds)
+                case "repeated_request":
+                    await self._end.send(frame)
+                case "lost_reply" | "delayed_reply" | "repeated_reply":
+                    assert fault is not None
+                    self._faulty_replies[request.id] = fault
         await self._end.send(frame)
 
     async def receive(self) -> bytes | None:
@@ -58,9 +65,12 @@ class ClientEnd:
                     if (rewritten := self._control.rewrite_state(state)) is None:
                         continue
                     line = frames.encode(frames.StateChanged(state=rewritten))
-                case Reply(id=id) if id in self._lost_replies:
-                    self._lost_replies.discard(id)
-                    continue
+                case Reply(id=id) if id in self._faulty_replies:
+                    fault = self._faulty_replies.pop(id)
+                    if fault.how != "lost_reply":
+                        asyncio.get_running_loop().call_later(fault.seconds, self._end.arrive, line)
+                    if fault.how != "repeated_reply":
+                        continue
             return line
         return None
 

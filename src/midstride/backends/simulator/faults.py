@@ -10,18 +10,31 @@ from midstride.backends.simulator.network import Network
 from midstride.backends.simulator.process import SimulatedProcess
 from midstride.errors import BackendError
 
-RequestFault: TypeAlias = Literal["lost_request", "lost_reply", "refused", "unreachable"]
+RequestFault: TypeAlias = Literal[
+    "lost_request",
+    "lost_reply",
+    "refused",
+    "unreachable",
+    "delayed_request",
+    "delayed_reply",
+    "repeated_request",
+    "repeated_reply",
+]
 
 
 @dataclass(slots=True)
 class FailingCall:
-    """The next ``times`` calls of ``op`` (any, where None) at ``instance`` fail in this way, after ``after`` more."""
+    """The next ``times`` calls of ``op`` (any, where None) at ``instance`` fail in this way, after ``after`` more.
+
+    ``seconds``: by how much a request or a reply is delayed. Those after it overtake it.
+    """
 
     instance: str
     op: str | None
     how: RequestFault
     times: int
     after: int
+    seconds: float
 
 
 class Faults:
@@ -40,6 +53,10 @@ class Faults:
         """As SIGSTOP, and SIGCONT after ``seconds``: nothing in it runs, and nothing sent to it is lost."""
         self._process(instance).freeze(seconds)
 
+    def hang(self, instance: str, seconds: float) -> None:
+        """As a call of its code that returns after ``seconds``; its control thread answers meanwhile."""
+        self._process(instance).hang(seconds)
+
     def stop_discovery(self, instance: str) -> None:
         """As a deadlock of its middleware: its inputs receive nothing from publishers created from now on.
 
@@ -56,12 +73,22 @@ class Faults:
         self._network.topic(topic).delay = seconds
 
     def fail_next(
-        self, instance: str, op: str | None = None, how: RequestFault = "lost_request", times: int = 1, after: int = 0
+        self,
+        instance: str,
+        op: str | None = None,
+        how: RequestFault = "lost_request",
+        times: int = 1,
+        after: int = 0,
+        seconds: float = 0.0,
     ) -> None:
         """The next call of ``op`` at ``instance`` fails; ``lost_reply``: it is carried out, but its reply is lost."""
-        self._failing.append(FailingCall(instance, op, how, times, after))
+        self._failing.append(FailingCall(instance, op, how, times, after, seconds))
 
-    def take_fault(self, instance: str, op: str) -> RequestFault | None:
+    def clear(self) -> None:
+        """No request fails any more."""
+        self._failing.clear()
+
+    def take_fault(self, instance: str, op: str) -> FailingCall | None:
         """What is to happen to this request; counts it."""
         for fault in self._failing:
             if fault.instance == instance and fault.op in (None, op):
@@ -71,7 +98,7 @@ class Faults:
                 fault.times -= 1
                 if not fault.times:
                     self._failing.remove(fault)
-                return fault.how
+                return fault
         return None
 
     def _process(self, instance: str) -> SimulatedProcess:

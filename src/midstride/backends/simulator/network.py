@@ -108,6 +108,8 @@ class Network:
         self.latency = latency
         self.discovery = discovery
         self.topics: dict[str, SimulatedTopic] = {}
+        # Called with each writer that has published a message.
+        self.on_publish: Callable[[SimulatedWriter], None] = lambda writer: None
         self._jitter = jitter
         self._random = random.Random(seed)
         self._identities = 0
@@ -169,6 +171,7 @@ class Network:
         if writer not in topic.writers:
             return  # destroyed, or its process is gone
         writer.number += 1
+        self.on_publish(writer)
         info = (self.clock.system_now(), writer.number, writer.identity)
         if writer.qos.is_transient_local:
             writer.history.append((copy.deepcopy(message), info))

@@ -36,6 +36,7 @@ class SimulatedProcess:
         log: Path | None = None,
     ) -> None:
         self.instance = launch.instance
+        self.token = launch.token
         self.pid = pid
         self.clock = clock
         self.log = ProcessOutput(log)
@@ -50,11 +51,13 @@ class SimulatedProcess:
         # Its full name in the graph: ``front/camera`` is node ``camera`` in ``/front``, whatever the namespace.
         self.node = naming.full(launch.instance, launch.namespace)
         self._on_exit = on_exit
-        self._program = SimulatedProgram(launch, self.log)
+        self._program = self._new_program(launch)
         self._queue: deque[Callable[[], None]] = deque()
         self._scheduled = False
         # Until when it is frozen (steady s); in the past where it is not.
         self.thawed_at = 0.0
+        # Until when its code does not return from a call (steady s); its control thread answers meanwhile.
+        self._returns_at = 0.0
         self._asleep = False
         context = contextvars.copy_context()
         own = process_context.ProcessContext(
@@ -71,7 +74,13 @@ class SimulatedProcess:
             started=time.time_ns(),
         )
         context.run(process_context.current.set, own)
-        self._thread = CooperativeThread(launch.instance, self._program.run, context)
+        self._thread = self._new_thread(context)
+
+    def _new_program(self, launch: Launch) -> SimulatedProgram:
+        return SimulatedProgram(launch, self.log)
+
+    def _new_thread(self, context: contextvars.Context) -> CooperativeThread:
+        return CooperativeThread(self.instance, self._program.run, context)
 
     def resume(self, work: Callable[[], None] | None = None) -> None:
         """Let the thread run, and handle what it yields for."""
@@ -101,14 +110,14 @@ class SimulatedProcess:
     def _schedule(self) -> None:
         if self._queue and not self._scheduled and not self.dead:
             self._scheduled = True
-            if self.thawed_at > self.clock.steady():
-                self.clock.loop.call_at(self._thawed_on_loop(), self._work)
+            if (left := max(self.thawed_at, self._returns_at) - self.clock.steady()) > 0:
+                self.clock.loop.call_later(left, self._work)
             else:
                 self.clock.loop.call_soon(self._work)
 
     def _work(self) -> None:
         self._scheduled = False
-        if self.thawed_at > self.clock.steady():
+        if max(self.thawed_at, self._returns_at) > self.clock.steady():
             self._schedule()
         elif self._queue and not self._asleep and not self.dead:
             self.resume(self._queue.popleft())
@@ -149,6 +158,14 @@ class SimulatedProcess:
     def freeze(self, seconds: float) -> None:
         """As SIGSTOP, and SIGCONT after ``seconds``."""
         self.thawed_at = max(self.thawed_at, self.clock.steady() + seconds)
+
+    def hang(self, seconds: float) -> None:
+        """As a call of its code that returns after ``seconds``."""
+        self._returns_at = max(self._returns_at, self.clock.steady() + seconds)
+
+    def thaw(self) -> None:
+        """End :meth:`freeze` and :meth:`hang`."""
+        self.thawed_at = self._returns_at = 0.0
 
     def _thawed_on_loop(self) -> float:
         return self.clock.loop.time() + max(0.0, self.thawed_at - self.clock.steady())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from typing import Any
 
 from midstride.testing.conformance import puppets
 from midstride.testing.conformance.lab import Lab, assert_unbroken, check
@@ -64,6 +65,27 @@ async def counts_behind_a_closed_gate(lab: Lab) -> None:
     words = await lab.received("sink")
     await lab.sleep(0.2)
     assert await lab.received("sink") == words
+
+
+@check
+async def measures_what_passes(lab: Lab) -> None:
+    """Both ends report the rate of the messages on their own clock, and how old the last one is."""
+    await lab.start("sink", puppets.sink())
+    await lab.start("talker", puppets.talker(rate=20))
+    await lab.attach("sink", "in", "/chatter")
+    await lab.attach("talker", "out", "/chatter", peers=1)
+    await lab.mode("talker", "talk", "normal")
+
+    async def measured() -> list[dict[str, Any]]:
+        ends = (("talker", "out"), ("sink", "in"))
+        return [(await lab.port(*end, "/chatter"))["measured"] for end in ends]
+
+    def about_20(ends: list[dict[str, Any]]) -> bool:
+        return all(end["rate"] is not None and 10 < end["rate"] < 25 and end["age"] < 1 for end in ends)
+
+    await lab.eventually("both ends measure about 20 Hz", measured, about_20)
+    await lab.mode("talker", "talk", "degraded")
+    await lab.eventually("the last message ages", measured, lambda ends: ends[1]["age"] > 0.3)
 
 
 @check

@@ -1,0 +1,92 @@
+"""What a manager leaves on disk for the next one: SQLite databases, which it writes one transaction at a time.
+
+Every durable write of a manager goes through :meth:`Database.write`. So a test or a simulation that gives the manager
+another :class:`Disk` can make a write fail, lose it, or cut it off.
+"""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from threading import Lock
+from typing import Any, Final, TypeAlias
+
+from midstride.errors import ManagerError
+
+# A statement in SQL, and its values.
+Statement: TypeAlias = tuple[str, Sequence[str | float | None]]
+
+_FILES: Final = ("", "-wal", "-shm")
+
+
+class Database:
+    """An open database, usable from any thread. Each method raises sqlite3.Error or OSError."""
+
+    def __init__(self, connection: sqlite3.Connection) -> None:
+        self.connection = connection
+        self._lock = Lock()
+
+    def write(self, statements: Iterable[Statement], only_if: Statement | None = None) -> None:
+        """Carry out all of ``statements`` or none; they are durable when the call returns.
+
+        Raises ManagerError, and writes nothing, unless the query ``only_if`` finds a row.
+        """
+        with self._lock, self.connection:
+            if only_if is not None:
+                self.connection.execute("BEGIN IMMEDIATE")
+                if self.connection.execute(*only_if).fetchone() is None:
+                    raise ManagerError("another manager of this system has taken over")
+            for statement, values in statements:
+                self.connection.execute(statement, values)
+
+    def read(self, query: str, *values: str | float | None) -> list[tuple[Any, ...]]:
+        """The rows that ``query`` finds."""
+        with self._lock:
+            return self.connection.execute(query, values).fetchall()
+
+    def close(self) -> None:
+        with self._lock, suppress(sqlite3.Error):
+            self.connection.close()
+
+
+class Disk:
+    """The databases in files; a missing file is created for its user alone."""
+
+    def open(self, path: Path, schema: str) -> Database:
+        """Open the database in ``path``, after the statements of ``schema``. Raises sqlite3.Error or OSError."""
+        os.close(os.open(path, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600))
+        connection = sqlite3.connect(path, check_same_thread=False)
+        try:
+            connection.execute("PRAGMA journal_mode = WAL")
+            connection.execute("PRAGMA synchronous = FULL")
+            connection.executescript(schema)
+        except BaseException:
+            connection.close()
+            raise
+        return Database(connection)
+
+    def read_only(self, path: Path) -> Database | None:
+        """The database in ``path`` as it is, or None if there is no such file. Raises sqlite3.Error."""
+        if not path.exists():
+            return None
+        # Not SQLite's own read-only mode: what a killed manager wrote last must be taken from the write-ahead log.
+        return Database(sqlite3.connect(f"file:{path}?mode=rw", uri=True))
+
+    def remove(self, path: Path) -> None:
+        for suffix in _FILES:
+            path.with_name(path.name + suffix).unlink(missing_ok=True)
+
+    def set_aside(self, path: Path) -> Path:
+        """Keep a damaged database under another name, instead of an earlier one; returns that name."""
+        aside = path.with_name(f"{path.stem}.damaged{path.suffix}")
+        self.remove(aside)
+        for suffix in _FILES:
+            with suppress(FileNotFoundError):
+                path.with_name(path.name + suffix).rename(aside.with_name(aside.name + suffix))
+        return aside
+
+
+DISK: Final = Disk()
