@@ -28,6 +28,8 @@ _STYLES: Final = {
     "silence": "red",
     "degraded": "yellow",
     "rollback": "yellow",
+    "respawn": "yellow",
+    "respawn_ended": "red",
 }
 
 
@@ -320,8 +322,11 @@ def _problems(document: Document) -> Iterable[Text]:
     problems = [*document["violations"], *(_silence(fault) for fault in document["silences"])]
     for crash in document.get("crashed") or ():
         status = "" if crash["status"] is None else f" (status {crash['status']})"
-        remedy = f"; {crash['remedy']}" if crash.get("remedy") else ""
-        problems.append(f"{crash['name']} exited unexpectedly{status}{remedy}")
+        respawn = crash.get("respawn")
+        next_ = [respawn["words"]] if respawn else []
+        if crash.get("remedy") and not (respawn and respawn["restarting"]):
+            next_.append(crash["remedy"])
+        problems.append("; ".join([f"{crash['name']} exited unexpectedly{status}", *next_]))
     if document.get("unwritten"):
         problems.append(document["unwritten"])
     return [Text(problem, style="red") for problem in problems]

@@ -40,7 +40,8 @@ class Reconciler:
 
     While a command is in progress (``busy``), the command reconciles at its start and its end; otherwise the reconciler
     does so in the background, holding ``lock``. ``executor`` makes the executor that degrades functionalities.
-    ``degraded`` are those that degraded unexpectedly since the last change began.
+    ``degraded`` are those that degraded unexpectedly since the last change began. ``on_reconciled`` is called when the
+    model is up to date, with no command in progress.
     """
 
     system: RunningSystem
@@ -54,6 +55,7 @@ class Reconciler:
     busy: Callable[[], bool]
     degraded: set[FunctionalityRef] = field(default_factory=set)
     pending: dict[FunctionalityRef, MidstrideError | None] = field(default_factory=dict)  # could not be degraded yet
+    on_reconciled: Callable[[], None] = lambda: None
     _why_pending: str = _LOST_BEFORE
     _unanswered: set[str] = field(default_factory=set)  # instances of these that did not answer
     _reconciling: asyncio.Lock = field(default_factory=asyncio.Lock)
@@ -114,6 +116,7 @@ class Reconciler:
             # Something happened after that, or the command failed.
             if self.system.crashed or own_degradations(self.system.configuration, self.client, ()):
                 self._start_reconciling()
+            self.on_reconciled()
 
     def _reconcile_soon(self) -> None:
         if not self.busy():
@@ -128,6 +131,7 @@ class Reconciler:
         async with self.lock():
             try:
                 await self.reconcile()
+                self.on_reconciled()
             except Exception as error:  # nothing awaits this task, so errors are logged here
                 log.exception("reconciling failed")
                 self.events.add("note", f"reconciling failed: internal error: {error!r}")

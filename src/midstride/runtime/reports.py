@@ -176,6 +176,17 @@ class ComponentStatus(Report, frozen=True, kw_only=True):
     log_file: str | None = None
 
 
+class RespawnStatus(Report, frozen=True, kw_only=True):
+    """What the restart policy of a crashed node comes to: how many of its restarts are used up, and what is next."""
+
+    restarting: Annotated[bool, Meta(description="false: its restarts are used up")]
+    seconds: Annotated[float | None, Meta(description="until the next restart; null: it has begun, or there is none")]
+    restarts: int
+    max_retries: int
+    window: Annotated[float, Meta(description="the time in which restarts count, in seconds")]
+    words: str
+
+
 class CrashedInstance(Report, frozen=True):
     """An instance that exited unexpectedly; `status` is negative for a signal, null where it is not known."""
 
@@ -183,6 +194,7 @@ class CrashedInstance(Report, frozen=True):
     status: int | None
     log: str
     remedy: Annotated[str | None, Meta(description="what to do, in words")] = None
+    respawn: Annotated[RespawnStatus | None, Meta(description="null: the node has no restart policy")] = None
 
 
 class TopicStatus(Report, frozen=True):

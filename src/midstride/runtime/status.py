@@ -12,6 +12,7 @@ from midstride.runtime import reports
 from midstride.runtime.backend import Backend
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.launcher import Launcher
+from midstride.runtime.respawn import Respawner
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.silence import SilenceMonitor
 from midstride.wire.state import ComponentState, FunctionalityState, GateState
@@ -27,6 +28,7 @@ def status(
     running: reports.RunningCommand | None,
     unwritten: str | None,
     file: str | None,
+    respawner: Respawner,
 ) -> reports.Status:
     """The answer to ``midstride status``."""
     configuration, evaluator = system.configuration, Evaluator(system.configuration)
@@ -42,7 +44,13 @@ def status(
         violations=[str(violation) for violation in found],
         components=components,
         crashed=[
-            reports.CrashedInstance(name, exited.status, exited.log_tail, _remedy(system, name))
+            reports.CrashedInstance(
+                name,
+                exited.status,
+                exited.log_tail,
+                _remedy(system, name),
+                respawner.status(system.role_of_missing(name)),
+            )
             for name, exited in sorted({**system.missing, **system.crashed}.items())
             if name not in configuration.instances
         ],
