@@ -147,6 +147,8 @@ def test_nothing_is_offered_where_nothing_runs(complete: Complete, line: str) ->
         ("replace --system other talker New", []),
         (f"replace --from {OBSTACLE} talker Ste", ["StereoDetector"]),
         ("remove listener ", ["talker"]),
+        ("status listener ", ["talker"]),
+        ("plan --remove l", ["listener"]),
         ("why ", ["listener.listen", "talker.talk"]),
         ("why t", ["talker.talk"]),
         ("add ear L", ["Listener"]),

@@ -217,6 +217,21 @@ def test_a_faulty_specification_is_shown_and_the_system_goes_on(robot: Robot) ->
     assert robot.shown[-1] == "swapped talker.stride"
 
 
+def test_a_save_while_the_specification_is_read_is_not_lost(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    specification = robot.session.specification
+    read, path = specification.read, robot.folder / "talker.stride"
+
+    def saved_meanwhile() -> Any:
+        found = read()
+        path.write_text(path.read_text().replace("20 Hz", "25 Hz"))
+        return found
+
+    monkeypatch.setattr(specification, "read", saved_meanwhile)
+    robot.edit("talker.stride", "10 Hz", "20 Hz")
+    robot.session.look()
+    assert "25" in str(encode_specification(robot.runs)["topics"])
+
+
 def test_a_specification_that_was_refused_is_tried_again_when_a_program_of_it_changes(robot: Robot) -> None:
     (robot.folder / "new_talker.py").write_text("bad")
     robot.edit("talker.stride", "node talker   : Talker ", "node talker   : NewTalker")
@@ -310,8 +325,11 @@ def write(path: Path, old: str, new: str) -> None:
 
 def test_dev_swaps_what_is_saved_and_refuses_what_is_faulty(midstride: Midstride, project: Path) -> None:
     file = str(project / "talker.stride")
-    with Terminal(midstride, "dev", file, "--backend", "sim") as terminal:
+    refused = midstride("dev", file, "--backend", "sim", "--use-sim-time")
+    assert (refused.status, "--use-sim-time is for ROS 2" in refused.err) == (2, True)
+    with Terminal(midstride, "dev", file, "--backend", "sim", "--no-middleware-settings") as terminal:
         terminal.until("Swapping on save; Ctrl-C stops the system.")
+        assert not midstride.saved("talker").options.middleware_settings
         write(project / "talker.py", "hello world", "hello new world")
         shown = terminal.until(", missed ")  # in real time: how many depends on the machine
         assert "talker (talker.py): swapped in" in shown
@@ -339,7 +357,8 @@ def test_dev_attaches_to_a_running_system_and_leaves_it_running(midstride: Midst
     file = str(project / "talker.stride")
     assert midstride("up", file, "--backend", "sim", "-d").status == 0
     write(project / "talker.py", "hello world", "hello new world")  # before it attaches
-    with Terminal(midstride, "dev", file) as terminal:
+    with Terminal(midstride, "dev", file, "--no-middleware-settings") as terminal:
+        terminal.until("talker is running already: --use-sim-time and --no-… have no effect")
         terminal.until("Swapping on save; Ctrl-C leaves it running.")
         terminal.until("talker (talker.py): swapped in")
         terminal.press("\x03")

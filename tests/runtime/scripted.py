@@ -38,6 +38,7 @@ from midstride.wire.commands import (
     AttachCommand,
     Attached,
     AwaitCutCommand,
+    AwaitIdleCommand,
     AwaitMatchCommand,
     AwaitWriteCommand,
     Command,
@@ -50,6 +51,7 @@ from midstride.wire.commands import (
     GatedWrites,
     Grid,
     GridCommand,
+    Idle,
     ModesCommand,
     ObserveCommand,
     PrepareStateCommand,
@@ -83,6 +85,7 @@ UNREACHABLE = Unreachable("the component cannot be reached")
 REPLIES: dict[type[Command[Any]], Any] = {
     AttachCommand: Attached(matched=1),
     AwaitCutCommand: CutResult(outcome="done"),
+    AwaitIdleCommand: Idle(busy=None),
     AwaitMatchCommand: lambda command: Attached(matched=command.peers),
     AwaitWriteCommand: GatedWrites(gated=1, wrong_type=None),
     DetachCommand: Detached(acknowledged=True, last=None),

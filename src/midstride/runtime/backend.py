@@ -95,7 +95,7 @@ class Backend(Protocol):
         """Take over a component that an earlier manager started. False if it is no longer running."""
 
     async def end(self, instance: str, grace: float) -> None:
-        """Terminate a started component, and kill it after ``grace`` seconds. Returns once it has exited.
+        """Terminate a started component, and kill it after ``grace`` seconds (0: at once). Returns once it has exited.
 
         What the graph still shows of it is ignored from then on, even if its process had exited before.
         """

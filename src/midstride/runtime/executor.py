@@ -16,7 +16,7 @@ from immutables import Map
 from msgspec import UNSET
 
 from midstride.errors import BackendError, MidstrideError, StepFailed
-from midstride.model.action import Action, Create, Degrade, Remove, SetParameters
+from midstride.model.action import Action, Create, Degrade, Handover, Remove, SetParameters
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.plan.step_forms import AnyStep
@@ -70,6 +70,7 @@ class Executor:
         as well.
         """
         done: Done = []
+        self.driver.leaving = {action.instance for action in actions if isinstance(action, Remove)}
         for index, action in enumerate(actions):
             position = _position(actions, index, forms)
             what = action.describe(self.system.configuration)
@@ -169,13 +170,16 @@ class Executor:
         An instance that the change itself created is removed in any case: if it does not answer, it is killed.
         """
         if not done:
-            return []
+            return list(self.driver.fences.problems())
         self.driver.events.add("rollback", f"rolling back {counted(len(done), 'step')}", of=len(done))
         self.driver.rolling_back = True
         created = {action.instance.name for action, _ in done if isinstance(action, Create)}
         await self._kill(name for name in sorted(created) if self.driver.client.responsive(name) is None)
-        problems = []
+        problems = list(self.driver.fences.problems())
+        kept = self._taken_over(done)
         for action, before in reversed(done):
+            if kept & set(action.instances()):
+                continue
             for undoing in action.undo(before):
                 if (problem := await self._undo(undoing, created)) is not None:
                     problems.append(problem)
@@ -183,6 +187,12 @@ class Executor:
         if not problems:
             self.driver.events.add("rolled_back", "every step has been undone")
         return problems
+
+    def _taken_over(self, done: Done) -> set[str]:
+        """The fenced instances and those that have taken over from them: a topic does not go back to one that hangs."""
+        fenced = self.driver.fences.fenced
+        swaps = [swap for action, _ in done if isinstance(action, Handover) for swap in action.swaps]
+        return {*fenced, *(swap.new.instance for swap in swaps if swap.old.instance in fenced)}
 
     async def _undo(self, undoing: Action, created: Collection[str]) -> str | None:
         """Perform ``undoing``; if that fails, again without the instances in ``created``. Returns why it failed."""

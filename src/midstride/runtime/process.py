@@ -94,13 +94,15 @@ class Process:
     async def end(self, grace: float) -> None:
         """End the process and its group: with SIGTERM, and after ``grace`` seconds with SIGKILL.
 
-        Returns when all of them have exited. Raises BackendError if the kernel does not remove a killed process.
+        With a ``grace`` of 0 with SIGKILL at once: one that is stopped does not run again, not for an instant. Returns
+        when all of them have exited. Raises BackendError if the kernel does not remove a killed process.
         """
         self._ending = True
-        deadline = self._loop.time() + grace
-        self._signal(signal.SIGTERM)
-        self._signal(signal.SIGCONT)  # a stopped process must run to handle SIGTERM
-        await self._gone(deadline)
+        if grace > 0:
+            deadline = self._loop.time() + grace
+            self._signal(signal.SIGTERM)
+            self._signal(signal.SIGCONT)  # a stopped process must run to handle SIGTERM
+            await self._gone(deadline)
         deadline = self._loop.time() + KILL_PATIENCE
         while self._remaining():
             if self._loop.time() > deadline:

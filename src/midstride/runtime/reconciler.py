@@ -40,8 +40,9 @@ class Reconciler:
 
     While a command is in progress (``busy``), the command reconciles at its start and its end; otherwise the reconciler
     does so in the background, holding ``lock``. ``executor`` makes the executor that degrades functionalities.
-    ``degraded`` are those that degraded unexpectedly since the last change began. ``on_reconciled`` is called when the
-    model is up to date, with no command in progress.
+    ``degraded`` are those that degraded unexpectedly since the last change began. ``on_failure`` is called with a live
+    instance as soon as it has exited, or reports a worse mode than the model has; ``on_reconciled`` when the model is
+    up to date, with no command in progress.
     """
 
     system: RunningSystem
@@ -54,6 +55,7 @@ class Reconciler:
     lock: Callable[[], AbstractAsyncContextManager[Any]]
     busy: Callable[[], bool]
     degraded: set[FunctionalityRef] = field(default_factory=set)
+    on_failure: Callable[[str], object] = lambda _: None
     pending: dict[FunctionalityRef, MidstrideError | None] = field(default_factory=dict)  # could not be degraded yet
     on_reconciled: Callable[[], None] = lambda: None
     _why_pending: str = _LOST_BEFORE
@@ -90,7 +92,10 @@ class Reconciler:
                 self.monitor.on_report(state, self.system.configuration)
                 answers_again = state.instance in self._unanswered
                 self._unanswered.discard(state.instance)
-                if answers_again or own_degradations_in(self.system.configuration, state):
+                degraded = own_degradations_in(self.system.configuration, state)
+                if degraded:
+                    self.on_failure(state.instance)
+                if answers_again or degraded:
                     self._reconcile_soon()
 
     def save_values(self) -> None:
@@ -103,6 +108,8 @@ class Reconciler:
         self.system.crashed[event.instance] = event
         status = "" if event.status is None else f" (status {event.status})"
         self.events.add("exited", f"{event.instance} exited unexpectedly{status}", log=event.log_tail)
+        if event.instance in self.system.configuration.instances:
+            self.on_failure(event.instance)
         self._reconcile_soon()
 
     @contextlib.asynccontextmanager

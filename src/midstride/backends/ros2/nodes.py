@@ -19,6 +19,8 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from midstride.backends.ros2 import names
+from midstride.backends.ros2.data_node import DataNode
+from midstride.backends.ros2.diagnostics import DiagnosticsPublisher
 from midstride.backends.ros2.gated_node import GatedNode
 from midstride.backends.ros2.parameter_services import ParameterServices
 from midstride.errors import NodeError
@@ -87,6 +89,7 @@ class ComponentNodes:
         gate: ServiceGate,
         system: str,
         parameters: Mapping[str, Any],
+        set_parameters: Mapping[str, Any],
         failed: Callable[[str], None],
     ) -> None:
         self._own_context = not rclpy.ok()
@@ -111,13 +114,14 @@ class ComponentNodes:
             self._leave_ros()
             raise
         pinned = ["--ros-args", "-r", f"__node:={name}", "-r", f"__ns:={namespace}"] if system else None
-        self.data: Any = GatedNode(
+        self.data: Any = DataNode(
             name,
             gate,
             namespace=namespace,
             cli_args=pinned,
             start_parameter_services=False,
-            parameter_overrides=[Parameter(name, value=value) for name, value in parameters.items()],
+            parameters=parameters,
+            set_parameters=set_parameters,
         )
         self._full_name = self.data.get_fully_qualified_name()
         self.control_name = self._control.get_fully_qualified_name()
@@ -129,6 +133,9 @@ class ComponentNodes:
         self._control_thread.executor.add_node(self._control)
         self.parameter_services = ParameterServices(
             self._control, self._control_thread.executor, self.data, self.data_executor
+        )
+        self.diagnostics = DiagnosticsPublisher(
+            self._control, self._control_thread.executor, self._full_name, names.full(instance, namespace)
         )
         self._data_thread.start()
         self._control_thread.start()

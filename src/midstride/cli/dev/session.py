@@ -93,15 +93,19 @@ class DevSession:
         self._seen = {**self._contents.of(self._watched()), **self._seen}
 
     def _read_specification(self) -> None:
+        faulty: SpecificationError | None = None
         files = self._contents.of(self.specification.files)
-        if files == self._read:
-            return
-        try:
-            self.specification.read()
-            self._differs = True
-        except SpecificationError as error:
-            self.screen.faulty(error)
-        self._read = self._contents.of(self.specification.files)
+        while files != self._read:
+            self._read, faulty = files, None
+            try:
+                self.specification.read()
+                self._differs = True
+            except SpecificationError as error:
+                faulty = error
+            # It may include other files now, and one may have been saved while it was read.
+            files = self._contents.of(self.specification.files)
+        if faulty is not None:
+            self.screen.faulty(faulty)
 
     def _changes(self) -> Iterator[tuple[str, list[str]]]:
         """What differs from the files, but for what was refused: nodes, or the specification, each with its files."""
