@@ -23,7 +23,9 @@ STRING = "std_msgs/msg/String"
 SLACK = 0.15
 
 # The source writes until the file `silent` exists, and hangs as soon as `hung` does; `slow` has it write every fifth.
+# With the argument `again` it ignores them.
 SOURCE = """
+import sys
 import time
 from pathlib import Path
 from midstride import Component
@@ -32,7 +34,7 @@ from std_msgs.msg import String
 comp = Component("source")
 out = comp.create_output("out", String)
 work = comp.create_functionality("work", outputs=[out])
-here, calls = Path({folder!r}), 0
+here, calls = Path({folder!r}) / ("none" if "again" in sys.argv else ""), 0
 
 def normal():
     global calls
@@ -222,15 +224,22 @@ def test_a_replacement_is_no_breakage(tmp_path: Path, strategy: str) -> None:
     in_chain(tmp_path, body)
 
 
-def test_a_publisher_that_falls_silent_during_its_replacement_is_replaced(tmp_path: Path) -> None:
+@pytest.mark.parametrize("strategy", ["minimal", "paper", "quiesce"])
+@pytest.mark.parametrize("before", [0.0, 0.8, 0.95, 2.5])
+def test_a_publisher_that_falls_silent_around_its_replacement_is_replaced(
+    tmp_path: Path, before: float, strategy: str
+) -> None:
+    """Its dependants fall before the plan begins, or during it; the next plan restores those of the latter kind."""
+
     async def body(chain: Chain) -> None:
-        changing = asyncio.ensure_future(chain.manager.change(replace("a", "OtherSource")))
-        await asyncio.sleep(0.05)
         (chain.folder / "silent").touch()
-        await asyncio.sleep(0.5)
-        (chain.folder / "silent").unlink()
-        outcome = await changing
-        assert outcome.outcome == "done" and outcome.degraded == []
+        await asyncio.sleep(before)
+        outcome = await chain.manager.change(replace("a", "OtherSource", strategy))
+        assert outcome.outcome == "done", outcome.because
+        await chain.manager.change(PlanRequest(to=chain.manager.specification))
+        await asyncio.sleep(5.0)
+        assert [chain.mode(name) for name in ("a_2", *CHAIN[1:])] == ["normal"] * 4
+        assert (await chain.manager.status()).valid
 
     in_chain(tmp_path, body)
 

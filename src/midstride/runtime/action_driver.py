@@ -281,11 +281,21 @@ class ActionDriver:
                     continue
                 before = {ref: self.configuration.modes[ref] for ref in modes}
                 changed.append((instance, self._modes_command(before, "roll-back")))
-                await self.client.change(instance, self._modes_command(modes, because))
+                command = self._modes_command(modes, because)
+                try:
+                    await self.client.change(instance, command)
+                except CommandRefused:
+                    if isinstance(action, Upgrade) or not await self._has_degraded(instance):
+                        raise
+                    await self.client.change(instance, command)  # whatever mode it has fallen to
         except Exception:
             for instance, undo in reversed(changed):
                 await self.client.undo(instance, undo)
             raise
+
+    async def _has_degraded(self, instance: str) -> bool:
+        """Whether it has degraded by itself since the change began."""
+        return bool(own_degradations_in(self.configuration, await self.client.peek(instance)))
 
     async def lower(self, instance: str, modes: Mapping[FunctionalityRef, int], because: str) -> None:
         """Degrade functionalities of ``instance`` whose assumptions no longer hold. Raises MidstrideError.
