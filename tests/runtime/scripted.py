@@ -278,6 +278,9 @@ class ScriptedBackend:
     async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
         return []
 
+    def is_stopped(self, instance: str) -> bool:
+        return False
+
     def disconnected(self, instance: str) -> None:
         self.disconnections.append(instance)
 
