@@ -165,6 +165,34 @@ def test_what_was_refused_is_tried_again_when_its_files_change_and_not_before(ro
     assert robot.shown[-1] == "swapped talker (talker.py)"
 
 
+def test_a_node_that_has_crashed_is_restarted_with_the_next_save_and_not_before(robot: Robot) -> None:
+    robot.edit("talker.py", "hello", "crashing")
+    assert robot.asked() == [restart("talker")]
+    del robot.code["talker"]
+    for _ in range(3):
+        robot.session.look()
+    assert robot.asked() == []
+    robot.edit("talker.py", "crashing", "bad")
+    assert robot.asked() == [restart("talker")]
+    robot.edit("talker.py", "bad", "hello again")
+    assert robot.asked() == [restart("talker")] and robot.shown[-1] == "swapped talker (talker.py)"
+    robot.session.look()
+    assert robot.asked() == []
+
+
+def test_a_save_between_a_crash_and_its_discovery_is_not_lost(robot: Robot) -> None:
+    del robot.code["talker"]
+    robot.edit("talker.py", "hello", "hello again")
+    assert robot.asked() == [restart("talker")]
+
+
+def test_a_node_that_was_removed_elsewhere_is_not_restarted(robot: Robot) -> None:
+    del robot.code["talker"]
+    robot.runs = robot.runs.without_node("talker")
+    robot.edit("talker.py", "hello", "hello again")
+    assert robot.asked() == []
+
+
 def test_code_that_is_undone_after_it_was_refused_needs_nothing(robot: Robot) -> None:
     robot.edit("talker.py", "hello", "bad")
     robot.asked()

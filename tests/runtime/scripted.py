@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Container, Coroutine
+from collections.abc import Callable, Container, Coroutine, Sequence
 from dataclasses import dataclass, field
 from dataclasses import replace as changed
 from pathlib import Path
@@ -279,6 +279,15 @@ class ScriptedBackend:
         return []
 
     def is_stopped(self, instance: str) -> bool:
+        return False
+
+    def keep_spares(self, number: int, token: str) -> None:
+        pass
+
+    def spares(self) -> int:
+        return 0
+
+    def takes_spare(self, arguments: Sequence[str], directory: Path) -> bool:
         return False
 
     def disconnected(self, instance: str) -> None:

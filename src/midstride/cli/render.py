@@ -396,7 +396,16 @@ def platform(document: Document) -> RenderableType:
     lines: list[RenderableType] = [Text(""), starts, Text(f"\nMiddleware: {middleware['name']}")]
     if middleware["set"] or middleware["kept"]:
         lines.append(settings)
-    return Group(*lines, *(Text(note, style="dim") for note in middleware["notes"]))
+    notes = [*middleware["notes"], *_spares(document["spares"])]
+    return Group(*lines, *(Text(note, style="dim") for note in notes))
+
+
+def _spares(spares: Document) -> list[str]:
+    if not spares["kept"]:
+        return []
+    words = f"Spare processes: {spares['ready']} of {spares['kept']} ready"
+    unused_by = f"; not for {', '.join(spares['unused_by'])}, whose commands start as before"
+    return [words + (unused_by if spares["unused_by"] else "") + "."]
 
 
 def _silence(fault: Document) -> str:

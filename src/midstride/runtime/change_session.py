@@ -27,6 +27,7 @@ from midstride.plan.request import PlanRequest
 from midstride.plan.runtime_values import Values, of_change
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.crash_during_change import CrashResponse
 from midstride.runtime.degradation_timer import DegradationTimer
 from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
@@ -173,6 +174,9 @@ class ChangeSession:
         executor.driver.parameters, executor.driver.fences.wait = transfer, wait
         executor.driver.before_handover = recording.record_driving_inputs
         executor.after_step = None if verifier is None else verifier.look
+        response = CrashResponse(executor, self.reconciler, actions)
+        executor.on_performed = response.performed
+        self.reconciler.on_crash_during_change = response.crashed
         outcome: OutcomeKind = "done"
         because = None
         try:
@@ -188,11 +192,13 @@ class ChangeSession:
             system.forget_filled_roles()
             if outcome == "rolled_back":
                 system.configuration = before
-                system.missing = {**missing, **system.missing}  # what could not be restored is still missing
         except asyncio.CancelledError:
             if system.configuration == plan.change.start:  # everything has been rolled back
                 system.configuration = before
             raise
+        finally:
+            self.reconciler.on_crash_during_change = None
+            await response.close()
         system.values.forget_ended(system.configuration)
         self.reconciler.save_values()
         ended = self.clock.steady()

@@ -7,6 +7,7 @@ partial effects are undone, then the steps before it in reverse order (docs/sema
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -50,12 +51,16 @@ class Executor:
 
     ``on_moved`` is called with the configuration after each step and the instances that the step changed.
     ``after_step`` checks the configuration after each step of a plan: if it raises, the step has failed.
+    ``on_performed`` is called after each action of a plan and of its roll-back; ``commanding`` is held while an action
+    sends commands to components that run already: a component refuses the second of two changes at one revision.
     """
 
     driver: ActionDriver
     store: StateStore
     on_moved: Callable[[Configuration, Collection[str]], None] = lambda *_: None
     after_step: Callable[[Configuration], Awaitable[None]] | None = None
+    on_performed: Callable[[Action], Awaitable[None]] | None = None
+    commanding: asyncio.Lock = field(default_factory=asyncio.Lock)
     _one_start: asyncio.Lock = field(default_factory=asyncio.Lock)
     _ahead: asyncio.Task[None] | None = None  # starts the processes of the next creations
 
@@ -128,13 +133,17 @@ class Executor:
         """Check the precondition of one action, carry it out, and update the model. Raises MidstrideError."""
         before = self.system.configuration
         after = action.apply(before)
-        await self.driver.perform(action, f"the plan asked for it: {action.describe(before)}")
+        because = f"the plan asked for it: {action.describe(before)}"
+        async with contextlib.nullcontext() if isinstance(action, Create) else self.commanding:
+            await self.driver.perform(action, because)
         self._moved(after, action.instances())
         match action:
             case Remove(instance):
                 self.store.remove_instance(instance)
             case SetParameters(instance):
                 self.store.write_instance(after.instances[instance], self.driver.launcher.handles.get(instance))
+        if self.on_performed is not None:
+            await self.on_performed(action)
 
     def _moved(self, configuration: Configuration, instances: Collection[str]) -> None:
         self.system.moved(configuration)

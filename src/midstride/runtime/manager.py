@@ -92,6 +92,7 @@ class Manager:
         self._store = StateStore(workspace.state, lambda words: self.events.add("note", words), disk)
         self._client = ComponentClient(backend.transport, backend.clock, secrets.token_hex(16))
         self._options = options
+        self._spares = options.spares
         self._launcher = Launcher(backend, self._client, directory, options)
         self._monitor = SilenceMonitor(self._client, backend.clock, self.events, self._launcher.ending)
         self._reconciler = Reconciler(
@@ -264,6 +265,7 @@ class Manager:
     async def down(self) -> None:
         """Terminate every component and delete the saved state. Raises ManagerError naming those that still run."""
         async with self._command("down"):
+            self._spares = 0
             self._respawner.stop()
             names = sorted({*self._launcher.handles, *self.configuration.instances})
             ended = await asyncio.gather(*(self._end(name) for name in names))
@@ -308,6 +310,7 @@ class Manager:
             running,
             unwritten,
             self._file,
+            self._spares,
             self._respawner,
         )
 
@@ -401,6 +404,8 @@ class Manager:
                     yield
             finally:
                 self._current = None
+                if not self._waiting:  # or they would compete with the next one for the processor
+                    self._backend.keep_spares(self._spares, self._client.token)
 
     @contextlib.asynccontextmanager
     async def _turn(self) -> AsyncIterator[None]:

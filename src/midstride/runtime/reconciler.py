@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -41,8 +41,8 @@ class Reconciler:
     While a command is in progress (``busy``), the command reconciles at its start and its end; otherwise the reconciler
     does so in the background, holding ``lock``. ``executor`` makes the executor that degrades functionalities.
     ``degraded`` are those that degraded unexpectedly since the last change began. ``on_failure`` is called with a live
-    instance as soon as it has exited, or reports a worse mode than the model has; ``on_reconciled`` when the model is
-    up to date, with no command in progress.
+    instance as soon as it has exited, or reports a worse mode than the model has; ``on_crash_during_change`` at an exit
+    during the steps of a change; ``on_reconciled`` when the model is up to date, with no command in progress.
     """
 
     system: RunningSystem
@@ -58,6 +58,7 @@ class Reconciler:
     on_failure: Callable[[str], object] = lambda _: None
     pending: dict[FunctionalityRef, MidstrideError | None] = field(default_factory=dict)  # could not be degraded yet
     on_reconciled: Callable[[], None] = lambda: None
+    on_crash_during_change: Callable[[], Coroutine[Any, Any, None]] | None = None
     _why_pending: str = _LOST_BEFORE
     _unanswered: set[str] = field(default_factory=set)  # instances of these that did not answer
     _reconciling: asyncio.Lock = field(default_factory=asyncio.Lock)
@@ -110,7 +111,10 @@ class Reconciler:
         self.events.add("exited", f"{event.instance} exited unexpectedly{status}", log=event.log_tail)
         if event.instance in self.system.configuration.instances:
             self.on_failure(event.instance)
-        self._reconcile_soon()
+        if self.busy() and self.on_crash_during_change is not None:
+            self._in_background(self.on_crash_during_change())
+        else:
+            self._reconcile_soon()
 
     @contextlib.asynccontextmanager
     async def around(self) -> AsyncIterator[None]:
@@ -130,7 +134,10 @@ class Reconciler:
             self._start_reconciling()
 
     def _start_reconciling(self) -> None:
-        task = asyncio.get_running_loop().create_task(self._reconcile_in_background())
+        self._in_background(self._reconcile_in_background())
+
+    def _in_background(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 

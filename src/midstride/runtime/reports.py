@@ -256,6 +256,14 @@ class RunningCommand(Report, frozen=True):
     since: float
 
 
+class Spares(Report, frozen=True, kw_only=True):
+    """The processes that are kept ready for the next components."""
+
+    kept: int
+    ready: int
+    unused_by: Annotated[list[str], Meta(description="instances whose command no spare can run")]
+
+
 class Status(Report, frozen=True, kw_only=True):
     """The running system."""
 
@@ -271,6 +279,7 @@ class Status(Report, frozen=True, kw_only=True):
     running: RunningCommand | None
     unwritten: Annotated[str | None, Meta(description="why the state could not be written to disk")]
     middleware: Middleware
+    spares: Spares
     file: Annotated[str | None, Meta(description="the file that was brought up, or applied last")] = None
 
 

@@ -28,6 +28,7 @@ def status(
     running: reports.RunningCommand | None,
     unwritten: str | None,
     file: str | None,
+    spares: int,
     respawner: Respawner,
 ) -> reports.Status:
     """The answer to ``midstride status``."""
@@ -72,6 +73,13 @@ def status(
         unwritten=unwritten,
         middleware=backend.middleware(),
         file=file,
+        spares=reports.Spares(
+            kept=spares,
+            ready=backend.spares(),
+            unused_by=[name for name, each in sorted(configuration.instances.items()) if not launcher.takes_spare(each)]
+            if spares
+            else [],
+        ),
     )
 
 
