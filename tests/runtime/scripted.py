@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Container, Coroutine
+from collections.abc import Callable, Container, Coroutine, Sequence
 from dataclasses import dataclass, field
 from dataclasses import replace as changed
 from pathlib import Path
@@ -38,6 +38,7 @@ from midstride.wire.commands import (
     AttachCommand,
     Attached,
     AwaitCutCommand,
+    AwaitIdleCommand,
     AwaitMatchCommand,
     AwaitWriteCommand,
     Command,
@@ -50,6 +51,7 @@ from midstride.wire.commands import (
     GatedWrites,
     Grid,
     GridCommand,
+    Idle,
     ModesCommand,
     ObserveCommand,
     PrepareStateCommand,
@@ -83,6 +85,7 @@ UNREACHABLE = Unreachable("the component cannot be reached")
 REPLIES: dict[type[Command[Any]], Any] = {
     AttachCommand: Attached(matched=1),
     AwaitCutCommand: CutResult(outcome="done"),
+    AwaitIdleCommand: Idle(busy=None),
     AwaitMatchCommand: lambda command: Attached(matched=command.peers),
     AwaitWriteCommand: GatedWrites(gated=1, wrong_type=None),
     DetachCommand: Detached(acknowledged=True, last=None),
@@ -274,6 +277,15 @@ class ScriptedBackend:
 
     async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
         return []
+
+    def keep_spares(self, number: int, token: str) -> None:
+        pass
+
+    def spares(self) -> int:
+        return 0
+
+    def takes_spare(self, arguments: Sequence[str], directory: Path) -> bool:
+        return False
 
     def disconnected(self, instance: str) -> None:
         self.disconnections.append(instance)

@@ -402,7 +402,8 @@ def test_up_is_answered_when_it_is_known() -> None:
         done, _ = await asyncio.wait({asking}, timeout=0.05)
         assert not done
         manager.holds["up"].set()
-        assert (await asking).json() == {"outcome": "done", "components": ["listener", "talker"], "lowered": []}
+        up = {"outcome": "done", "components": ["listener", "talker"], "lowered": [], "missing": {}}
+        assert (await asking).json() == up
         await bringing
 
     served(test, up=False)

@@ -26,6 +26,7 @@ _STYLES: Final = {
     "up_failed": "red",
     "exited": "red",
     "silence": "red",
+    "fenced": "red",
     "degraded": "yellow",
     "rollback": "yellow",
     "respawn": "yellow",
@@ -199,6 +200,7 @@ def _fallen_lines(document: Document) -> list[str]:
         lines.append(f"Exited unexpectedly meanwhile: {', '.join(ended)}; see `midstride log`.")
     if degraded := document.get("degraded"):
         lines.append(f"Degraded unexpectedly meanwhile: {', '.join(degraded)}; see `midstride why {degraded[0]}`.")
+    lines += [f"Fenced: {each['words']}." for each in document.get("fenced") or ()]
     lines += map(_silence, document.get("silences") or ())
     swaps = document.get("swaps") or ()
     lines += [line for swap in swaps if (line := _faults(swap))]
@@ -394,7 +396,16 @@ def platform(document: Document) -> RenderableType:
     lines: list[RenderableType] = [Text(""), starts, Text(f"\nMiddleware: {middleware['name']}")]
     if middleware["set"] or middleware["kept"]:
         lines.append(settings)
-    return Group(*lines, *(Text(note, style="dim") for note in middleware["notes"]))
+    notes = [*middleware["notes"], *_spares(document["spares"])]
+    return Group(*lines, *(Text(note, style="dim") for note in notes))
+
+
+def _spares(spares: Document) -> list[str]:
+    if not spares["kept"]:
+        return []
+    words = f"Spare processes: {spares['ready']} of {spares['kept']} ready"
+    unused_by = f"; not for {', '.join(spares['unused_by'])}, whose commands start as before"
+    return [words + (unused_by if spares["unused_by"] else "") + "."]
 
 
 def _silence(fault: Document) -> str:

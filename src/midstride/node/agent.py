@@ -91,6 +91,7 @@ class Agent:
         heartbeat = asyncio.ensure_future(self._heartbeat())
         try:
             await host.on_data(handlers.set_up)
+            host.parameters.on_changed(self._parameter_changed)
             try:
                 await host.on_data(handlers.begin)
                 if self.standalone is not None:

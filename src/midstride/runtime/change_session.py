@@ -27,10 +27,13 @@ from midstride.plan.request import PlanRequest
 from midstride.plan.runtime_values import Values, of_change
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.crash_during_change import CrashResponse
 from midstride.runtime.degradation_timer import DegradationTimer
 from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
+from midstride.runtime.fencing import DEFAULT_WAIT
 from midstride.runtime.lowered import in_words, lowered_functionalities
+from midstride.runtime.observed_configuration import with_failures
 from midstride.runtime.parameter_transfer import ParameterTransfer
 from midstride.runtime.reconciler import Reconciler
 from midstride.runtime.recording import Recording
@@ -80,7 +83,13 @@ class ChangeSession:
         return await asyncio.to_thread(_plan, request, system.specification, system.configuration, values)
 
     async def change(
-        self, request: PlanRequest, *, expected: int | None = None, verify: bool = False, brief: bool = False
+        self,
+        request: PlanRequest,
+        *,
+        expected: int | None = None,
+        verify: bool = False,
+        brief: bool = False,
+        wait: float = DEFAULT_WAIT,
     ) -> Outcome:
         """Carry out ``request``; see :meth:`midstride.runtime.manager.Manager.change`."""
         if expected is not None and expected != self.system.revision:
@@ -93,7 +102,7 @@ class ChangeSession:
             return self._refuse(str(error))
         keep = not request.declared_parameters
         if not verify:
-            return await self.carry_out(plan, target, keep=keep, brief=brief)
+            return await self.carry_out(plan, target, keep=keep, brief=brief, wait=wait)
         self.events.add("verifying", f"Alloy judges the {len(plan.steps)} steps of the plan")
         verdict = await self.verifier.plan(plan)
         self._verified(verdict)
@@ -101,7 +110,7 @@ class ChangeSession:
             return self._refuse(verdict.words, verdict)
         configurations = tuple(plan.configurations())
         step_verifier = StepVerifier(self.verifier, configurations, self.client, self.system.crashed, self._verified)
-        outcome = await self.carry_out(plan, target, step_verifier, keep=keep, brief=brief)
+        outcome = await self.carry_out(plan, target, step_verifier, keep=keep, brief=brief, wait=wait)
         return structs.replace(outcome, verdict=verdict)
 
     def _verified(self, verdict: Verdict) -> None:
@@ -119,17 +128,19 @@ class ChangeSession:
         *,
         keep: bool = True,
         brief: bool = False,
+        wait: float = DEFAULT_WAIT,
     ) -> Outcome:
         """Carry out ``plan``, measure, and report.
 
         ``keep``: with the parameter values that were set at run time. ``brief``: the next command does not wait for the
-        whole measurement.
+        whole measurement. ``wait``: after how long a component that hangs, and is to go, is fenced (s).
         """
         recording = Recording(self.client, self.clock, self.another_waits if brief else None, self._measured_until)
         transfer = ParameterTransfer(self.client, self.system.values, plan.change, plan.parameters, keep)
         try:
-            return await self._carry_out(plan, target, recording, transfer, verifier)
+            return await self._carry_out(plan, target, recording, transfer, verifier, wait)
         finally:
+            self.reconciler.on_failure = lambda _: None
             await recording.stop(self.system.configuration.instances)
 
     async def _carry_out(
@@ -139,6 +150,7 @@ class ChangeSession:
         recording: Recording,
         transfer: ParameterTransfer,
         verifier: StepVerifier | None,
+        wait: float,
     ) -> Outcome:
         system = self.system
         preview = PlanPreview.of(plan)
@@ -152,15 +164,19 @@ class ChangeSession:
         self.events.add("plan", f"{steps}, disruption {plan.disruption:g}{afterwards}", plan=preview)
         actions = [step.action for step in plan.steps]
         await recording.begin(system.configuration, actions)
-        timer = DegradationTimer(plan.change, self.clock.steady)
+        timer = DegradationTimer(plan.change, self.clock.steady, self._with_failures)
         started, before, missing = self.clock.steady(), system.configuration, dict(system.missing)
         self.reconciler.degraded.clear()
         system.configuration = plan.change.start
         executor = self.executor()
         executor.on_moved = timer.moved
-        executor.driver.parameters = transfer
+        self.reconciler.on_failure = lambda instance: timer.moved(system.configuration, (instance,))
+        executor.driver.parameters, executor.driver.fences.wait = transfer, wait
         executor.driver.before_handover = recording.record_driving_inputs
         executor.after_step = None if verifier is None else verifier.look
+        response = CrashResponse(executor, self.reconciler, actions)
+        executor.on_performed = response.performed
+        self.reconciler.on_crash_during_change = response.crashed
         outcome: OutcomeKind = "done"
         because = None
         try:
@@ -172,24 +188,29 @@ class ChangeSession:
             system.forget_filled_roles()
         except StepFailed as error:
             outcome, because = cast("OutcomeKind", error.outcome), str(error)
+            system.missing = {**missing, **system.missing}  # those that it has tried to restore
+            system.forget_filled_roles()
             if outcome == "rolled_back":
                 system.configuration = before
-                system.missing = {**missing, **system.missing}  # what could not be restored is still missing
         except asyncio.CancelledError:
             if system.configuration == plan.change.start:  # everything has been rolled back
                 system.configuration = before
             raise
+        finally:
+            self.reconciler.on_crash_during_change = None
+            await response.close()
         system.values.forget_ended(system.configuration)
         self.reconciler.save_values()
         ended = self.clock.steady()
         seconds, degraded_seconds = ended - started, timer.stop()
-        exited = {name for name in system.crashed if name in before.instances}
+        fenced = executor.driver.fences.fenced
+        exited = {name for name in system.crashed if name in before.instances and name not in fenced}
         await self.reconciler.reconcile_crashes()  # before measuring: dependent functionalities must not wait for it
         if recording.recorded:
             self.events.add("measuring", "watching the subscribers for 20 periods more")
         self.measuring = True
         try:
-            swaps = await recording.finish(executor.driver.last_numbers, resumed=outcome != "done")
+            swaps = await recording.finish(executor.driver.last_numbers, resumed=outcome != "done", hung=fenced)
             if outcome == "done":
                 await self.clock.sleep(ended + self._first_calls(actions) - self.clock.steady())
         finally:
@@ -211,6 +232,7 @@ class ChangeSession:
             fallen=degraded_seconds,
             swaps=swaps,
             late=executor.driver.late,
+            fenced=[fenced[name] for name in sorted(fenced)],
             because=because,
             parameters=transfer.report(outcome == "done"),
             ended=sorted(exited | {name for name, event in system.missing.items() if missing.get(name) is not event}),
@@ -218,6 +240,9 @@ class ChangeSession:
             silences=[fault for words, fault in silences.items() if words not in silent_before],
             lowered=lowered,
         )
+
+    def _with_failures(self, configuration: Configuration, instances: Iterable[str]) -> Configuration:
+        return with_failures(configuration, instances, self.client, self.system.crashed)
 
     def _first_calls(self, actions: Iterable[Action]) -> float:
         """How long the first calls of the functionalities that ``actions`` have raised take (s)."""

@@ -7,6 +7,7 @@ partial effects are undone, then the steps before it in reverse order (docs/sema
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,7 +17,7 @@ from immutables import Map
 from msgspec import UNSET
 
 from midstride.errors import BackendError, MidstrideError, StepFailed
-from midstride.model.action import Action, Create, Degrade, Remove, SetParameters
+from midstride.model.action import Action, Create, Degrade, Handover, Remove, SetParameters
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.plan.step_forms import AnyStep
@@ -50,12 +51,16 @@ class Executor:
 
     ``on_moved`` is called with the configuration after each step and the instances that the step changed.
     ``after_step`` checks the configuration after each step of a plan: if it raises, the step has failed.
+    ``on_performed`` is called after each action of a plan and of its roll-back; ``commanding`` is held while an action
+    sends commands to components that run already: a component refuses the second of two changes at one revision.
     """
 
     driver: ActionDriver
     store: StateStore
     on_moved: Callable[[Configuration, Collection[str]], None] = lambda *_: None
     after_step: Callable[[Configuration], Awaitable[None]] | None = None
+    on_performed: Callable[[Action], Awaitable[None]] | None = None
+    commanding: asyncio.Lock = field(default_factory=asyncio.Lock)
     _one_start: asyncio.Lock = field(default_factory=asyncio.Lock)
     _ahead: asyncio.Task[None] | None = None  # starts the processes of the next creations
 
@@ -70,6 +75,7 @@ class Executor:
         as well.
         """
         done: Done = []
+        self.driver.leaving = {action.instance for action in actions if isinstance(action, Remove)}
         for index, action in enumerate(actions):
             position = _position(actions, index, forms)
             what = action.describe(self.system.configuration)
@@ -127,13 +133,17 @@ class Executor:
         """Check the precondition of one action, carry it out, and update the model. Raises MidstrideError."""
         before = self.system.configuration
         after = action.apply(before)
-        await self.driver.perform(action, f"the plan asked for it: {action.describe(before)}")
+        because = f"the plan asked for it: {action.describe(before)}"
+        async with contextlib.nullcontext() if isinstance(action, Create) else self.commanding:
+            await self.driver.perform(action, because)
         self._moved(after, action.instances())
         match action:
             case Remove(instance):
                 self.store.remove_instance(instance)
             case SetParameters(instance):
                 self.store.write_instance(after.instances[instance], self.driver.launcher.handles.get(instance))
+        if self.on_performed is not None:
+            await self.on_performed(action)
 
     def _moved(self, configuration: Configuration, instances: Collection[str]) -> None:
         self.system.moved(configuration)
@@ -169,13 +179,16 @@ class Executor:
         An instance that the change itself created is removed in any case: if it does not answer, it is killed.
         """
         if not done:
-            return []
+            return list(self.driver.fences.problems())
         self.driver.events.add("rollback", f"rolling back {counted(len(done), 'step')}", of=len(done))
         self.driver.rolling_back = True
         created = {action.instance.name for action, _ in done if isinstance(action, Create)}
         await self._kill(name for name in sorted(created) if self.driver.client.responsive(name) is None)
-        problems = []
+        problems = list(self.driver.fences.problems())
+        kept = self._taken_over(done)
         for action, before in reversed(done):
+            if kept & set(action.instances()):
+                continue
             for undoing in action.undo(before):
                 if (problem := await self._undo(undoing, created)) is not None:
                     problems.append(problem)
@@ -183,6 +196,12 @@ class Executor:
         if not problems:
             self.driver.events.add("rolled_back", "every step has been undone")
         return problems
+
+    def _taken_over(self, done: Done) -> set[str]:
+        """The fenced instances and those that have taken over from them: a topic does not go back to one that hangs."""
+        fenced = self.driver.fences.fenced
+        swaps = [swap for action, _ in done if isinstance(action, Handover) for swap in action.swaps]
+        return {*fenced, *(swap.new.instance for swap in swaps if swap.old.instance in fenced)}
 
     async def _undo(self, undoing: Action, created: Collection[str]) -> str | None:
         """Perform ``undoing``; if that fails, again without the instances in ``created``. Returns why it failed."""

@@ -16,10 +16,10 @@ from collections.abc import AsyncIterator, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from midstride.codec.configuration import ConfigurationForm
-from midstride.errors import CommandRefused, ManagerError, MidstrideError, StepFailed
+from midstride.errors import CommandRefused, ManagerError, MidstrideError, PlanRefused, StepFailed
 from midstride.model.component import ParameterValue
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification, initial
@@ -36,6 +36,7 @@ from midstride.runtime.component_client import ComponentClient, ComponentEvent
 from midstride.runtime.disk import DISK, Disk
 from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
+from midstride.runtime.fencing import DEFAULT_WAIT
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.lowered import in_words, lowered_functionalities
 from midstride.runtime.observed_configuration import observe
@@ -91,6 +92,7 @@ class Manager:
         self._store = StateStore(workspace.state, lambda words: self.events.add("note", words), disk)
         self._client = ComponentClient(backend.transport, backend.clock, secrets.token_hex(16))
         self._options = options
+        self._spares = options.spares
         self._launcher = Launcher(backend, self._client, directory, options)
         self._monitor = SilenceMonitor(self._client, backend.clock, self.events, self._launcher.ending)
         self._reconciler = Reconciler(
@@ -150,8 +152,9 @@ class Manager:
     async def up(self) -> UpReport:
         """Recover the components that still run, and bring up the rest of the specification.
 
-        Raises ManagerError if the running system has another specification or back end, StepFailed if a component could
-        not be brought up (the components that this call started are then terminated).
+        Where components still run, what cannot be restored beside them is in the report. Raises ManagerError if the
+        running system has another specification or back end; StepFailed, where none runs, if a component could not be
+        brought up (the components that this call started are then terminated).
         """
         saved = self._store.load()
         if saved is not None:
@@ -161,7 +164,7 @@ class Manager:
         async with self._command(f"up {self.specification.name}"):
             absent = set() if saved is None else await self._recover(saved)
             try:
-                await self._complete(absent)
+                missing = await self._restore_missing(absent)
             except BaseException:
                 if saved is None and not self._launcher.handles:
                     self._store.forget()
@@ -170,8 +173,32 @@ class Manager:
             intended = initial(self.specification)
             lowered = lowered_functionalities(self.system, self._client, Configuration(), intended)
             degraded = f"; degraded: {in_words(lowered)}" if lowered else ""
-            self.events.add("up", f"{self.specification.name} is up: {many}{degraded}")
-            return UpReport(outcome="done", components=sorted(self.configuration.instances), lowered=lowered)
+            without = f" without {', '.join(missing)}" if missing else ""
+            self.events.add("up", f"{self.specification.name} is up{without}: {many}{degraded}")
+            outcome: Literal["done", "incomplete"] = "incomplete" if missing else "done"
+            return UpReport(outcome, sorted(self.configuration.instances), lowered, missing)
+
+    async def _restore_missing(self, absent: set[str]) -> dict[str, str]:
+        """Bring up what does not run, without the roles ``absent``; returns why each of the others could not be.
+
+        One that cannot be started does not keep the others down, or the manager from managing what runs. Raises
+        StepFailed or PlanRefused where nothing else runs, or all roles do.
+        """
+        present = self.configuration.instances_by_role
+        gone = [role for role in self.specification.roles() if role not in absent and not present.get(role)]
+        missing, alone = dict.fromkeys(gone, ""), not self.configuration.instances
+        for group in [gone, *([role] for role in gone if len(gone) > 1)]:
+            try:
+                await self._complete({*absent, *missing}.difference(group))
+            except (PlanRefused, StepFailed) as error:
+                if alone or not gone:
+                    raise
+                missing |= dict.fromkeys(group, str(error))
+            else:
+                missing = {role: because for role, because in missing.items() if role not in group}
+                if not missing:
+                    break
+        return missing
 
     async def _complete(self, absent: Iterable[str]) -> None:
         """Bring up the part of the specification that does not run, without the roles ``absent``.
@@ -238,6 +265,7 @@ class Manager:
     async def down(self) -> None:
         """Terminate every component and delete the saved state. Raises ManagerError naming those that still run."""
         async with self._command("down"):
+            self._spares = 0
             self._respawner.stop()
             names = sorted({*self._launcher.handles, *self.configuration.instances})
             ended = await asyncio.gather(*(self._end(name) for name in names))
@@ -282,6 +310,7 @@ class Manager:
             running,
             unwritten,
             self._file,
+            self._spares,
             self._respawner,
         )
 
@@ -325,18 +354,26 @@ class Manager:
         expected: int | None = None,
         verify: bool = False,
         brief: bool = False,
+        wait: float = DEFAULT_WAIT,
         id: str | None = None,
+        file: str | None = None,
     ) -> Outcome:
         """Carry out ``request``.
 
         ``expected`` is the revision that the previewed plan was made for: at any other one the change is refused, since
         its plan may differ. With ``verify``, Alloy verifies the plan first, and the change is refused unless the plan
         holds; the live configuration is verified after each step, and the step fails unless it is valid. If ``brief``,
-        the next command does not wait until this one has been measured over 20 periods. The events
-        `waiting` and `command` contain ``id``, so that a client can distinguish its own from others.
+        the next command does not wait until this one has been measured over 20 periods. An old component that hangs is
+        fenced after ``wait`` seconds (docs/semantics.md section 7, *Mode changes*). The events `waiting` and `command`
+        contain ``id``, so that a client can distinguish its own from others. The specification of ``request`` was read
+        from ``file``.
         """
         async with self._command(request.describe(), id):
-            return await self._session.change(request, expected=expected, verify=verify, brief=brief)
+            outcome = await self._session.change(request, expected=expected, verify=verify, brief=brief, wait=wait)
+            if request.to is not None and outcome.outcome == "done":
+                self._file = file
+                self._store.write_file(file)
+            return outcome
 
     async def set_parameters(self, node: str, values: Mapping[str, ParameterValue]) -> ParametersReport:
         """Set parameters of a role or an instance, all of them or none, once the commands before are done.
@@ -367,6 +404,8 @@ class Manager:
                     yield
             finally:
                 self._current = None
+                if not self._waiting:  # or they would compete with the next one for the processor
+                    self._backend.keep_spares(self._spares, self._client.token)
 
     @contextlib.asynccontextmanager
     async def _turn(self) -> AsyncIterator[None]:

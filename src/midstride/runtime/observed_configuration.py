@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Container, Iterable
 
 from midstride.model.component import ComponentSpec, FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
@@ -43,6 +43,18 @@ def own_degradations_in(configuration: Configuration, state: ComponentState) -> 
         return {}
     reported = reported_modes(configuration.component(state.instance), state)
     return {ref: index for ref, index in reported.items() if index > configuration.modes[ref]}
+
+
+def with_failures(
+    configuration: Configuration, instances: Iterable[str], client: ComponentClient, exited: Container[str]
+) -> Configuration:
+    """``configuration`` with what ``instances`` have degraded by themselves, and without those in ``exited``."""
+    for name in instances:
+        if name in exited:
+            configuration = configuration.without_instance(name)
+        elif (latest := client.latest(name)) is not None:
+            configuration = configuration.with_modes(own_degradations_in(configuration, latest.state))
+    return configuration
 
 
 def reported_modes(component: ComponentSpec, state: ComponentState) -> dict[FunctionalityRef, int]:

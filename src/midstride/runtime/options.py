@@ -11,11 +11,13 @@ class SystemOptions(msgspec.Struct, frozen=True):
     """``use_sim_time``: ``/clock`` drives every node that does not say otherwise.
 
     ``middleware_settings``: Midstride sets transports and discovery for its processes, where the user has not.
+    ``spares``: how many processes to keep ready for the next components.
     ``diagnostics``: components publish on ``/diagnostics``.
     """
 
     use_sim_time: bool = False
     middleware_settings: bool = True
+    spares: int = 0
     diagnostics: bool = True
 
     def with_(self, later: SystemOptions) -> SystemOptions:
@@ -23,6 +25,7 @@ class SystemOptions(msgspec.Struct, frozen=True):
         return SystemOptions(
             self.use_sim_time or later.use_sim_time,
             self.middleware_settings and later.middleware_settings,
+            max(self.spares, later.spares),
             self.diagnostics and later.diagnostics,
         )
 

@@ -20,7 +20,7 @@ from midstride.runtime.events import EventLog
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import reported_modes
 from midstride.runtime.state_store import SavedInstance
-from midstride.wire.commands import GateCommand, RecordCommand
+from midstride.wire.commands import FenceCommand, GateCommand, RecordCommand
 from midstride.wire.state import ComponentState
 
 
@@ -72,7 +72,9 @@ async def recover(
             await launcher.end(name)
     for name in found:
         await have_answer(client, name)
-    for name, (instance, _) in found.items():
+    for name, (instance, observed) in found.items():
+        if fenced := _fenced(observed):  # the manager, and then its successor, exited before that took over
+            await client.read(name, FenceCommand(attachments=fenced, lift=True))
         # A cut that was in progress may have changed its gates and modes since it was adopted.
         found[name] = (instance, await client.observe(name))
         # This manager does not need the recordings of the earlier one.
@@ -82,16 +84,25 @@ async def recover(
 
 
 def _redundant(found: dict[str, tuple[Instance, ComponentState]]) -> list[str]:
-    """All instances of each role but the one with the most open gates, which publishes; else the one that answers."""
+    """All instances of each role but the one with the most open gates, which publishes; else the one that answers.
+
+    One that was fenced hangs, so its successor stays.
+    """
     by_role: dict[str, list[str]] = {}
     for name, (instance, _) in found.items():
         by_role.setdefault(instance.role, []).append(name)
 
-    def rank(name: str) -> tuple[int, bool, int, str]:
+    def rank(name: str) -> tuple[bool, int, bool, int, str]:
         links = [link for topics in found[name][1].ports.values() for link in topics.values()]
-        return -sum(link.gate == "open" for link in links), not found[name][1].answers, len(name), name
+        fenced = bool(_fenced(found[name][1]))
+        return fenced, -sum(link.gate == "open" for link in links), not found[name][1].answers, len(name), name
 
     return [name for names in by_role.values() for name in sorted(names, key=rank)[1:]]
+
+
+def _fenced(observed: ComponentState) -> list[tuple[str, str]]:
+    """The fenced attachments: port and topic."""
+    return [(port, topic) for port, topics in observed.ports.items() for topic, link in topics.items() if link.fenced]
 
 
 async def _configuration(

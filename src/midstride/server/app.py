@@ -175,7 +175,15 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
         """Carry out a change, once the commands before it are done; responds when it has been measured."""
         change, request = await read_change(http)
         lifecycle.require_up()
-        work = manager.change(request, expected=change.expected, verify=change.verify, brief=change.brief, id=change.id)
+        work = manager.change(
+            request,
+            expected=change.expected,
+            verify=change.verify,
+            brief=change.brief,
+            wait=change.wait,
+            id=change.id,
+            file=change.file,
+        )
         return answer(await lifecycle.carry_out(work))
 
     @router.post(

@@ -72,6 +72,7 @@ class LinkState(WireValue, frozen=True, kw_only=True):
     """One attachment. ``count`` messages have passed, ``gated`` have not; an input has no gate.
 
     ``fields``: samples of the fields that the contract in force constrains.
+    ``fenced``: its gate was closed although user code did not return, and nothing but lifting that opens it.
     """
 
     gate: GateState | None
@@ -79,6 +80,7 @@ class LinkState(WireValue, frozen=True, kw_only=True):
     gated: int = 0
     measured: Measured | None = None
     fields: dict[str, FieldSamples] = msgspec.field(default_factory=dict)
+    fenced: bool = False
 
 
 class ComponentState(WireValue, frozen=True, kw_only=True):

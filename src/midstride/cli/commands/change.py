@@ -19,7 +19,8 @@ def _change_options(function: Any) -> Any:
     yes = click.option("--yes", "-y", is_flag=True, help="Do not ask for confirmation.")
     summary = "Verify the plan with Alloy before it starts, and the running system after each step."
     verify = click.option("--verify", is_flag=True, help=summary)
-    return json_option(system_option(change_options.strategy_option(verify(yes(function)))))
+    options = change_options.strategy_option(change_options.wait_option(verify(yes(function))))
+    return json_option(system_option(options))
 
 
 def _components_option(function: Any) -> Any:
@@ -45,13 +46,14 @@ def replace_command(
     declared_parameters: bool,
     system: str | None,
     strategy: str,
+    wait: float,
     verify: bool,
     yes: bool,
 ) -> int:
     """Replace the component of NODE with COMPONENT, on the same topics."""
     request = {"replace": [[node, component]], "components": _components(file), "strategy": strategy}
     request["declared_parameters"] = declared_parameters
-    return change(system, request, f"replace {node} with {component}", yes, verify)
+    return change(system, request, f"replace {node} with {component}", yes, verify, wait)
 
 
 @click.command("restart")
@@ -59,11 +61,17 @@ def replace_command(
 @change_options.declared_parameters_option
 @_change_options
 def restart_command(
-    nodes: tuple[str, ...], declared_parameters: bool, system: str | None, strategy: str, verify: bool, yes: bool
+    nodes: tuple[str, ...],
+    declared_parameters: bool,
+    system: str | None,
+    strategy: str,
+    wait: float,
+    verify: bool,
+    yes: bool,
 ) -> int:
     """Start nodes again, with what their programs are now: each is handed over to a new instance, without a gap."""
     request = {"restart": list(nodes), "strategy": strategy, "declared_parameters": declared_parameters}
-    return change(system, request, f"restart {', '.join(nodes)}", yes, verify)
+    return change(system, request, f"restart {', '.join(nodes)}", yes, verify, wait)
 
 
 @click.command("add")
@@ -81,22 +89,25 @@ def add_command(
     file: Path | None,
     system: str | None,
     strategy: str,
+    wait: float,
     verify: bool,
     yes: bool,
 ) -> int:
     """Add NODE, with COMPONENT, and attach its ports to topics."""
     new = change_options.new_node(node, component, attachments, parameters)
     request = {"add": [new], "components": _components(file), "strategy": strategy}
-    return change(system, request, f"add {node} ({component})", yes, verify)
+    return change(system, request, f"add {node} ({component})", yes, verify, wait)
 
 
 @click.command("remove")
 @click.argument("nodes", nargs=-1, required=True, metavar="NODE...", shell_complete=completion.nodes)
 @_change_options
-def remove_command(nodes: tuple[str, ...], system: str | None, strategy: str, verify: bool, yes: bool) -> int:
+def remove_command(
+    nodes: tuple[str, ...], system: str | None, strategy: str, wait: float, verify: bool, yes: bool
+) -> int:
     """Remove nodes. The functionalities that rely on them degrade only as far as they must."""
     request = {"remove": list(nodes), "strategy": strategy}
-    return change(system, request, f"remove {', '.join(nodes)}", yes, verify)
+    return change(system, request, f"remove {', '.join(nodes)}", yes, verify, wait)
 
 
 @click.command("apply")
@@ -110,6 +121,7 @@ def apply_command(
     declared_parameters: bool,
     system: str | None,
     strategy: str,
+    wait: float,
     verify: bool,
     yes: bool,
 ) -> int:
@@ -136,7 +148,7 @@ def apply_command(
             "declared_parameters": declared_parameters,
         }
 
-    return change(system, request, f"apply {new.name}", yes, verify)
+    return change(system, request, f"apply {new.name}", yes, verify, wait, file=str(new.resolve()))
 
 
 def _components(file: Path | None) -> list[Document]:
@@ -150,11 +162,17 @@ def _components(file: Path | None) -> list[Document]:
 
 
 def change(
-    system: str | None, asked: Document | Callable[[Client], Document], title: str, yes: bool, verify: bool
+    system: str | None,
+    asked: Document | Callable[[Client], Document],
+    title: str,
+    yes: bool,
+    verify: bool,
+    wait: float,
+    file: str | None = None,
 ) -> int:
     """Show the plan, ask for confirmation, make the change and report it. The exit status.
 
-    ``asked``: the request, or what makes it with the help of the system's manager.
+    ``asked``: the request, or what makes it with the help of the system's manager. ``file``: the one that is applied.
     """
     if not yes and not is_interactive():
         raise click.UsageError("not a terminal; pass --yes")
@@ -170,7 +188,7 @@ def change(
             click.echo("Nothing was changed.", err=True)
             return 1
         expected = preview["revision"]
-    document = {"request": request, "expected": expected, "verify": verify}
+    document = {"request": request, "expected": expected, "verify": verify, "wait": wait, "file": file}
     outcome = _carry_out(client, document, title, show_plan=yes)
     if wants_json():
         print_json(outcome)
