@@ -17,7 +17,6 @@ from typing import Any, Final, TypeVar
 
 from midstride.errors import BackendError, CommandRefused
 from midstride.model.component import ROS_PARAMETERS
-from midstride.node.answering import Answering
 from midstride.node.attachments import Attachments
 from midstride.node.declaration import DeclaredParts
 from midstride.node.fencing import Fencing
@@ -81,7 +80,6 @@ class CommandHandlers:
             self._attachments, self.host, self._data, self.changed, self.token, self._hooks, self._runners
         )
         self._fencing = Fencing(self._attachments, self.host, self._data, self._runners, self.changed)
-        answering = Answering(self.host.gate, self._handovers.call, self.changed)
         self._handlers: dict[type[Command[Any]], Handler] = {
             commands.AttachCommand: self._attachments.attach,
             commands.DetachCommand: self._attachments.detach,
@@ -90,6 +88,7 @@ class CommandHandlers:
             commands.AwaitWriteCommand: self._attachments.await_write,
             commands.GridCommand: self._handovers.grid,
             commands.MeetCommand: self._handovers.meet,
+            commands.MuteCommand: self._handovers.mute,
             commands.CutOutCommand: self._handovers.cut_out,
             commands.CutInCommand: self._handovers.cut_in,
             commands.CancelCutCommand: self._handovers.cancel_cut,
@@ -97,8 +96,8 @@ class CommandHandlers:
             commands.CutTakenCommand: self._handovers.taken,
             commands.AwaitIdleCommand: self._fencing.await_idle,
             commands.FenceCommand: self._fencing.fence,
-            commands.AnswerCommand: answering.answer,
-            commands.YieldCommand: answering.stop,
+            commands.AnswerCommand: self._handovers.answer,
+            commands.YieldCommand: self._handovers.answering.stop,
             commands.PrepareStateCommand: self._handovers.prepare_state,
             commands.OfferStateCommand: self._handovers.offer_state,
             commands.FetchStateCommand: self._handovers.fetch_state,
@@ -204,6 +203,7 @@ class CommandHandlers:
             imported=imported,
             clock_speed=self.host.clock_history.speed(self.host.steady()) if self.host.simulated_time else 1.0,
             declared={each.name: each.declared for each in parameters if each.value != each.declared},
+            keeps_state=self.parts.callbacks.export_state is not None,
         )
 
     def _parameters(self) -> dict[str, HeldParameter]:

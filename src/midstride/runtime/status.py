@@ -27,6 +27,7 @@ def status(
     programs: Iterable[reports.ProgramStatus],
     running: reports.RunningCommand | None,
     unwritten: str | None,
+    damaged: str | None,
     file: str | None,
     spares: int,
     respawner: Respawner,
@@ -71,6 +72,7 @@ def status(
         revision=system.revision,
         running=running,
         unwritten=unwritten,
+        damaged=damaged,
         middleware=backend.middleware(),
         file=file,
         spares=reports.Spares(

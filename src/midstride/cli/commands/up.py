@@ -93,6 +93,11 @@ def manager_arguments(
 @click.option("--http", type=click.IntRange(1, 65535), metavar="PORT", help="Serve the API on loopback TCP as well.")
 @click.option("--http-host", metavar="ADDRESS", help="With --http: listen on this address instead of loopback.")
 @platform_options(spares=0)
+@click.option(
+    "--finish-interrupted",
+    is_flag=True,
+    help="Finish a change that was interrupted because the manager was killed, instead of rolling it back.",
+)
 @json_option
 def up_command(
     file: Path,
@@ -103,6 +108,7 @@ def up_command(
     use_sim_time: bool,
     no_middleware_settings: bool,
     no_diagnostics: bool,
+    finish_interrupted: bool,
     spares: int,
 ) -> int:
     """Start the system of FILE and its manager, and watch them.
@@ -124,6 +130,7 @@ def up_command(
     workspace.require_room()
     if http is not None:
         arguments += ["--http", str(http), *(["--http-host", http_host] if http_host else [])]
+    arguments += ["--finish-interrupted"] * finish_interrupted
     answer = bring_up(client, workspace, arguments)
     if client.get("/specification") != encode_specification(specification):
         click.echo(
