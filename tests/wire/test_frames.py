@@ -143,7 +143,17 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (AwaitCutCommand(cut="c", timeout=1.5), CutResult(outcome="resumed", last=WRITE, first=WRITE)),
     (WelcomeCommand(manager="m", timeout=1.5), STATE),
     (
-        AttachCommand(port="out", topic="/t", gate="closed", peers=1, everyone=2, patience=0.5, timeout=1.5),
+        AttachCommand(
+            port="out",
+            topic="/t",
+            gate="closed",
+            peers=1,
+            everyone=2,
+            patience=0.5,
+            timeout=1.5,
+            rate=50.0,
+            tolerates=3,
+        ),
         Attached(matched=2),
     ),
     (DetachCommand(port="out", topic="/t", timeout=1.5), Detached(acknowledged=None, last=7)),

@@ -283,19 +283,29 @@ class ActionDriver:
         output = configuration.is_output(port)
         others = (configuration.subscribers_on if output else configuration.publishers_on)(action.connector)
         peers = sum(not self._is_gone(other.instance) for other in others)
-        attach = commands.AttachCommand(port=port.port, topic=topic, peers=peers, timeout=ATTACH_TIMEOUT)
+        attach = commands.AttachCommand(
+            port=port.port, topic=topic, peers=peers, timeout=ATTACH_TIMEOUT, **self._relied_on(port)
+        )
         detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
         await self._or_undo(port.instance, attach, detach)
 
     async def _detach(self, action: Detach) -> None:
         port, topic = action.port, self.configuration.topic(action.connector)
         detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
-        attach = commands.AttachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
+        attach = commands.AttachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT, **self._relied_on(port))
         reply = await self._or_undo(port.instance, detach, attach)
         if reply.last:
             self.last_numbers[port] = reply.last
         if reply.acknowledged is None and self.configuration.is_output(port):
             self.events.add("note", f"{port}: unknown whether its last messages on {topic} arrived")
+
+    def _relied_on(self, port: PortRef) -> dict[str, Any]:
+        """What the specification states for an input; nothing for an output."""
+        component = self.configuration.component(port.instance)
+        assumption = component.inputs.get(port.port)
+        if assumption is None or assumption.rate is None:
+            return {}
+        return {"rate": assumption.rate, "tolerates": component.tolerates.get(port.port)}
 
     async def _or_undo(self, instance: str, command: Command[R], undo: Command[Any]) -> R:
         """The reply to ``command``; if it fails, send ``undo`` in case it was partly carried out."""
@@ -314,11 +324,21 @@ class ActionDriver:
                     continue
                 before = {ref: self.configuration.modes[ref] for ref in modes}
                 changed.append((instance, self._modes_command(before, "roll-back")))
-                await self.client.change(instance, self._modes_command(modes, because))
+                command = self._modes_command(modes, because)
+                try:
+                    await self.client.change(instance, command)
+                except CommandRefused:
+                    if isinstance(action, Upgrade) or not await self._has_degraded(instance):
+                        raise
+                    await self.client.change(instance, command)  # whatever mode it has fallen to
         except Exception:
             for instance, undo in reversed(changed):
                 await self.client.undo(instance, undo)
             raise
+
+    async def _has_degraded(self, instance: str) -> bool:
+        """Whether it has degraded by itself since the change began."""
+        return bool(own_degradations_in(self.configuration, await self.client.peek(instance)))
 
     async def lower(self, instance: str, modes: Mapping[FunctionalityRef, int], because: str) -> None:
         """Degrade functionalities of ``instance`` whose assumptions no longer hold. Raises MidstrideError.

@@ -295,7 +295,8 @@ class WelcomeCommand(Command[ComponentState], frozen=True, kw_only=True, tag="we
 class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
     """Create the endpoint and wait until ``peers`` compatible endpoints are matched; only then open the gate.
 
-    ``everyone`` is how many readers to wait for beyond that, at most ``patience`` seconds.
+    ``everyone`` is how many readers to wait for beyond that, at most ``patience`` seconds. An input relies on ``rate``
+    (Hz), and ``tolerates`` so many missed messages; None: what its code states.
     """
 
     port: str
@@ -305,6 +306,8 @@ class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
     everyone: int = 0
     patience: Seconds = 0.0
     timeout: Seconds = 5.0
+    rate: float | None = None
+    tolerates: int | None = None
 
 
 class DetachCommand(Command[Detached], frozen=True, kw_only=True, tag="detach"):
