@@ -173,7 +173,7 @@ def test_a_file_is_created_whole_or_not_at_all(path: Path) -> None:
     with pytest.raises(sqlite3.Error):
         Disk().open(path, "CREATE TABLE one (x); nonsense")  # the manager is killed half-way
     assert not path.exists()
-    Disk().open(path, "CREATE TABLE two (x)").close()
+    Disk().open(path, "CREATE TABLE IF NOT EXISTS two (x)").close()
     database = Disk().read_only(path)
     assert database is not None
     assert database.read("SELECT name FROM sqlite_master") == [("two",)]

@@ -56,7 +56,10 @@ class Disk:
     """The databases in files; a missing file is created for its user alone."""
 
     def open(self, path: Path, schema: str) -> Database:
-        """Open the database in ``path``, after the statements of ``schema``. Raises sqlite3.Error or OSError."""
+        """Open the database in ``path``, after the statements of ``schema``, which may be repeated.
+
+        Raises sqlite3.Error or OSError.
+        """
         if not path.exists():  # whole, or not at all
             new = path.with_name(f"{path.name}.new")
             self.remove(new)
