@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from midstride.cli import main
+from midstride.cli.client import Client
 from midstride.cli.commands import up
 from midstride.cli.files import load
 from midstride.codec.specification import encode_specification
@@ -74,8 +75,8 @@ def test_up_that_cannot_restore_a_node_says_which_why_and_what_to_do(
     file = EXAMPLES / "talker" / "talker.json"
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr(up, "bring_up", lambda *_: report)
-    monkeypatch.setattr(up.Client, "get", lambda *_, **__: encode_specification(load(file)))
-    monkeypatch.setattr(up.Client, "service", lambda *_, **__: None)
+    monkeypatch.setattr(Client, "get", lambda *_, **__: encode_specification(load(file)))
+    monkeypatch.setattr(Client, "service", lambda *_, **__: None)
     assert main(["up", str(file), "--backend", "sim", "--detach"]) == 1
     assert capsys.readouterr().out.splitlines() == [
         "talker is up without talker (listener).",
