@@ -75,7 +75,7 @@ def complete(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str])
         ("plan x --strategy ", ["minimal", "paper", "quiesce"]),
         ("up x --backend r", ["ros2", "ros1"]),
         ("explain E01", [f"E01{digit}" for digit in range(7)]),
-        ("explain w03", ["w030", "w031", "w032", "w033", "w034"]),
+        ("explain w03", ["w030", "w031", "w032", "w033", "w034", "w035"]),
         ("demo t", ["talker"]),
         ("check ", ["file"]),
         ("nonsense --system", []),

@@ -74,7 +74,7 @@ def test_the_openapi_document_has_every_operation() -> None:
             path for path, operations in document["paths"].items() if "post" in operations
         }
         reading = ("", "/up", "/status", "/programs", "/configuration", "/specification", "/why", "/log", "/events")
-        assert {f"/api/v1{path}" for path in reading} == {
+        assert {f"/api/v1{path}" for path in (*reading, "/history", "/specification/earlier")} == {
             path for path, operations in document["paths"].items() if "get" in operations
         }
         strategies = document["components"]["schemas"]["ChangeRequest"]["properties"]["strategy"]["enum"]

@@ -151,6 +151,7 @@ class Changing(ScriptedManager):
         brief: bool = False,
         wait: float = 5.0,
         id: str | None = None,
+        by: str | None = None,
         file: str | None = None,
     ) -> Any:
         self.asked.append(("change", None))

@@ -80,7 +80,10 @@ def plan(document: Document, title: str) -> RenderableType:
     steps.columns[0].justify = "right"
     for number, step in enumerate(document["steps"], 1):
         steps.add_row(Text(str(number), style="dim"), Text(step_text(step)), seconds(step.get("seconds")))
-    parts = [Text.from_markup(falls(document)), *_runtime_values(document), Text(cost(document), style="dim")]
+    parts = [Text.from_markup(falls(document)), *_runtime_values(document)]
+    for name, because in (document.get("own_state") or {}).items():
+        parts.append(Text(f"{name} starts with its own state: {because}.", style="yellow"))
+    parts.append(Text(cost(document), style="dim"))
     return Group(Text(title, style="bold"), steps, *parts)
 
 
@@ -184,6 +187,7 @@ def outcome(document: Document) -> RenderableType:
         for swap in document["swaps"]:
             swaps.add_row(swap["topic"], swap["subscriber"], *measurements(swap))
         lines.append(swaps)
+    lines += [Text(f"{words}.", style="yellow") for words in (document.get("own_state") or {}).values()]
     late = sorted((document.get("late") or {}).items())
     lines += [
         Text(f"The first slot of {name} was {seconds(spent)} late; its state moved before.") for name, spent in late
@@ -376,8 +380,7 @@ def _problems(document: Document) -> Iterable[Text]:
         if crash.get("remedy") and not (respawn and respawn["restarting"]):
             next_.append(crash["remedy"])
         problems.append("; ".join([f"{crash['name']} exited unexpectedly{status}", *next_]))
-    if document.get("unwritten"):
-        problems.append(document["unwritten"])
+    problems += [document[name] for name in ("unwritten", "damaged") if document.get(name)]
     return [Text(problem, style="red") for problem in problems]
 
 
@@ -396,7 +399,16 @@ def platform(document: Document) -> RenderableType:
     lines: list[RenderableType] = [Text(""), starts, Text(f"\nMiddleware: {middleware['name']}")]
     if middleware["set"] or middleware["kept"]:
         lines.append(settings)
-    return Group(*lines, *(Text(note, style="dim") for note in middleware["notes"]))
+    notes = [*middleware["notes"], *_spares(document["spares"])]
+    return Group(*lines, *(Text(note, style="dim") for note in notes))
+
+
+def _spares(spares: Document) -> list[str]:
+    if not spares["kept"]:
+        return []
+    words = f"Spare processes: {spares['ready']} of {spares['kept']} ready"
+    unused_by = f"; not for {', '.join(spares['unused_by'])}, whose commands start as before"
+    return [words + (unused_by if spares["unused_by"] else "") + "."]
 
 
 def _silence(fault: Document) -> str:
@@ -408,6 +420,31 @@ def time_of_day(at: float) -> str:
     """A Unix time (s) as the local time, to the millisecond."""
     whole, millis = divmod(round(at * 1000), 1000)
     return f"{time.strftime('%H:%M:%S', time.localtime(whole))}.{millis:03d}"
+
+
+def history(document: Document) -> RenderableType:
+    """The changes and the incidents, oldest first."""
+    left, right = ("", "when", "what", "outcome", "version"), ("steps", "missed", "gap", "took")
+    rows = table(left, right)
+    entries = [*document["changes"], *document["incidents"]]
+    for each in sorted(entries, key=lambda entry: float(entry["at"])):
+        when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(each["at"]))
+        if "number" not in each:
+            rows.add_row("", when, Text(each["words"].splitlines()[0], style="dim"), *[""] * 6)
+            continue
+        done = sum(step["outcome"] == "done" for step in each["steps"])
+        outcome = (each["outcome"] or "in progress").replace("_", " ")
+        figures: list[RenderableType] = [_count(each["missed"]), seconds(each["gap"]), seconds(each["seconds"])]
+        what = each["by"] or each["command"]
+        style = "green" if each["outcome"] == "done" else "yellow"
+        version = f"v{each['version']}"
+        rows.add_row(
+            str(each["number"]), when, what, Text(outcome, style=style), version, f"{done}/{each['total']}", *figures
+        )
+        if each["because"]:
+            rows.add_row("", "", Text(each["because"].splitlines()[0], style="dim"), *[""] * 6)
+    damaged = [Text(document["damaged"], style="red")] if document["damaged"] else []
+    return Group(rows, *damaged)
 
 
 def event(document: Document) -> Text:

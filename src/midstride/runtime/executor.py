@@ -16,7 +16,7 @@ from typing import Any, Final
 from immutables import Map
 from msgspec import UNSET
 
-from midstride.errors import BackendError, MidstrideError, StepFailed
+from midstride.errors import BackendError, MidstrideError, StepFailed, Superseded
 from midstride.model.action import Action, Create, Degrade, Handover, Remove, SetParameters
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
@@ -24,6 +24,7 @@ from midstride.plan.step_forms import AnyStep
 from midstride.runtime.action_driver import ActionDriver, by_instance
 from midstride.runtime.backend import Exited
 from midstride.runtime.events import counted
+from midstride.runtime.journal import JournalEntry
 from midstride.runtime.pacing import room_for_a_start
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.state_store import StateStore
@@ -50,15 +51,17 @@ class Executor:
     """Carries out actions on the running system.
 
     ``on_moved`` is called with the configuration after each step and the instances that the step changed.
-    ``after_step`` checks the configuration after each step of a plan: if it raises, the step has failed.
-    ``on_performed`` is called after each action of a plan and of its roll-back; ``commanding`` is held while an action
-    sends commands to components that run already: a component refuses the second of two changes at one revision.
+    ``after_step`` checks the configuration after each step of a plan: if it raises, the step has failed. ``entry``
+    records the steps in the journal. ``on_performed`` is called after each action of a plan and of its roll-back;
+    ``commanding`` is held while an action sends commands to components that run already: a component refuses the second
+    of two changes at one revision.
     """
 
     driver: ActionDriver
     store: StateStore
     on_moved: Callable[[Configuration, Collection[str]], None] = lambda *_: None
     after_step: Callable[[Configuration], Awaitable[None]] | None = None
+    entry: JournalEntry | None = None
     on_performed: Callable[[Action], Awaitable[None]] | None = None
     commanding: asyncio.Lock = field(default_factory=asyncio.Lock)
     _one_start: asyncio.Lock = field(default_factory=asyncio.Lock)
@@ -81,12 +84,14 @@ class Executor:
             what = action.describe(self.system.configuration)
             self.driver.events.add("step", f"{index + 1}/{len(actions)} {what}", **position)
             try:
+                if self.entry is not None:
+                    await self.entry.step(what)
                 if isinstance(action, Create):
                     await self._start(action)
                     if index == 0 or not isinstance(actions[index - 1], Create):
                         await self._stop_starting()
                         self._ahead = asyncio.ensure_future(self._start_ahead(actions[index + 1 :]))
-                await self._step(action, done)
+                await self._timed_step(action, done, actions)
                 if self.after_step is not None:
                     await self.after_step(self.system.configuration)
             except (Exception, asyncio.CancelledError) as raised:
@@ -96,6 +101,11 @@ class Executor:
                     position = _position(actions, actions.index(raised.action), forms)
                 why = _words(error)
                 self.driver.events.add("step_failed", f"{what} failed: {why}", **position)
+                if isinstance(error, Superseded) or not (self.entry is None or await self.entry.failed()):
+                    # What runs is the other manager's.
+                    await self._stop_starting()
+                    words = f"{what}: {why}; nothing is rolled back, since another manager has taken over"
+                    raise StepFailed(words, "failed") from error
                 problems = [*await self._abandon_started(actions[index:]), *await self._roll_back(done)]
                 if isinstance(error, asyncio.CancelledError):
                     raise
@@ -104,6 +114,13 @@ class Executor:
                 raise StepFailed(f"{what}: {why}; and the roll-back failed: {'; '.join(problems)}", "failed") from error
             self.driver.events.add("step_done", f"{index + 1}/{len(actions)} done", **position)
         await self._stop_starting()
+
+    async def _timed_step(self, action: Action, done: Done, actions: Sequence[Action]) -> None:
+        clock, key = self.driver.backend.clock, _estimates(action, self.system.configuration, actions)
+        begun = clock.steady()
+        await self._step(action, done)
+        if self.entry is not None:
+            self.entry.took(clock.steady() - begun, key)
 
     async def _step(self, action: Action, done: Done) -> None:
         """Perform ``action`` and append it to ``done``.
@@ -283,6 +300,17 @@ class Executor:
                 else:
                     self.store.remove_instance(action.instance.name)
         return problems
+
+
+def _estimates(action: Action, configuration: Configuration, actions: Sequence[Action]) -> str | None:
+    """What the duration of ``action`` is an estimate of (:meth:`Change.seconds`)."""
+    match action:
+        case Create(instance):  # beside others, a process starts more slowly
+            alone = sum(isinstance(each, Create) for each in actions) == 1
+            return f"create {instance.component.name}" if alone else None
+        case Remove(name):
+            return f"remove {configuration.component(name).name}"
+    return action.kind
 
 
 def _position(actions: Sequence[Action], index: int, forms: Sequence[AnyStep]) -> dict[str, Any]:

@@ -89,6 +89,10 @@ class Outcome(Report, frozen=True, kw_only=True):
         dict[str, float],
         Meta(description="seconds by which a new component's first slot waited for its state, over a period"),
     ] = {}
+    own_state: Annotated[
+        dict[str, str],
+        Meta(description="new components that continue without the state of the old one: what is lost, and why"),
+    ] = {}
     because: str | None = None
     parameters: Annotated[list[RuntimeValue], Meta(description="what became of values that were set at run time")] = []
     ended: Annotated[list[str], Meta(description="instances that exited unexpectedly meanwhile")] = []
@@ -256,6 +260,14 @@ class RunningCommand(Report, frozen=True):
     since: float
 
 
+class Spares(Report, frozen=True, kw_only=True):
+    """The processes that are kept ready for the next components."""
+
+    kept: int
+    ready: int
+    unused_by: Annotated[list[str], Meta(description="instances whose command no spare can run")]
+
+
 class Status(Report, frozen=True, kw_only=True):
     """The running system."""
 
@@ -269,8 +281,10 @@ class Status(Report, frozen=True, kw_only=True):
     backend: str
     revision: int
     running: RunningCommand | None
-    unwritten: Annotated[str | None, Meta(description="why the state could not be written to disk")]
+    unwritten: Annotated[str | None, Meta(description="why the state or the journal could not be written to disk")]
+    damaged: Annotated[str | None, Meta(description="where a damaged journal is kept, and what was wrong with it")]
     middleware: Middleware
+    spares: Spares
     file: Annotated[str | None, Meta(description="the file that was brought up, or applied last")] = None
 
 

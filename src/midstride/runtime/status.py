@@ -27,7 +27,9 @@ def status(
     programs: Iterable[reports.ProgramStatus],
     running: reports.RunningCommand | None,
     unwritten: str | None,
+    damaged: str | None,
     file: str | None,
+    spares: int,
     respawner: Respawner,
 ) -> reports.Status:
     """The answer to ``midstride status``."""
@@ -70,8 +72,16 @@ def status(
         revision=system.revision,
         running=running,
         unwritten=unwritten,
+        damaged=damaged,
         middleware=backend.middleware(),
         file=file,
+        spares=reports.Spares(
+            kept=spares,
+            ready=backend.spares(),
+            unused_by=[name for name, each in sorted(configuration.instances.items()) if not launcher.takes_spare(each)]
+            if spares
+            else [],
+        ),
     )
 
 

@@ -35,7 +35,7 @@ class SubmittedChange(Form, frozen=True):
     until this change has been measured over 20 periods. `wait`: after how many seconds a component that hangs, and is
     to go, is fenced: replaced although its code does not return. `file`: the one that `to` was read from. `id`: any
     text; the events `waiting` and `command` of this change contain it, and those that follow until the next `command`
-    belong to it.
+    belong to it. `by`: who asks, and for what, for the history.
     """
 
     what: ClassVar[str] = "a change"
@@ -47,6 +47,7 @@ class SubmittedChange(Form, frozen=True):
     wait: SecondsOrZero = DEFAULT_WAIT
     file: str | None = None
     id: Annotated[str, field("an id", max_length=100)] | None = None
+    by: Annotated[str, field("who asks", max_length=200)] | None = None
 
 
 class ParameterSetting(Form, frozen=True):

@@ -68,6 +68,10 @@ class FieldSamples(WireValue, frozen=True, kw_only=True):
     last: bool | int | float | str | None = None
 
 
+# What a component waits for that has been started, and is not yet part of its system.
+NOT_WELCOMED: Final = "no manager has welcomed it yet"
+
+
 class LinkState(WireValue, frozen=True, kw_only=True):
     """One attachment. ``count`` messages have passed, ``gated`` have not; an input has no gate.
 
@@ -92,7 +96,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     still, or that is not known yet). ``stopping`` is how long it may take to end in order (s).
     ``ports`` maps port -> topic -> attachment. ``imported`` counts the modules that its process has imported: where it
     has grown, so may have the files of its program. ``declared`` has the parameters that were set while it ran, each
-    with the value that it was started with.
+    with the value that it was started with. ``keeps_state``: it exports state for its replacement.
     """
 
     instance: str
@@ -110,6 +114,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     node: str | None = None
     answers: bool = True
     declared: dict[str, Any] = msgspec.field(default_factory=dict)
+    keeps_state: bool = False
 
     def set_values(self) -> dict[str, Any]:
         """The values of the parameters that were set while it ran."""

@@ -18,7 +18,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
-from midstride.backends.ros2 import names
+from midstride.backends.ros2 import early_join, names
 from midstride.backends.ros2.data_node import DataNode
 from midstride.backends.ros2.diagnostics import DiagnosticsPublisher
 from midstride.backends.ros2.gated_node import GatedNode
@@ -93,7 +93,7 @@ class ComponentNodes:
         failed: Callable[[str], None],
     ) -> None:
         self._own_context = not rclpy.ok()
-        if self._own_context:
+        if self._own_context and not early_join.become_default():
             rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         self._context = rclpy.utilities.get_default_context()
         self._control = GatedNode(
@@ -105,6 +105,7 @@ class ComponentNodes:
             start_parameter_services=False,
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
+        early_join.leave()
         self._full_name = names.full(name, namespace)
         self._system = system
         try:

@@ -131,12 +131,25 @@ class Simulator:
             await self.time.sleep(min(0.01, grace))
         process.kill()
 
+    def keep_spares(self, number: int, token: str) -> None:
+        pass
+
+    def spares(self) -> int:
+        return 0
+
+    def takes_spare(self, arguments: Sequence[str], directory: Path) -> bool:
+        return False
+
     async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
         started = {name for name, process in self.processes.items() if process.token == token}
         orphans = sorted(name for name in started if name not in known)
         for name in orphans:
             await self.end(name, grace)
         return orphans
+
+    def is_stopped(self, instance: str) -> bool:
+        process = self.processes.get(instance)
+        return process is not None and process.thawed_at > self.time.steady()
 
     def disconnected(self, instance: str) -> None:
         pass  # it has left the simulated graph

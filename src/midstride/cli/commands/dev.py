@@ -26,10 +26,10 @@ from midstride.runtime.workspace import Workspace
 @click.command("dev")
 @click.argument("file", type=click.Path(path_type=Path))
 @backend_option("The platform, where the system is not running yet.")
-@platform_options
+@platform_options(spares=1)
 @json_option
 def dev_command(
-    file: Path, backend: str, use_sim_time: bool, no_middleware_settings: bool, no_diagnostics: bool
+    file: Path, backend: str, use_sim_time: bool, no_middleware_settings: bool, no_diagnostics: bool, spares: int
 ) -> int:
     """Run the system of FILE, and on each save swap exactly the nodes that it changes, without losing a message.
 
@@ -38,7 +38,7 @@ def dev_command(
 
     Ctrl-C ends a system that this command has started; one that was running already goes on.
     """
-    arguments = manager_arguments(file, backend, use_sim_time, no_middleware_settings, no_diagnostics)
+    arguments = manager_arguments(file, backend, use_sim_time, no_middleware_settings, no_diagnostics, spares)
     specification = WatchedSpecification(file)
     workspace = Workspace.of(specification.wanted.name)
     client, screen = Client(workspace.socket), _Screen(console(stderr=wants_json()), wants_json())

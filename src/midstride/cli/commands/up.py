@@ -29,6 +29,7 @@ from midstride.runtime.workspace import Workspace
 # How long a manager may take to answer for the first time (s): a cold start on a busy machine.
 START_TIMEOUT = 30.0
 POLL = 0.02
+MOST_SPARES = 20
 
 
 def backend_option(help: str) -> Callable[[Callable[..., int]], Callable[..., int]]:
@@ -43,8 +44,11 @@ def backend_option(help: str) -> Callable[[Callable[..., int]], Callable[..., in
     )
 
 
-def platform_options(function: Callable[..., int]) -> Callable[..., int]:
-    """What holds for every process of the system: the last three arguments of :func:`manager_arguments`."""
+def platform_options(spares: int) -> Callable[[Callable[..., int]], Callable[..., int]]:
+    """What holds for every process of the system: the last arguments of :func:`manager_arguments`.
+
+    ``spares`` is how many spare processes there are by default.
+    """
     sim_time = click.option(
         "--use-sim-time",
         is_flag=True,
@@ -58,11 +62,19 @@ def platform_options(function: Callable[..., int]) -> Callable[..., int]:
     no_diagnostics = click.option(
         "--no-diagnostics", is_flag=True, help="Do not publish on /diagnostics: see docs/how-to/diagnostics.md."
     )
-    return sim_time(no_settings(no_diagnostics(function)))
+    kept = click.option(
+        "--spares",
+        type=click.IntRange(0, MOST_SPARES),
+        default=spares,
+        show_default=True,
+        metavar="N",
+        help="Keep N processes ready, so that a component starts sooner: see docs/how-to/spares.md.",
+    )
+    return lambda function: sim_time(no_settings(no_diagnostics(kept(function))))
 
 
 def manager_arguments(
-    file: Path, backend: str, use_sim_time: bool, no_middleware_settings: bool, no_diagnostics: bool
+    file: Path, backend: str, use_sim_time: bool, no_middleware_settings: bool, no_diagnostics: bool, spares: int
 ) -> list[str]:
     """The arguments of a manager for the system of ``file``. Raises UsageError for what the back end does not have."""
     if use_sim_time and backend != "ros2":
@@ -70,7 +82,8 @@ def manager_arguments(
             "--use-sim-time is for ROS 2; on ROS 1, `rosparam set use_sim_time true` before `up` does it for every node"
         )
     options = ["--use-sim-time"] * use_sim_time + ["--no-middleware-settings"] * no_middleware_settings
-    return [str(file.resolve()), "--backend", backend, *options, *["--no-diagnostics"] * no_diagnostics]
+    options += [*["--no-diagnostics"] * no_diagnostics, "--spares", str(spares)]
+    return [str(file.resolve()), "--backend", backend, *options]
 
 
 @click.command("up")
@@ -79,7 +92,12 @@ def manager_arguments(
 @click.option("--detach", "-d", is_flag=True, help="Return as soon as the system is up.")
 @click.option("--http", type=click.IntRange(1, 65535), metavar="PORT", help="Serve the API on loopback TCP as well.")
 @click.option("--http-host", metavar="ADDRESS", help="With --http: listen on this address instead of loopback.")
-@platform_options
+@platform_options(spares=0)
+@click.option(
+    "--finish-interrupted",
+    is_flag=True,
+    help="Finish a change that was interrupted because the manager was killed, instead of rolling it back.",
+)
 @json_option
 def up_command(
     file: Path,
@@ -90,6 +108,8 @@ def up_command(
     use_sim_time: bool,
     no_middleware_settings: bool,
     no_diagnostics: bool,
+    finish_interrupted: bool,
+    spares: int,
 ) -> int:
     """Start the system of FILE and its manager, and watch them.
 
@@ -98,7 +118,7 @@ def up_command(
     """
     if http_host is not None and http is None:
         raise click.UsageError("--http-host needs --http PORT")
-    arguments = manager_arguments(file, backend, use_sim_time, no_middleware_settings, no_diagnostics)
+    arguments = manager_arguments(file, backend, use_sim_time, no_middleware_settings, no_diagnostics, spares)
     specification = load(file)
     workspace = Workspace.of(specification.name)
     client = Client(workspace.socket)
@@ -110,6 +130,7 @@ def up_command(
     workspace.require_room()
     if http is not None:
         arguments += ["--http", str(http), *(["--http-host", http_host] if http_host else [])]
+    arguments += ["--finish-interrupted"] * finish_interrupted
     answer = bring_up(client, workspace, arguments)
     if client.get("/specification") != encode_specification(specification):
         click.echo(

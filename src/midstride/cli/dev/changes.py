@@ -44,7 +44,7 @@ class Changes:
 
         def send() -> None:
             try:
-                change = {"request": request, "brief": True, "id": id, "file": self._file}
+                change = {"request": request, "brief": True, "id": id, "file": self._file, "by": "midstride dev"}
                 outcome = dict(self._client.post("/change", change))
                 answer.append(outcome)
                 if outcome["outcome"] == "done":
