@@ -189,6 +189,8 @@ class Executor:
         what = undoing.describe(self.system.configuration)
         while True:
             try:
+                if isinstance(undoing, Create):
+                    await self._start(undoing)  # the next manager must find what was removed and is there again
                 await self.perform(undoing)
                 return None
             except Exception as error:
