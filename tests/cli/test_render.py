@@ -197,6 +197,41 @@ def test_silence_and_waiting_are_shown() -> None:
     assert shown(render.outcome(done(silences=[{**fault, "seconds": None}])))[1:] == [fault["words"]]
 
 
+def with_attachment(gate: str | None = None, fields: Any = (), **figures: Any) -> dict[str, Any]:
+    """A status with one attachment, whose rate is declared as 50 Hz."""
+    known = {"declared": 50.0, "rate": 50.0, "met": True, "window": 1.0, "age": 0.019, "jitter": 0.0004}
+    measured = {**known, "longest": 0.021, "fields": list(fields), **figures}
+    attachment = {"port": "talker.out", "connector": "/chatter", "gate": gate, "measured": measured}
+    component = {"name": "talker", "component": "Talker", "pid": 5, "reachable": True, "functionalities": []} | QUIET
+    document = {"system": "s", "backend": "sim", "valid": True, "topics": [], "violations": [], "silences": []}
+    return {**document, "components": [{**component, "attachments": [attachment]}]}
+
+
+def test_what_is_measured_is_shown_where_it_differs_from_what_is_declared() -> None:
+    assert len(shown(render.status(with_attachment()))) == 3
+    slow: dict[str, Any] = {"rate": 9.87, "met": False}
+    lines = shown(render.status(with_attachment(**slow)))
+    assert lines[3:] == ["talker.out on /chatter: 9.87 Hz measured, 50 Hz declared (last message 19 ms ago)"]
+    assert len(shown(render.status(with_attachment(gate="closed", **slow)))) == 3
+    lines = shown(render.status(with_attachment(rate=0.0, met=False, age=None)))
+    assert lines[3:] == ["talker.out on /chatter: 0 Hz measured, 50 Hz declared (no message yet)"]
+    assert len(shown(render.status(with_attachment(rate=None, met=None, age=None)))) == 3
+
+
+def test_a_field_is_shown_while_it_violates_its_constraint() -> None:
+    field = {"field": "visibility", "constraint": ">= 1.5", "checked": 50, "violations": 7, "run": 2, "last": 0.5}
+    lines = shown(render.status(with_attachment(fields=[field])))
+    assert lines[3:] == ["talker.out on /chatter: visibility is 0.5, visibility >= 1.5 declared"]
+    assert len(shown(render.status(with_attachment(fields=[{**field, "run": 0}])))) == 3
+    (row,) = shown(render.measured(with_attachment(fields=[{**field, "run": 0}])))[2:]
+    assert row.endswith("visibility >= 1.5: 7 of 50 violate it, last 0.5")
+
+
+def test_every_attachment_is_in_the_table_of_what_is_measured() -> None:
+    (row,) = shown(render.measured(with_attachment()))[2:]
+    assert row.split() == "talker.out /chatter 50 Hz 50 Hz 1.00 s 19 ms 0 ms 21 ms –".split()
+
+
 def test_unexpected_degradation_is_reported() -> None:
     assert shown(render.outcome(done(degraded=["talker_2.talk"])))[1:] == [
         "Degraded unexpectedly meanwhile: talker_2.talk; see `midstride why talker_2.talk`."

@@ -38,7 +38,7 @@ def heard(midstride: Midstride) -> str:
 
 @pytest.mark.full
 def test_what_up_was_given_holds_for_the_next_manager_and_for_new_components(midstride: Midstride) -> None:
-    up = midstride("up", TALKER, "-d", "--use-sim-time", "--no-middleware-settings")
+    up = midstride("up", TALKER, "-d", "--use-sim-time", "--no-middleware-settings", "--no-diagnostics")
     assert up.status == 0, up.err
     os.kill(midstride.manager("talker"), signal.SIGKILL)
     assert midstride("up", TALKER, "-d").status == 0
@@ -53,6 +53,7 @@ def test_what_up_was_given_holds_for_the_next_manager_and_for_new_components(mid
     for row in status["components"]:
         environment = Path(f"/proc/{row['pid']}/environ").read_bytes()
         assert b"FASTDDS_" not in environment and b"FASTRTPS_" not in environment
+        assert b"MIDSTRIDE_DIAGNOSTICS=0" in environment.split(b"\0")
     verbose = midstride("status", "--verbose").out
     assert "/clock" in verbose and "python3 new_talker.py" in verbose
 

@@ -231,6 +231,10 @@ FAULTS: list[tuple[str, object, str, str]] = [
     ("/timing_seconds/create", -1, "E004", "at least 0"),
     ("/system", "", "E006", "the name of the system cannot be empty"),
     (f"{F}/modes/", {}, "E006", "is not a valid mode name"),
+    ("/nodes/detector/respawn", {"delay": 1}, "E002", "did you mean `delay_seconds`?"),
+    ("/nodes/detector/respawn", {"fallback": "Detecter"}, "E008", "did you mean `Detector`?"),
+    ("/nodes/detector/respawn", {"max_retries": 1.5}, "E001", "a number of restarts"),
+    ("/nodes/detector/respawn", {"window_seconds": 0}, "E004", "more than 0"),
 ]
 # The same, where the problem is told elsewhere.
 ELSEWHERE: list[tuple[str, object, str, str, str]] = [

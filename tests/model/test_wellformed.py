@@ -62,6 +62,7 @@ def test_the_demo_is_well_formed() -> None:
 
 
 MODES = f"{TALK}/modes"
+RUN, RESPAWN = "/components/Talker/run", "/nodes/talker/respawn"
 CASES: list[tuple[str, list[tuple[str, object]], str, str]] = [  # code, changes, path, message
     (
         "E010",
@@ -191,6 +192,30 @@ CASES: list[tuple[str, list[tuple[str, object]], str, str]] = [  # code, changes
         ],
         "/topics/~1quiet",
         "no publisher satisfies /quiet: environment hum: rate: 1 Hz is offered, at least 10 Hz is needed",
+    ),
+    (
+        "E026",
+        [(RUN, "t"), (RESPAWN, {"delay_seconds": 5, "max_delay_seconds": 2.5})],
+        f"{RESPAWN}/max_delay_seconds",
+        "the longest delay of talker, 2.5 s, is shorter than the first one, 5 s",
+    ),
+    (
+        "E026",
+        [(RESPAWN, {})],
+        RESPAWN,
+        "talker cannot be restarted: component Talker has no `run` command",
+    ),
+    (
+        "E026",
+        [(RUN, "t"), ("/components/Listener/run", "l"), (RESPAWN, {"fallback": "Listener"})],
+        f"{RESPAWN}/fallback",
+        "Listener cannot replace talker: it has no port out",
+    ),
+    (
+        "W035",
+        [(RUN, "t"), (RESPAWN, {"fallback": "Talker"})],
+        f"{RESPAWN}/fallback",
+        "the fallback of talker is Talker, the component that it has",
     ),
 ]
 

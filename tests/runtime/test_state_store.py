@@ -43,7 +43,7 @@ def begun(path: Path) -> StateStore:
 def test_what_up_was_given_is_found_and_a_state_without_it_is_read(path: Path) -> None:
     store = begun(path)
     assert_options(path, NO_OPTIONS)
-    given = SystemOptions(use_sim_time=True, middleware_settings=False)
+    given = SystemOptions(use_sim_time=True, middleware_settings=False, diagnostics=False)
     store.begin("sim", "a token", SPECIFICATION, given)
     assert_options(path, given)
     with sqlite3.connect(path) as database:
@@ -60,6 +60,7 @@ def test_a_later_up_adds_to_what_an_earlier_one_was_given() -> None:
     sim_time, untouched = SystemOptions(use_sim_time=True), SystemOptions(middleware_settings=False)
     assert sim_time.with_(NO_OPTIONS) == sim_time and untouched.with_(NO_OPTIONS) == untouched
     assert sim_time.with_(untouched) == untouched.with_(sim_time) == SystemOptions(True, False)
+    assert not SystemOptions(diagnostics=False).with_(NO_OPTIONS).diagnostics
 
 
 def test_what_was_written_is_found(path: Path) -> None:

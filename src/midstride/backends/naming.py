@@ -1,6 +1,11 @@
-"""Names of nodes, which are the same on either ROS."""
+"""Names that are the same on either ROS."""
 
 from __future__ import annotations
+
+from typing import Final
+
+# Where ROS's tools expect diagnostics.
+DIAGNOSTICS: Final = "/diagnostics"
 
 
 def split(instance: str, namespace: str = "") -> tuple[str, str]:

@@ -28,6 +28,8 @@ _STYLES: Final = {
     "silence": "red",
     "degraded": "yellow",
     "rollback": "yellow",
+    "respawn": "yellow",
+    "respawn_ended": "red",
 }
 
 
@@ -248,7 +250,7 @@ def status(document: Document) -> RenderableType:
         for row in rows:
             live.add_row(*first, *_functionality(row, component))
             first = ["", "", ""]
-    lines = [*_topics(document), *_programs(document), *_set(document), *_problems(document)]
+    lines = [*_topics(document), *_unmet(document), *_programs(document), *_set(document), *_problems(document)]
     return Group(Text.from_markup(_heading(document)), live, *lines)
 
 
@@ -296,6 +298,53 @@ def _topics(document: Document) -> Iterable[Text]:
         yield Text(f"{topic['name']}: {publishers} → {subscribers}{remark}", style=style)
 
 
+def _attachments(document: Document) -> Iterable[tuple[Document, Document]]:
+    """Each attachment of a component that answers, with what is measured of it."""
+    for component in document["components"]:
+        for attachment in component.get("attachments") or ():
+            if measured := attachment.get("measured"):
+                yield attachment, measured
+
+
+def _unmet(document: Document) -> Iterable[Text]:
+    """Where what is measured differs from what is declared. What a closed gate holds back is no promise to anything."""
+    for attachment, measured in _attachments(document):
+        where = f"{attachment['port']} on {attachment['connector']}"
+        if attachment["gate"] == "closed":
+            continue
+        if measured["met"] is False:
+            last = "no message yet" if measured["age"] is None else f"last message {seconds(measured['age'])} ago"
+            words = f"{hertz(measured['rate'])} measured, {hertz(measured['declared'])} declared ({last})"
+            yield Text(f"{where}: {words}", style="yellow")
+        for each in measured["fields"]:
+            if each["run"]:
+                declared = f"{each['field']} {each['constraint']} declared"
+                yield Text(f"{where}: {each['field']} is {each['last']}, {declared}", style="yellow")
+
+
+def hertz(rate: float | None) -> str:
+    """A rate with three significant digits."""
+    return UNKNOWN if rate is None else f"{rate:.3g} Hz"
+
+
+def measured(document: Document) -> RenderableType:
+    """Every attachment: what is declared of its messages, and what is measured."""
+    rows = table(["port", "topic"], ["declared", "measured", "over", "last", "jitter", "longest gap", "fields"])
+    for attachment, each in _attachments(document):
+        fields = ", ".join(
+            f"{field['field']} {field['constraint']}: {field['violations']} of {field['checked']} violate it"
+            + (f", last {field['last']}" if field["violations"] else "")
+            for field in each["fields"]
+        )
+        declared = "–" if each["declared"] is None else hertz(each["declared"])
+        times = (seconds(each[name]) for name in ("age", "jitter", "longest"))
+        rate = Text(hertz(each["rate"]), style="yellow" if each["met"] is False else "default")
+        rows.add_row(
+            attachment["port"], attachment["connector"], declared, rate, seconds(each["window"]), *times, fields or "–"
+        )
+    return Group(Text(""), rows)
+
+
 def _programs(document: Document) -> Iterable[Text]:
     """The nodes whose code has changed on disk, and what is not known of others."""
     for component in document["components"]:
@@ -320,8 +369,11 @@ def _problems(document: Document) -> Iterable[Text]:
     problems = [*document["violations"], *(_silence(fault) for fault in document["silences"])]
     for crash in document.get("crashed") or ():
         status = "" if crash["status"] is None else f" (status {crash['status']})"
-        remedy = f"; {crash['remedy']}" if crash.get("remedy") else ""
-        problems.append(f"{crash['name']} exited unexpectedly{status}{remedy}")
+        respawn = crash.get("respawn")
+        next_ = [respawn["words"]] if respawn else []
+        if crash.get("remedy") and not (respawn and respawn["restarting"]):
+            next_.append(crash["remedy"])
+        problems.append("; ".join([f"{crash['name']} exited unexpectedly{status}", *next_]))
     if document.get("unwritten"):
         problems.append(document["unwritten"])
     return [Text(problem, style="red") for problem in problems]

@@ -6,7 +6,8 @@
      "environment": {"camera": {"guarantee": {"type": …}}, "recording": {"guarantee": {…}, "topic": "/odom"}},
      "components":  {"Talker": …},
      "nodes":       {"talker": {"component": "Talker", "attachments": {"out": ["/chatter"]},
-                                "parameters": {"threshold": 0.5}}},
+                                "parameters": {"threshold": 0.5},
+                                "respawn": {"delay_seconds": 2, "fallback": "SimpleTalker"}}},
      "constraints": [{"keep": "talker.talk", "at": "normal"}, {"limit": "talker.talk", "below_baseline_seconds": 2},
                      {"order": "talker", "before": "listener"}],
      "timing_seconds": {"create": 0.5}}
@@ -30,6 +31,7 @@ from midstride.codec.form import (
     Document,
     Form,
     Name,
+    Seconds,
     SecondsOrZero,
     Shape,
     ShapedForm,
@@ -46,6 +48,7 @@ from midstride.codec.parameter import Value, values_form, values_of
 from midstride.codec.reading import decode
 from midstride.model.component import Connector, EnvironmentGuarantee, FunctionalityRef, Resource
 from midstride.model.name_checks import specification_names
+from midstride.model.respawn import RespawnPolicy
 from midstride.model.specification import Constraint, Keep, Limit, Node, Order, Specification
 
 TopicName: TypeAlias = Annotated[str, field("the name of a topic", min_length=1)]
@@ -90,6 +93,42 @@ class OfferForm(Form, frozen=True):
     topic: TopicName | UnsetType = UNSET
 
 
+class RespawnForm(Form, frozen=True):
+    """When a node that has crashed is started again; `{}`: with the defaults."""
+
+    what: ClassVar[str] = "a restart policy"
+
+    delay_seconds: Annotated[SecondsOrZero, Meta(description="the delay before the first restart")] = 0
+    max_delay_seconds: (
+        Annotated[SecondsOrZero, Meta(description="the longest delay; unless stated 30 s, or the first one")]
+        | UnsetType
+    ) = UNSET
+    max_retries: Annotated[int, field("a number of restarts", "the most restarts in the window", ge=0)] = 5
+    window_seconds: Annotated[Seconds, Meta(description="the time in which restarts count")] = 60
+    fallback: (
+        Annotated[str, field("the name of a component", "what then replaces the node", min_length=1)] | UnsetType
+    ) = UNSET
+
+    @classmethod
+    def of(cls, policy: RespawnPolicy) -> RespawnForm:
+        return cls(
+            delay_seconds=plain(policy.delay),
+            max_delay_seconds=stated(policy.max_delay),
+            max_retries=policy.max_retries,
+            window_seconds=plain(policy.window),
+            fallback=stated(policy.fallback),
+        )
+
+    def policy(self) -> RespawnPolicy:
+        return RespawnPolicy(
+            float(self.delay_seconds),
+            given(self.max_delay_seconds),
+            finite(self.max_retries),
+            float(self.window_seconds),
+            given(self.fallback),
+        )
+
+
 class NodeForm(Form, frozen=True):
     """A node: its component, the topics of its ports, its own parameter values."""
 
@@ -101,6 +140,7 @@ class NodeForm(Form, frozen=True):
         field("an object of attachments", "the topics of each port"),
     ] = {}
     parameters: Annotated[dict[str, Value], field("an object of values", "its own values, over its component's")] = {}
+    respawn: RespawnForm | UnsetType = UNSET
 
     @classmethod
     def of(cls, node: Node, specification: Specification) -> NodeForm:
@@ -111,12 +151,14 @@ class NodeForm(Form, frozen=True):
             component=node.component,
             attachments={name: list(node.attachments[name]) for name in ports if node.attachments[name]},
             parameters=values_form(node.parameters),
+            respawn=UNSET if node.respawn is None else RespawnForm.of(node.respawn),
         )
 
     def node(self, role: str) -> Node:
         """Raises ValueError as :func:`midstride.codec.parameter.values_of` does."""
         topics = {port: tuple(names) for port, names in self.attachments.items()}
-        return Node(role, self.component, Map(topics), values_of(self.parameters))
+        policy = None if self.respawn is UNSET else self.respawn.policy()
+        return Node(role, self.component, Map(topics), values_of(self.parameters), policy)
 
 
 class ConstraintForm(ShapedForm, frozen=True):

@@ -67,3 +67,9 @@ TALKER: Final = """component Talker {
 CHATTER: Final = "system s\ntopic /chatter : std_msgs/msg/String @ 10 Hz\n" + TALKER
 NODE: Final = "node talker : Talker { out -> /chatter }\n"
 TALKING: Final = CHATTER + NODE
+STARTED: Final = CHATTER.replace("  output", '  run "python3 -m s.talker"\n  output')
+
+
+def respawning(policy: str) -> str:
+    """A system whose talker has this restart policy."""
+    return STARTED + f"node talker : Talker {{ out -> /chatter   {policy} }}\n"

@@ -5,7 +5,14 @@ from __future__ import annotations
 
 from typing import Final
 
-from midstride.lang.catalogue_entry import CHATTER, TALKING, CatalogueEntry, CatalogueExample, entry
+from midstride.lang.catalogue_entry import (
+    CHATTER,
+    TALKING,
+    CatalogueEntry,
+    CatalogueExample,
+    entry,
+    respawning,
+)
 
 _LISTENER: Final = """component Listener {
   input in : std_msgs/msg/String @ 5 Hz
@@ -17,6 +24,10 @@ _LISTENER: Final = """component Listener {
 }
 """
 _TOPIC: Final = "topic /chatter : std_msgs/msg/String @ 10 Hz\n"
+_SLOW: Final = (
+    "component Slow like Talker { functionality talk { produces out\n"
+    "  mode normal { guarantee out : std_msgs/msg/String @ 1 Hz }\n  mode silent { } } }\n"
+)
 _PAIR: Final = TALKING + _LISTENER + "node listener : Listener { in <- /chatter }\n"
 
 
@@ -246,6 +257,15 @@ MODEL: Final = (
         ),
     ),
     _entry(
+        "E026: restart policy that cannot be carried out",
+        """The longest delay of `respawn_delay` is shorter than the first one; the component of the node, or the one
+        named by `respawn_fallback`, has no `run` command; or that one does not fit the topics of the node.""",
+        "correct the statement that the message names",
+        respawning("respawn   respawn_delay 5 s to 2 s"),
+        CHATTER + "node talker : Talker { out -> /chatter   respawn }\n",
+        respawning("respawn   respawn_fallback Slow").replace("node", _SLOW + "node"),
+    ),
+    _entry(
         "W030: port that is attached to no topic",
         """A port of this node is not attached to any topic: an output without subscribers, or an input that is never
         satisfied.""",
@@ -281,5 +301,11 @@ MODEL: Final = (
         """A `keep` constraint requires a mode that the functionality will not be in when the system starts.""",
         "fix what keeps the functionality in a lower mode, or remove the constraint",
         _PAIR.replace("node talker : Talker { out -> /chatter }\n", "") + "keep listener.listen at normal\n",
+    ),
+    _entry(
+        "W035: fallback that is the node's component",
+        """`respawn_fallback` names the component that the node has. When its restarts are used up, it is left.""",
+        "name another component, or remove `respawn_fallback`",
+        respawning("respawn   respawn_fallback Talker"),
     ),
 )

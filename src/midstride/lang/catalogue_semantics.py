@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from midstride.lang.catalogue_entry import CHATTER, NODE, TALKER, TALKING, CatalogueExample, entry
+from midstride.lang.catalogue_entry import CHATTER, NODE, TALKER, TALKING, CatalogueExample, entry, respawning
 
 SEMANTICS: Final = (
     # -- contracts -------------------------------------------------------------------------------------
@@ -114,6 +114,12 @@ SEMANTICS: Final = (
         """A declaration has more entries of one kind than any hand-written file, such as a component with over a
         thousand ports. The rest are not checked.""",
         "system s\nenvironment {\n" + "".join(f"guarantee g{n} : a/B\n" for n in range(1001)) + "}\n",
+    ),
+    entry(
+        "E146: restart policy without `respawn`",
+        """`respawn_delay`, `respawn_max_retries` and `respawn_fallback` refine `respawn`. As in ROS launch files, they
+        have no effect on a node without it.""",
+        respawning("respawn_delay 2 s"),
     ),
     # -- parameter files -------------------------------------------------------------------------------
     entry(

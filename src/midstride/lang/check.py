@@ -207,6 +207,10 @@ class _SpecificationBuilder:
         unresolved = self.components.unresolved.get(node.component)
         if unresolved is None:
             return False
+        if problem.code == "E026":
+            fallback = self.components.unresolved.get((node.respawn and node.respawn.fallback) or "", unresolved)
+            topics = {topic for attached in node.attachments.values() for topic in attached}
+            return bool(unresolved or fallback or topics & self.unresolved_topics)
         if problem.code == "W030":
             return self.declarations.nodes[role].declaration.incomplete or bool(unresolved.skipped) or unresolved.base
         if problem.code == "E020":

@@ -12,7 +12,7 @@ from midstride.lang.diagnostics import Reporter
 from midstride.lang.lexer import Tokens, tokenize
 from midstride.lang.source import Source
 from midstride.lang.syntax import ComponentDeclaration, find
-from midstride.lang.token_stream import KEYWORD_PLACES
+from midstride.lang.token_stream import KEYWORD_PLACES, RESPAWN_WORDS
 from midstride.model.specification import DEFAULT_SECONDS
 
 # What comes before a keyword that is used as a name.
@@ -25,7 +25,7 @@ _STATEMENTS: Final = {
     "component": ("run", "holds", "input", "output", "allows", "functionality", "parameters"),
     "functionality": ("uses", "produces", "mode"),
     "mode": ("assume", "guarantee"),
-    "node": ("parameters",),
+    "node": ("parameters", *RESPAWN_WORDS),
     "environment": ("guarantee",),
     "timing": tuple(DEFAULT_SECONDS),
     "topic": ("publishers",),
@@ -103,7 +103,7 @@ class _CursorContext:
         inputs = [port.name.text for port in component.inputs] if component else []
         if last in {"<-", "->"} or (last == "on" and first == "guarantee"):
             yield "topic", declarations.topics
-        elif last == "like" or (last == ":" and first == "node"):
+        elif last in {"like", "respawn_fallback"} or (last == ":" and first == "node"):
             yield "component", declarations.components
         elif last == "@":
             return

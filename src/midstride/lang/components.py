@@ -56,6 +56,9 @@ class UnresolvedParts:
     functionalities: set[str] = field(default_factory=set)
     ports: set[str] = field(default_factory=set)
 
+    def __bool__(self) -> bool:
+        return any((self.skipped, self.base, self.incomplete, self.functionalities, self.ports))
+
     def may_declare(self, *words: str) -> bool:
         """Whether one of the missing statements may start with one of ``words``."""
         return self.base or any(word not in RESERVED or word in words for word in self.skipped)

@@ -64,6 +64,8 @@ class _Hover:
         if node is None or node.component not in self.specification.components:
             return
         yield f"component `{node.component}`"
+        if node.respawn is not None:
+            yield f"respawn: {node.respawn}"
         for functionality in self.specification.components[node.component]:
             yield from self._initial_mode(FunctionalityRef(symbol.name, functionality.name))
 

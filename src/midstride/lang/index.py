@@ -159,7 +159,9 @@ class SymbolIndex:
         yield Occurrence(Symbol("node", entry.role), declared.name.span, True)
         if declared.component is None:
             return
-        yield Occurrence(Symbol("component", declared.component.text), declared.component.span)
+        fallbacks = (statement.component for statement in declared.respawn)
+        for component in filter(None, (declared.component, *fallbacks)):
+            yield Occurrence(Symbol("component", component.text), component.span)
         for attachment in declared.attachments:
             yield self._part(declared.component.text, "port", attachment.port)
             for topic in attachment.topics:

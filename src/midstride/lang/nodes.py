@@ -12,6 +12,7 @@ from midstride.lang.declarations import MAX_PARTS, Declarations, NodeEntry, ance
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.files import Bounds, FileReader, Unreadable, read_source, shown_path
 from midstride.lang.parameter_files import ParameterSection, ParameterValueAt, read_sections
+from midstride.lang.respawn import respawn_policy
 from midstride.lang.source import Source, Span
 from midstride.lang.syntax import ComponentDeclaration, Name
 from midstride.model.component import ComponentSpec, ParameterSpec, ParameterValue
@@ -61,7 +62,8 @@ class NodeBuilder:
             values[name] = parameter.value.value
             self.parameter_spans[entry.role, name] = parameter.name.span
         component = "" if declaration.component is None else declaration.component.text
-        return Node(entry.role, component, self._attachments(entry), Map(values))
+        policy = respawn_policy(declaration.respawn, self.reporter)
+        return Node(entry.role, component, self._attachments(entry), Map(values), policy)
 
     def _attachments(self, entry: NodeEntry) -> Map[str, tuple[str, ...]]:
         declaration = entry.declaration

@@ -6,6 +6,7 @@ terminates, with bounded recursion, and does not raise.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Final
 
 from midstride.lang import syntax
@@ -14,7 +15,7 @@ from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.lexer import tokenize
 from midstride.lang.parse_component import ComponentParser
 from midstride.lang.source import Source
-from midstride.lang.token_stream import Panic
+from midstride.lang.token_stream import RESPAWN_WORDS, Panic
 
 MAX_NESTING: Final = 16
 
@@ -103,12 +104,15 @@ class Parser(ComponentParser):
             self.reporter.report("E128", self.span(), "duplicate limit on publishers", help="keep one of them")
         self.i += 1
         self.expect("<=", "after `publishers`", ("number",))
-        number = self.number("a number of publishers")
-        if number.value != int(number.value):
-            self.reporter.report("E126", number.span, "the number of publishers must be a whole number")
-            number = syntax.Number(float(int(number.value)), number.span)
-        limits.append(number)
+        limits.append(self._whole("a number of publishers"))
         return True
+
+    def _whole(self, what: str) -> syntax.Number:
+        number = self.number(what)
+        if number.value == int(number.value):
+            return number
+        self.reporter.report("E126", number.span, f"{what.replace('a ', 'the ', 1)} must be a whole number")
+        return syntax.Number(float(int(number.value)), number.span)
 
     def _resource(self) -> syntax.ResourceDeclaration:
         name = self.resource("a resource name or device path")
@@ -133,7 +137,11 @@ class Parser(ComponentParser):
         attachments: list[syntax.Attachment] = []
         parameters: list[syntax.ParameterEntry] = []
         files: list[syntax.Name] = []
-        handlers: Handlers = {"parameters": lambda start: self.parameters(start, parameters, files)}
+        respawn: list[syntax.RespawnStatement] = []
+        handlers: Handlers = {
+            "parameters": lambda start: self.parameters(start, parameters, files),
+            **{word: partial(self._respawn, respawn, word) for word in RESPAWN_WORDS},
+        }
         incomplete = False
         self.layout.marks[self.i] = "node :"
         try:
@@ -146,7 +154,22 @@ class Parser(ComponentParser):
         except Panic:
             self._skip_statement(first)
             incomplete = True
-        return syntax.NodeDeclaration(name, component, tuple(attachments), tuple(parameters), tuple(files), incomplete)
+        return syntax.NodeDeclaration(
+            name, component, tuple(attachments), tuple(parameters), tuple(files), tuple(respawn), incomplete
+        )
+
+    def _respawn(self, statements: list[syntax.RespawnStatement], word: str, start: int) -> None:
+        amount, bound, component = None, None, None
+        if word == "respawn_delay":
+            amount = self.seconds("a delay")
+            bound = self.seconds("the longest delay") if self.accept_word("to") else None
+        elif word == "respawn_max_retries":
+            amount = self._whole("a number of restarts")
+            bound = self.seconds("a time") if self.accept_word("in") else None
+        elif word == "respawn_fallback":
+            component = self.name("a component name")
+        keyword = syntax.Name(word, self.span(start))
+        statements.append(syntax.RespawnStatement(keyword, self.since(start), amount, bound, component))
 
     def _attachment(self, attachments: list[syntax.Attachment]) -> bool:
         if self.kinds[self.i] != "name" or self.kinds[self.i + 1] not in {"<-", "->", "=", ":", "path", "<"}:
@@ -163,7 +186,9 @@ class Parser(ComponentParser):
         """Whether another topic of an attachment is at the token ``at``: after a comma, and not the next statement."""
         if self.kinds[at - 1] != "," or self.kinds[at] not in {"name", "path"}:
             return False
-        if self.texts[at] == "parameters" and self.kinds[at + 1] in {"{", "string"}:
+        if self.texts[at] in RESPAWN_WORDS or (
+            self.texts[at] == "parameters" and self.kinds[at + 1] in {"{", "string"}
+        ):
             return False
         return self.kinds[at + 1] not in {"<-", "->"}
 

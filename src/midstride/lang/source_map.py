@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from midstride.lang import syntax
 from midstride.lang.declarations import Declarations
+from midstride.lang.respawn import respawn_span
 from midstride.lang.source import Span
 from midstride.lang.syntax import find
 from midstride.model.diagnostics import Problem
@@ -60,6 +61,8 @@ class SourceMap:
                 return declaration.component.span
             case ["parameters", name, *_]:
                 return self.parameters.get((role, name), declaration.name.span)
+            case ["respawn", *inner]:
+                return respawn_span(declaration.respawn, inner)
             case ["attachments", name, *inner]:
                 attachments = [attachment for attachment in declaration.attachments if attachment.port.text == name]
                 topics = [topic for attachment in attachments for topic in attachment.topics]

@@ -204,12 +204,24 @@ class Attachment(NamedTuple):
     topics: tuple[Name, ...]
 
 
+class RespawnStatement(NamedTuple):
+    """``respawn``, ``respawn_delay AMOUNT to BOUND``, ``respawn_max_retries AMOUNT in BOUND`` or
+    ``respawn_fallback COMPONENT``."""
+
+    keyword: Name
+    span: Span
+    amount: Number | None = None
+    bound: Number | None = None
+    component: Name | None = None
+
+
 class NodeDeclaration(NamedTuple):
     name: Name
     component: Name | None
     attachments: tuple[Attachment, ...]
     parameters: tuple[ParameterEntry, ...]
     files: tuple[Name, ...]
+    respawn: tuple[RespawnStatement, ...]
     incomplete: bool
 
 

@@ -17,6 +17,8 @@ from midstride.model.near_miss import nearest
 
 T = TypeVar("T")
 
+# The statements of a node's restart policy.
+RESPAWN_WORDS: Final = ("respawn", "respawn_delay", "respawn_max_retries", "respawn_fallback")
 # The keywords that start statements, with the blocks they belong to. They cannot be declared names: lists need no
 # comma, so the next statement must be distinguishable from the next name.
 KEYWORD_PLACES: Final[Mapping[str, str]] = {
@@ -26,6 +28,7 @@ KEYWORD_PLACES: Final[Mapping[str, str]] = {
     ),
     **dict.fromkeys("run holds input output allows functionality".split(), "in a component"),
     "parameters": "in a component, in a node or at the top level",
+    **dict.fromkeys(RESPAWN_WORDS, "in a node"),
     **dict.fromkeys("uses produces mode".split(), "in a functionality"),
     "assume": "in a mode",
     "guarantee": "in a mode or in the environment",

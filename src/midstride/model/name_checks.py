@@ -192,6 +192,9 @@ def _node_names(specification: Specification, node: Node, path: Path) -> Iterato
         yield Problem("E006", path, f"`{node.role}` is not a valid node name", help)
     yield from _unknown("component", node.component, specification.components, (*path, "component"), ("components",))
     component = specification.components.get(node.component)
+    if node.respawn is not None and node.respawn.fallback is not None:
+        where = (*path, "respawn", "fallback")
+        yield from _unknown("component", node.respawn.fallback, specification.components, where, ("components",))
     for port in sorted(node.attachments):
         if component is not None:
             declared = ("components", component.name, "outputs")

@@ -25,6 +25,7 @@ from midstride.model.component import (
 )
 from midstride.model.configuration import Configuration, Instance, SystemContext, configure
 from midstride.model.contract import format_number
+from midstride.model.respawn import RespawnPolicy
 
 # The duration of a step (s) where neither the file nor earlier runs provide one; the orders of magnitude are measured.
 DEFAULT_SECONDS: Final[Mapping[str, float]] = Map(
@@ -43,12 +44,16 @@ DEFAULT_SECONDS: Final[Mapping[str, float]] = Map(
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A role: its component, the topics its ports are attached to, and its own parameter values."""
+    """A role: its component, the topics its ports are attached to, and its own parameter values.
+
+    ``respawn``: whether and when it is started again after a crash (None: it is not).
+    """
 
     role: str
     component: str
     attachments: Map[str, tuple[str, ...]] = field(default_factory=Map)
     parameters: Map[str, ParameterValue] = field(default_factory=Map)
+    respawn: RespawnPolicy | None = None
 
 
 @dataclass(frozen=True, slots=True)

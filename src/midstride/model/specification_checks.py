@@ -27,6 +27,7 @@ from midstride.model.contract import Contract, Predicate, explain, format_number
 from midstride.model.diagnosis import Diagnosis
 from midstride.model.diagnostics import Problem
 from midstride.model.name_checks import Path, component_names, node_names, specification_names
+from midstride.model.respawn_checks import respawn_problems
 from midstride.model.rules import attachment_shortfall, normal_guarantee
 from midstride.model.specification import Keep, Limit, Node, Order, Specification, structure
 
@@ -149,6 +150,7 @@ def _node_problems(specification: Specification, node: Node, path: Path) -> Iter
                 kind = "output" if output else "input"
                 message = f"{kind} {node.role}.{port} is attached to no topic"
                 yield Problem("W030", (*path, "attachments", port), message, "attach it, or remove it")
+    yield from respawn_problems(specification, node, (*path, "respawn"))
     for name, value in node.parameters.items():
         yield from value_problems(value, (*path, "parameters", name))
         declared = component.parameters.get(name)

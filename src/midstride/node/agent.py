@@ -10,9 +10,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import hmac
+import itertools
 import uuid
 from collections import OrderedDict
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 from midstride.codec.component import NamedComponentForm
@@ -21,6 +23,7 @@ from midstride.model.component import ComponentSpec
 from midstride.node.clock_history import STILL
 from midstride.node.command_handlers import CommandHandlers, Revision
 from midstride.node.declaration import DeclaredParts
+from midstride.node.diagnostics import diagnostics
 from midstride.node.functionality_runner import FunctionalityRunner
 from midstride.node.host import Host
 from midstride.node.program import ProgramFiles
@@ -33,6 +36,8 @@ from midstride.wire.state import ComponentState, WireValue
 
 # How often the state is reported while nothing changes (s): it shows that the component is alive, and what is busy.
 HEARTBEAT: Final = 0.5
+# Diagnostics are published with every so many of these reports: once a second, as ROS's tools expect.
+DIAGNOSTICS_BEATS: Final = 2
 # How many replies are kept for repeated requests.
 REMEMBERED: Final = 1000
 # How long requests under way may take to be answered when the component ends (s).
@@ -42,7 +47,10 @@ _FOREIGN_TOKEN: Final = "the token is not that of the system that the component 
 
 @dataclass
 class Agent:
-    """``start_token`` is the one that the process was started with, empty where it was started by hand."""
+    """``start_token`` is the one that the process was started with, empty where it was started by hand.
+
+    ``diagnostics``: whether it publishes on ``/diagnostics``.
+    """
 
     parts: DeclaredParts
     declaration: ComponentSpec
@@ -51,6 +59,7 @@ class Agent:
     pid: int
     standalone: Attachments | None
     program: ProgramFiles
+    diagnostics: bool = True
 
     def __post_init__(self) -> None:
         self._token = self.start_token
@@ -114,10 +123,13 @@ class Agent:
         return " ".join([FLAG, *(f"{port}:=/{port}" for port in self.declaration.ports())])
 
     async def _heartbeat(self) -> None:
-        while True:
+        for beat in itertools.count(1):
             await self.host.sleep(HEARTBEAT)
             if self._ready.is_set():
-                self._report()
+                state = self._report()
+                # Of several instances of a role, one answers, and shows the diagnostics of the role's node.
+                if self.diagnostics and state.answers and beat % DIAGNOSTICS_BEATS == 0:
+                    self.host.publish_diagnostics(partial(diagnostics, state, self.declaration))
 
     async def _run_alone(self, attachments: Attachments) -> None:
         for port, topics in attachments.items():

@@ -234,7 +234,7 @@ class Component:
         self.instance, self.clock.host = host.instance, host
         pid = os.getpid() if context.pid is None else context.pid
         program = ProgramFiles(context.modules, context.started)
-        agent = Agent(self._parts, declaration, host, context.token, pid, standalone, program)
+        agent = Agent(self._parts, declaration, host, context.token, pid, standalone, program, context.diagnostics)
         host.run(agent.main)
 
     def _declaring(self, what: str) -> None:

@@ -42,7 +42,7 @@ def diagnostics(state: ComponentState, component: ComponentSpec) -> list[Diagnos
     for port, topics in state.ports.items():
         declared = component.stated_rate(port, modes)
         entries += [_attachment(port, topic, link, declared, port in relied_on) for topic, link in topics.items()]
-    if state.waiting is None:
+    if state.waiting is None or not state.simulated_time or state.clock_speed:
         return entries
     return [DiagnosticEntry(each.name, Level.STALE, state.waiting, each.values) for each in entries]
 
@@ -62,8 +62,8 @@ def _component(state: ComponentState, component: ComponentSpec) -> DiagnosticEnt
     ]
     values = {f"mode of {name}": each.mode for name, each in state.functionalities.items()}
     level, message = Level.OK, "every functionality is in its normal mode"
-    if lowered:
-        level, message = Level.WARN, "; ".join(lowered)
+    if worse := [*([] if state.waiting is None else [state.waiting]), *lowered]:
+        level, message = Level.WARN, "; ".join(worse)
     return DiagnosticEntry("component", level, message, values)
 
 

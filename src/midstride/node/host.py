@@ -7,12 +7,13 @@ happens between two calls of user code.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias, TypeVar
 
 from midstride.model.contract import QoS
 from midstride.node.clock_history import ClockHistory
+from midstride.node.diagnostics import DiagnosticEntry
 from midstride.node.service_gate import ServiceGate
 from midstride.wire.state import ComponentState, Endpoint
 from midstride.wire.transport import Transport
@@ -171,6 +172,12 @@ class Host(Protocol):
 
     def publish_state(self, state: ComponentState) -> None:
         """Show the state to the platform's own tools, read only (ROS 2: parameters; ROS 1: a latched topic)."""
+
+    def publish_diagnostics(self, entries: Callable[[], Sequence[DiagnosticEntry]]) -> None:
+        """Publish on ``/diagnostics``, where the platform has its message type.
+
+        ``entries`` is called, in any thread, where something listens.
+        """
 
     def extra_endpoints(self) -> list[Endpoint]:
         """Endpoints of the ROS node that are neither ports nor ROS's own, after the author's set-up."""

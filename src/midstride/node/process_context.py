@@ -21,6 +21,7 @@ from midstride.node.host import HostFactory
 from midstride.node.program import process_started
 from midstride.wire.environment import (
     ENV_BACKEND,
+    ENV_DIAGNOSTICS,
     ENV_INSTANCE,
     ENV_NAMESPACE,
     ENV_NODE,
@@ -41,7 +42,7 @@ class ProcessContext:
 
     ``set_parameters`` are values that were set while its predecessor ran, ``parameters`` those that are declared.
     ``node`` is the name of the ROS node, None where that is the instance's. ``standby``: another instance answers
-    requests to the node's services.
+    requests to the node's services. ``diagnostics``: it publishes on ``/diagnostics``.
     """
 
     factory: HostFactory | None = None
@@ -54,6 +55,7 @@ class ProcessContext:
     pid: int | None = None
     node: str | None = None
     standby: bool = False
+    diagnostics: bool = True
     # What it has imported, and when it started (unix ns).
     modules: Mapping[str, Any] = field(default_factory=lambda: sys.modules)
     started: int = 0
@@ -76,6 +78,7 @@ def find() -> ProcessContext:
         arguments=tuple(sys.argv[1:]),
         node=os.environ.get(ENV_NODE) or None,
         standby=bool(os.environ.get(ENV_STANDBY)),
+        diagnostics=os.environ.get(ENV_DIAGNOSTICS) != "0",
         started=process_started(),
     )
 

@@ -204,9 +204,10 @@ def _node(
         details.append(became + (", set in place" if in_place else ""))
         replaced = not in_place
     wiring = list(_wiring(before, after))
-    if details or wiring:
+    policy = [] if before.respawn == after.respawn else [_became("respawn", before.respawn, after.respawn)]
+    if details or wiring or policy:
         kind: Kind = "replaced" if replaced or why is not None else "rewired" if wiring else "set"
-        yield Difference(subject, kind, (*details, *wiring))
+        yield Difference(subject, kind if details or wiring else "changed", (*details, *wiring, *policy))
 
 
 def _wiring(before: Node, after: Node) -> Iterator[str]:

@@ -174,6 +174,7 @@ class ChangeSession:
             outcome, because = cast("OutcomeKind", error.outcome), str(error)
             if outcome == "rolled_back":
                 system.configuration = before
+                system.missing = {**missing, **system.missing}  # what could not be restored is still missing
         except asyncio.CancelledError:
             if system.configuration == plan.change.start:  # everything has been rolled back
                 system.configuration = before

@@ -54,6 +54,7 @@ from midstride.runtime.reports import (
     UpReport,
     Why,
 )
+from midstride.runtime.respawn import Respawner
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.runtime_verification import Verifier
 from midstride.runtime.silence import SilenceMonitor
@@ -116,6 +117,11 @@ class Manager:
             verifier or Verifier(),
             self._executor,
         )
+        self._respawner = Respawner(self.system, backend.clock, self.events, self._command, self._restore)
+        self._reconciler.on_reconciled = self._respawner.update
+
+    async def _restore(self, request: PlanRequest) -> Outcome:
+        return await self._session.change(request, brief=True)
 
     def _on_component_event(self, event: ComponentEvent) -> None:
         if isinstance(event, ComponentState):
@@ -222,6 +228,7 @@ class Manager:
 
     async def close(self) -> None:
         """Disconnect; the components keep running."""
+        await self._respawner.close()
         await self._reconciler.close()
         await self._programs.close()
         self._client.close()
@@ -231,6 +238,7 @@ class Manager:
     async def down(self) -> None:
         """Terminate every component and delete the saved state. Raises ManagerError naming those that still run."""
         async with self._command("down"):
+            self._respawner.stop()
             names = sorted({*self._launcher.handles, *self.configuration.instances})
             ended = await asyncio.gather(*(self._end(name) for name in names))
             if faults := [fault for fault in ended if fault is not None]:
@@ -274,6 +282,7 @@ class Manager:
             running,
             unwritten,
             self._file,
+            self._respawner,
         )
 
     async def programs(self) -> list[ProgramStatus]:

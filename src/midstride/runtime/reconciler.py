@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Container, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -24,7 +24,12 @@ from midstride.runtime.component_client import ComponentClient, ComponentEvent, 
 from midstride.runtime.events import EventLog
 from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
-from midstride.runtime.observed_configuration import own_degradations, own_degradations_in
+from midstride.runtime.observed_configuration import (
+    changed_attachments,
+    own_degradations,
+    own_degradations_in,
+    with_attachments,
+)
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.silence import SilenceMonitor
 from midstride.runtime.state_store import StateStore
@@ -40,7 +45,8 @@ class Reconciler:
 
     While a command is in progress (``busy``), the command reconciles at its start and its end; otherwise the reconciler
     does so in the background, holding ``lock``. ``executor`` makes the executor that degrades functionalities.
-    ``degraded`` are those that degraded unexpectedly since the last change began.
+    ``degraded`` are those that degraded unexpectedly since the last change began. ``on_reconciled`` is called when the
+    model is up to date, with no command in progress.
     """
 
     system: RunningSystem
@@ -54,6 +60,7 @@ class Reconciler:
     busy: Callable[[], bool]
     degraded: set[FunctionalityRef] = field(default_factory=set)
     pending: dict[FunctionalityRef, MidstrideError | None] = field(default_factory=dict)  # could not be degraded yet
+    on_reconciled: Callable[[], None] = lambda: None
     _why_pending: str = _LOST_BEFORE
     _unanswered: set[str] = field(default_factory=set)  # instances of these that did not answer
     _reconciling: asyncio.Lock = field(default_factory=asyncio.Lock)
@@ -114,6 +121,7 @@ class Reconciler:
             # Something happened after that, or the command failed.
             if self.system.crashed or own_degradations(self.system.configuration, self.client, ()):
                 self._start_reconciling()
+            self.on_reconciled()
 
     def _reconcile_soon(self) -> None:
         if not self.busy():
@@ -128,6 +136,7 @@ class Reconciler:
         async with self.lock():
             try:
                 await self.reconcile()
+                self.on_reconciled()
             except Exception as error:  # nothing awaits this task, so errors are logged here
                 log.exception("reconciling failed")
                 self.events.add("note", f"reconciling failed: internal error: {error!r}")
@@ -156,9 +165,10 @@ class Reconciler:
                 self.client.disconnect(name)
                 self.store.remove_instance(name)
             degraded = own_degradations(configuration, self.client, crashed)
-            if not crashed and not degraded and not self.pending:
+            configuration, touched, because = self._take_over_attachments(configuration, crashed)
+            if not crashed and not degraded and not self.pending and not because:
                 return
-            because = [f"{name} exited unexpectedly" for name in crashed]
+            because += [f"{name} exited unexpectedly" for name in crashed]
             for name in {ref.instance for ref in degraded}:
                 self.client.accept(name)
             for ref, index in sorted(degraded.items()):
@@ -168,11 +178,37 @@ class Reconciler:
                     self.degraded.add(ref)
                 self.events.add("degraded", words, functionality=str(ref))
                 because.append(words)
-            after, to_lower = respond(configuration, crashed, degraded, self.pending)
+            after, to_lower = respond(configuration, crashed, degraded, [*self.pending, *touched])
             self.system.moved(after)
             failed = await self.executor().lower(to_lower, "; ".join(because) or self._why_pending)
             self.pending = dict(failed)
             self._unanswered = {ref.instance for ref, error in failed.items() if not isinstance(error, CommandRefused)}
+
+    def _take_over_attachments(
+        self, configuration: Configuration, crashed: Container[str]
+    ) -> tuple[Configuration, list[FunctionalityRef], list[str]]:
+        """The configuration with the attachments that components report, what they concern, and what differed.
+
+        They differ where a command timed out and has been carried out all the same, or could not be undone.
+        """
+        touched: list[FunctionalityRef] = []
+        because: list[str] = []
+        for name in sorted(configuration.instances):
+            state = None if name in crashed else self.client.responsive(name)
+            lacking, besides = ([], []) if state is None else changed_attachments(configuration, state)
+            for port, connector in lacking:
+                because.append(f"{port} is not attached to {connector} any more")
+                if configuration.is_output(port):
+                    touched += configuration.consumers(connector)
+            if lacking:
+                touched += [ref for ref in configuration.modes if ref.instance == name]
+            because += [f"{port} is attached to {connector}" for port, connector in besides]
+            if lacking or besides:
+                self.client.accept(name)
+                configuration = with_attachments(configuration, lacking, besides)
+        for words in because:
+            self.events.add("note", f"{words}, by its own report")
+        return configuration, touched, because
 
 
 def respond(

@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from midstride.errors import PlanRefused
-from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.component import ComponentSpec, FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import Evaluator, violations
 from midstride.runtime import reports
 from midstride.runtime.backend import Backend
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.launcher import Launcher
+from midstride.runtime.respawn import Respawner
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.silence import SilenceMonitor
-from midstride.wire.state import ComponentState, FunctionalityState, GateState
+from midstride.wire.state import ComponentState, FunctionalityState, LinkState
 
 
 def status(
@@ -27,6 +28,7 @@ def status(
     running: reports.RunningCommand | None,
     unwritten: str | None,
     file: str | None,
+    respawner: Respawner,
 ) -> reports.Status:
     """The answer to ``midstride status``."""
     configuration, evaluator = system.configuration, Evaluator(system.configuration)
@@ -42,7 +44,13 @@ def status(
         violations=[str(violation) for violation in found],
         components=components,
         crashed=[
-            reports.CrashedInstance(name, exited.status, exited.log_tail, _remedy(system, name))
+            reports.CrashedInstance(
+                name,
+                exited.status,
+                exited.log_tail,
+                _remedy(system, name),
+                respawner.status(system.role_of_missing(name)),
+            )
             for name, exited in sorted({**system.missing, **system.crashed}.items())
             if name not in configuration.instances
         ],
@@ -103,7 +111,7 @@ def _component(
         functionalities=functionalities,
         parameters=[] if state is None else parameters(state),
         attachments=[
-            reports.AttachmentStatus(str(port), connector, _gate(state, port, configuration.topic(connector)))
+            _attachment(instance.component, state, port, connector, configuration.topic(connector))
             for port, connector in configuration.attached_ports(instance.name)
         ],
         simulated_time=state is not None and state.simulated_time,
@@ -120,9 +128,42 @@ def parameters(state: ComponentState) -> list[reports.ParameterStatus]:
     ]
 
 
-def _gate(state: ComponentState | None, port: PortRef, topic: str) -> GateState | None:
+def _attachment(
+    component: ComponentSpec, state: ComponentState | None, port: PortRef, connector: str, topic: str
+) -> reports.AttachmentStatus:
     link = None if state is None else state.ports.get(port.port, {}).get(topic)
-    return None if link is None else link.gate
+    if state is None or link is None:
+        return reports.AttachmentStatus(str(port), connector, None)
+    modes = {name: each.mode for name, each in state.functionalities.items()}
+    return reports.AttachmentStatus(
+        str(port), connector, link.gate, _measured(link, component.stated_rate(port.port, modes))
+    )
+
+
+def _measured(link: LinkState, declared: float | None) -> reports.MeasuredStatus | None:
+    measured = link.measured
+    if measured is None:
+        return None
+    return reports.MeasuredStatus(
+        declared=declared,
+        rate=measured.rate,
+        met=None if declared is None else measured.meets(declared),
+        window=measured.window,
+        age=measured.age,
+        jitter=measured.jitter,
+        longest=measured.longest,
+        fields=[
+            reports.FieldStatus(
+                field=name,
+                constraint=each.constraint,
+                checked=each.checked,
+                violations=each.violations,
+                run=each.run,
+                last=each.last,
+            )
+            for name, each in link.fields.items()
+        ],
+    )
 
 
 def _functionality(

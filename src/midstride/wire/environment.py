@@ -14,6 +14,8 @@ ENV_BACKEND: Final = "MIDSTRIDE_BACKEND"
 ENV_PARAMETERS: Final = "MIDSTRIDE_PARAMETERS"
 # The values that were set while its predecessor ran, which it starts with instead.
 ENV_SET_PARAMETERS: Final = "MIDSTRIDE_SET_PARAMETERS"
+# Whether it publishes on `/diagnostics`: "0" switches that off.
+ENV_DIAGNOSTICS: Final = "MIDSTRIDE_DIAGNOSTICS"
 # The folder of the system's control sockets.
 ENV_CONTROL: Final = "MIDSTRIDE_CONTROL"
 # The system that a component started by hand belongs to, by name.

@@ -14,7 +14,7 @@ from collections.abc import Callable, Coroutine, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from midstride.backends import processes
+from midstride.backends import naming, processes
 from midstride.backends.ros1 import launching, master_process, names
 from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, StartFailed, Unreachable
@@ -137,7 +137,7 @@ class Ros1Backend(processes.ProcessBackend):
         return Endpoints(state.nodes() - self._dead, self._alive(state.publishers), self._alive(state.subscribers))
 
     def _alive(self, nodes_of: Mapping[str, tuple[str, ...]]) -> tuple[tuple[str, str], ...]:
-        topics = nodes_of.keys() - names.INTERNAL
+        topics = nodes_of.keys() - names.INTERNAL - {naming.DIAGNOSTICS}
         return tuple(sorted((node, topic) for topic in topics for node in nodes_of[topic] if node not in self._dead))
 
     async def lingering_readers(self, topic: str) -> int:

@@ -14,14 +14,15 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from typing import Any, Final, TypeVar
 
 import msgspec
 import rospy
 from std_msgs.msg import String
 
-from midstride.backends import common
+from midstride.backends import common, diagnostics
+from midstride.backends.naming import DIAGNOSTICS
 from midstride.backends.ros1 import launching, names, node_parameters, publishing, subscribing
 from midstride.backends.ros1.data_thread import DataThread
 from midstride.backends.ros1.master import Master
@@ -32,6 +33,7 @@ from midstride.backends.ros1.timers import Ros1GridTimer, RosClock
 from midstride.errors import BackendError, NodeError
 from midstride.model.contract import QoS
 from midstride.node.clock_history import ClockHistory
+from midstride.node.diagnostics import DiagnosticEntry
 from midstride.node.host import MessageInfo
 from midstride.node.process_context import find
 from midstride.node.service_gate import ServiceGate
@@ -69,6 +71,9 @@ class Ros1Host:
         self._node_name = next(renamed, node_name)
         self._node = names.full(self._node_name, inside)
         self.instance = self._node.lstrip("/")
+        # All instances of a role share the name of their diagnostics.
+        self._role = names.full(find().node or self.instance, inside).lstrip("/")
+        self._diagnostics: PortPublisher | None = None
         transport, self.reachable = common.control_transport(os.environ, sys.argv[1:])
         self.transport: Transport | None = transport
         self._master = Master(uri, self._node)
@@ -139,6 +144,17 @@ class Ros1Host:
     def publish_state(self, state: ComponentState) -> None:
         self._states.publish(String(msgspec.json.encode(state).decode()))
 
+    def publish_diagnostics(self, entries: Callable[[], Sequence[DiagnosticEntry]]) -> None:
+        if diagnostics.MESSAGE is None:
+            return
+        if self._diagnostics is None:
+            try:
+                self._diagnostics = PortPublisher(DIAGNOSTICS, diagnostics.MESSAGE, QoS(), self.now, self._publishers)
+            except NodeError:
+                return  # user code publishes there without a port
+        if self._diagnostics.matched() > 0:
+            self._diagnostics.publish(diagnostics.message(entries(), self._role, self.instance, self.now()))
+
     def extra_endpoints(self) -> list[Endpoint]:
         return node_parameters.endpoints()
 
@@ -204,6 +220,8 @@ class Ros1Host:
 
     async def _close(self) -> None:
         self._states.destroy()
+        if self._diagnostics is not None:
+            self._diagnostics.destroy()
         await asyncio.gather(self._publishers.end(_PORTS_END), self._subscribers.end(_PORTS_END))
         with contextlib.suppress(BackendError):  # they are this instance's: the next one of its name must not find them
             for name in self.parameters.values:

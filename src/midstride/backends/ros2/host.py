@@ -11,7 +11,7 @@ import asyncio
 import os
 import sys
 import time
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from typing import Any, Final, TypeVar
 
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -28,6 +28,7 @@ from midstride.backends.ros2.timers import Ros2GridTimer
 from midstride.model.contract import QoS
 from midstride.node import process_context
 from midstride.node.clock_history import ClockHistory
+from midstride.node.diagnostics import DiagnosticEntry
 from midstride.node.host import MessageInfo, NodeParameters
 from midstride.node.service_gate import ServiceGate
 from midstride.wire.environment import ENV_TOKEN
@@ -144,6 +145,10 @@ class Ros2Host:
     def publish_state(self, state: ComponentState) -> None:
         if self._nodes is not None:
             self._nodes.parameter_services.show(parameters_of(state), self.now(), publish=state.answers)
+
+    def publish_diagnostics(self, entries: Callable[[], Sequence[DiagnosticEntry]]) -> None:
+        if self._nodes is not None:
+            self._nodes.diagnostics.publish(entries, self.now())
 
     def extra_endpoints(self) -> list[Endpoint]:
         nodes = self._nodes

@@ -19,6 +19,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from midstride.backends.ros2 import names
+from midstride.backends.ros2.diagnostics import DiagnosticsPublisher
 from midstride.backends.ros2.gated_node import GatedNode
 from midstride.backends.ros2.parameter_services import ParameterServices
 from midstride.errors import NodeError
@@ -129,6 +130,9 @@ class ComponentNodes:
         self._control_thread.executor.add_node(self._control)
         self.parameter_services = ParameterServices(
             self._control, self._control_thread.executor, self.data, self.data_executor
+        )
+        self.diagnostics = DiagnosticsPublisher(
+            self._control, self._control_thread.executor, self._full_name, names.full(instance, namespace)
         )
         self._data_thread.start()
         self._control_thread.start()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Container, Coroutine
+from collections.abc import Callable, Container, Coroutine, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -19,6 +19,7 @@ from midstride.backends.simulator.host import SimulatedHost
 from midstride.backends.simulator.network import Network
 from midstride.backends.simulator.process import SimulatedProcess
 from midstride.errors import BackendError, StartFailed
+from midstride.node.diagnostics import DiagnosticEntry
 from midstride.node.host import Host
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middleware
 from midstride.runtime.clock import Clock
@@ -176,3 +177,7 @@ class Simulator:
     def state(self, instance: str) -> ComponentState | None:
         """What a running component last published of its state."""
         return self.processes[instance].state
+
+    def diagnostics(self, instance: str) -> Sequence[DiagnosticEntry]:
+        """What a running component last published as its diagnostics."""
+        return self.processes[instance].diagnostics()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from functools import partial
 from typing import Any, TypeVar
 
@@ -15,6 +15,7 @@ from midstride.backends.simulator.network import Network, SimulatedReader, Simul
 from midstride.backends.simulator.process import SimulatedProcess
 from midstride.model.contract import QoS
 from midstride.node.contracts import type_name
+from midstride.node.diagnostics import DiagnosticEntry
 from midstride.node.host import MessageInfo, NodeParameters
 from midstride.node.process_context import find
 from midstride.node.service_gate import ServiceGate
@@ -131,6 +132,9 @@ class SimulatedHost:
 
     def publish_state(self, state: ComponentState) -> None:
         self._process.state = state
+
+    def publish_diagnostics(self, entries: Callable[[], Sequence[DiagnosticEntry]]) -> None:
+        self._process.diagnostics = entries
 
     def extra_endpoints(self) -> list[Endpoint]:
         return []

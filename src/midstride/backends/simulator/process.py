@@ -6,7 +6,7 @@ import asyncio
 import contextvars
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -16,6 +16,7 @@ from midstride.backends.simulator.cooperative_thread import CooperativeThread, E
 from midstride.backends.simulator.program import ProcessOutput, SimulatedProgram
 from midstride.errors import BackendError
 from midstride.node import process_context
+from midstride.node.diagnostics import DiagnosticEntry
 from midstride.node.host import Host
 from midstride.runtime.backend import Launch
 from midstride.wire.state import ComponentState
@@ -44,9 +45,10 @@ class SimulatedProcess:
         self.pid = pid
         self.clock = clock
         self.log = ProcessOutput(log)
-        # The control thread of its component, once it has joined the platform, and the state that it last published.
+        # The control thread of its component, once it has joined the platform, and what it last published of itself.
         self.main: asyncio.Task[None] | None = None
         self.state: ComponentState | None = None
+        self.diagnostics: Callable[[], Sequence[DiagnosticEntry]] = tuple
         self.dead = False
         self.terminating = False
         # Being ended by the manager, which waits for that: its exit is not reported.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from pathlib import Path
 from typing import Final
 
@@ -20,6 +21,7 @@ from midstride.runtime.reaper import process_info
 from midstride.runtime.state_store import SavedState, StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.server.serve import LOOPBACK, Tcp, serve
+from midstride.wire.environment import ENV_DIAGNOSTICS
 from midstride.wire.sockets import SocketFolder
 
 # How often the manager's log is checked (s).
@@ -33,6 +35,7 @@ CHECK_LOG: Final = 1.0
 @click.option("--http-host")
 @click.option("--use-sim-time", is_flag=True)
 @click.option("--no-middleware-settings", is_flag=True)
+@click.option("--no-diagnostics", is_flag=True)
 def manager_command(
     file: Path,
     backend: str,
@@ -40,6 +43,7 @@ def manager_command(
     http_host: str | None,
     use_sim_time: bool,
     no_middleware_settings: bool,
+    no_diagnostics: bool,
 ) -> int:
     """Manage the system of FILE until it is down or SIGTERM arrives."""
     requested = load(file)
@@ -50,9 +54,11 @@ def manager_command(
         shortening = asyncio.ensure_future(_shorten_log(workspace.manager_log))
         try:
             saved = await _still_running(workspace)
-            options = SystemOptions(use_sim_time, not no_middleware_settings)
+            options = SystemOptions(use_sim_time, not no_middleware_settings, not no_diagnostics)
             if saved is not None:
                 options = saved.options.with_(options)
+            if not options.diagnostics:
+                os.environ[ENV_DIAGNOSTICS] = "0"  # components have the manager's environment
             platform = backends.make(backend, workspace, middleware_settings=options.middleware_settings)
             specification = requested if saved is None else saved.specification
             path = file.resolve()

@@ -17,7 +17,7 @@ from midstride.cli.systems import find, system_option
 
 
 @click.command("status")
-@click.option("--verbose", "-v", is_flag=True, help="Also how each component was started, and what is set for it.")
+@click.option("--verbose", "-v", is_flag=True, help="Also what each port measures, and how each component runs.")
 @system_option
 @json_option
 def status_command(verbose: bool, system: str | None) -> int:
@@ -31,6 +31,7 @@ def status_command(verbose: bool, system: str | None) -> int:
 
         console().print(render.status(document))
         if verbose:
+            console().print(render.measured(document))
             console().print(render.platform(document))
     return 0 if document["valid"] else 1
 

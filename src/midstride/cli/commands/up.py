@@ -57,6 +57,7 @@ def backend_option(help: str) -> Callable[[Callable[..., int]], Callable[..., in
     is_flag=True,
     help="Leave transports and discovery of the middleware as they are: see docs/how-to/middleware-settings.md.",
 )
+@click.option("--no-diagnostics", is_flag=True, help="Do not publish on /diagnostics: see docs/how-to/diagnostics.md.")
 @json_option
 def up_command(
     file: Path,
@@ -66,6 +67,7 @@ def up_command(
     http_host: str | None,
     use_sim_time: bool,
     no_middleware_settings: bool,
+    no_diagnostics: bool,
 ) -> int:
     """Start the system of FILE and its manager, and watch them.
 
@@ -91,6 +93,7 @@ def up_command(
     if http is not None:
         arguments += ["--http", str(http), *(["--http-host", http_host] if http_host else [])]
     arguments += ["--use-sim-time"] * use_sim_time + ["--no-middleware-settings"] * no_middleware_settings
+    arguments += ["--no-diagnostics"] * no_diagnostics
     answer = bring_up(client, workspace, arguments)
     if client.get("/specification") != encode_specification(specification):
         click.echo(

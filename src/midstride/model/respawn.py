@@ -1,0 +1,52 @@
+"""The restart policy of a node: `respawn` and what belongs to it (docs/semantics.md section 7)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from midstride.model.contract import format_number
+
+# The longest delay (s) where a policy states none.
+LONGEST_DELAY: Final = 30.0
+# From the second restart on, the least delay before it (s), unless the longest one is shorter.
+SECOND_DELAY: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class RespawnPolicy:
+    """When a node that has crashed is started again, in the words of ROS launch files.
+
+    The first restart comes after ``delay`` (s). Each further one waits twice as long as the one before, at least
+    1 s and at most ``max_delay`` (None: 30 s, or ``delay`` where that is longer). After ``max_retries`` restarts within
+    ``window`` (s) of the time that the node ran, it is replaced by the component ``fallback``, or left.
+    """
+
+    delay: float = 0.0
+    max_delay: float | None = None
+    max_retries: int = 5
+    window: float = 60.0
+    fallback: str | None = None
+
+    @property
+    def longest_delay(self) -> float:
+        return max(LONGEST_DELAY, self.delay) if self.max_delay is None else self.max_delay
+
+    def delay_before(self, restart: int) -> float:
+        """How long to wait before a restart (s), the first one in the window being number 1."""
+        delay = min(self.delay, self.longest_delay)
+        for _ in range(1, restart):
+            if delay >= self.longest_delay:
+                break
+            delay = min(max(2 * delay, SECOND_DELAY), self.longest_delay)
+        return delay
+
+    @property
+    def limit(self) -> str:
+        """``5 in 60 s``"""
+        return f"{self.max_retries} in {format_number(self.window)} s"
+
+    def __str__(self) -> str:
+        then = "" if self.fallback is None else f", then {self.fallback}"
+        delays = " to ".join(f"{format_number(seconds)} s" for seconds in (self.delay, self.longest_delay))
+        return f"after {delays}, at most {self.limit}{then}"

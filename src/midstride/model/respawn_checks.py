@@ -1,0 +1,61 @@
+"""Checks of a node's restart policy: its numbers, and whether it can be carried out.
+
+Part of :mod:`midstride.model.specification_checks`. Names without a declaration are skipped here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from midstride.model.component import ComponentSpec, PortRef
+from midstride.model.component_rules import number_problems
+from midstride.model.contract import format_number
+from midstride.model.diagnostics import Problem
+from midstride.model.name_checks import Path
+from midstride.model.rules import attachment_shortfall
+from midstride.model.specification import Node, Specification
+
+
+def respawn_problems(specification: Specification, node: Node, path: Path) -> Iterator[Problem]:
+    """The problems of the restart policy of ``node``, if it has one."""
+    policy, component = node.respawn, specification.components.get(node.component)
+    if policy is None:
+        return
+    yield from number_problems(policy.delay, "the delay of a restart", (*path, "delay_seconds"), zero=True)
+    yield from number_problems(policy.max_delay, "the longest delay", (*path, "max_delay_seconds"), zero=True)
+    yield from number_problems(policy.max_retries, "the number of restarts", (*path, "max_retries"), zero=True)
+    yield from number_problems(policy.window, "the time in which restarts count", (*path, "window_seconds"))
+    if policy.max_delay is not None and policy.max_delay < policy.delay:
+        delay, longest = (format_number(seconds) for seconds in (policy.delay, policy.max_delay))
+        message = f"the longest delay of {node.role}, {longest} s, is shorter than the first one, {delay} s"
+        yield Problem("E026", (*path, "max_delay_seconds"), message, f"write at least {delay} s")
+    if component is not None and component.run is None:
+        message = f"{node.role} cannot be restarted: component {component.name} has no `run` command"
+        yield Problem("E026", path, message, "remove `respawn`; what has started the node has to restart it")
+    fallback = None if policy.fallback is None else specification.components.get(policy.fallback)
+    if fallback is None:
+        return
+    if policy.fallback == node.component:
+        message = f"the fallback of {node.role} is {node.component}, the component that it has"
+        yield Problem("W035", (*path, "fallback"), message, "name another component")
+        return
+    for fault in _faults(specification, node, fallback):
+        message = f"{fallback.name} cannot replace {node.role}: {fault}"
+        yield Problem("E026", (*path, "fallback"), message, "name a component that fits the node's topics")
+
+
+def _faults(specification: Specification, node: Node, fallback: ComponentSpec) -> Iterator[str]:
+    if fallback.run is None:
+        yield "it has no `run` command"
+    for port, topics in sorted(node.attachments.items()):
+        if port not in fallback.ports():
+            yield f"it has no port {port}"
+            continue
+        owner = fallback.find_owner(port)
+        if fallback.has_output(port) and (owner is None or not owner.modes):
+            continue  # reported already
+        for topic in topics:
+            if (connector := specification.connectors.get(topic)) is not None:
+                shortfall, clauses = attachment_shortfall(fallback, PortRef(node.role, port), connector)
+                if clauses:
+                    yield f"{shortfall}: {', '.join(clauses)}"
