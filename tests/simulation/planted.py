@@ -63,6 +63,7 @@ def _gate_closed_late(patch: pytest.MonkeyPatch) -> None:
 
 def _steps_swapped(patch: pytest.MonkeyPatch) -> None:
     """A removed component is ended before its last attachment is taken off: two steps have changed places."""
+
     def without_check(self: Any, configuration: Any) -> Any:
         return configuration.without_instance(self.instance)
 

@@ -82,6 +82,11 @@ def changed_attachments(
     return lacking, [(port, by_topic.get(topic, topic)) for port, topic in unknown]
 
 
+def differs(configuration: Configuration, state: ComponentState) -> bool:
+    """Whether a component of the model has other attachments there than it reports."""
+    return state.instance in configuration.instances and any(changed_attachments(configuration, state))
+
+
 def with_attachments(
     configuration: Configuration, lacking: Iterable[tuple[PortRef, str]], besides: Iterable[tuple[PortRef, str]]
 ) -> Configuration:

@@ -26,6 +26,7 @@ from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import (
     changed_attachments,
+    differs,
     own_degradations,
     own_degradations_in,
     with_attachments,
@@ -95,7 +96,8 @@ class Reconciler:
                 self.monitor.on_report(state, self.system.configuration)
                 answers_again = state.instance in self._unanswered
                 self._unanswered.discard(state.instance)
-                if answers_again or own_degradations_in(self.system.configuration, state):
+                configuration = self.system.configuration
+                if answers_again or own_degradations_in(configuration, state) or differs(configuration, state):
                     self._reconcile_soon()
 
     def save_values(self) -> None:
