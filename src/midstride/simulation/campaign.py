@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
-from midstride.simulation.run import Run, simulate
+from midstride.simulation.run import SeedRun, simulate
 from midstride.simulation.scenario import Scenario
 
 
@@ -16,13 +16,13 @@ class Summary:
     """``cells`` counts, by fault, kind of step and branch of recovery, how many faults led there."""
 
     seeds: int = 0
-    failed: list[Run] = field(default_factory=list)
+    failed: list[SeedRun] = field(default_factory=list)
     outcomes: Counter[str] = field(default_factory=Counter)
     struck: Counter[str] = field(default_factory=Counter)
     branches: Counter[tuple[str, str]] = field(default_factory=Counter)
     cells: Counter[tuple[str, str, str]] = field(default_factory=Counter)
 
-    def add(self, run: Run) -> None:
+    def add(self, run: SeedRun) -> None:
         self.seeds += 1
         if run.problems:
             self.failed.append(run)
@@ -34,7 +34,7 @@ class Summary:
                 self.cells[each.fault, each.step, branch] += 1
 
 
-def simulate_many(seeds: Iterable[int], scenario: Scenario | None = None, jobs: int = 1) -> Iterator[Run]:
+def simulate_many(seeds: Iterable[int], scenario: Scenario | None = None, jobs: int = 1) -> Iterator[SeedRun]:
     """The runs of ``seeds`` in their order, ``jobs`` at a time, each in a process."""
     if jobs <= 1:
         yield from (simulate(seed, scenario) for seed in seeds)
@@ -52,5 +52,5 @@ def _begin(scenario: Scenario | None) -> None:
     _scenario = scenario
 
 
-def _run(seed: int) -> Run:
+def _run(seed: int) -> SeedRun:
     return simulate(seed, _scenario)

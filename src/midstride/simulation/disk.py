@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from midstride.runtime.disk import Database, Disk, Statement
-from midstride.simulation.lives import Killed, Life
+from midstride.simulation.lives import Life, ManagerKilled
 
 
 class SimulatedDisk(Disk):
@@ -72,7 +72,7 @@ class _Database(Database):
     def _kill(self) -> None:
         if self._life is not None:
             self._life.kill()
-        raise Killed
+        raise ManagerKilled
 
     def close(self) -> None:
         pass  # the file remains

@@ -17,7 +17,7 @@ from midstride.runtime.backend import Exited
 from midstride.wire.transport import Connection, Serve, StopListening
 
 
-class Killed(BaseException):
+class ManagerKilled(BaseException):
     """The manager has been killed: raised where it writes to the disk, which cannot wait."""
 
 
@@ -47,9 +47,9 @@ class Life:
             self._over.set_result(None)
 
     def require(self) -> None:
-        """Raises Killed once it has been killed."""
+        """Raises ManagerKilled once it has been killed."""
         if not self.alive:
-            raise Killed
+            raise ManagerKilled
 
     async def breath(self) -> None:
         """Returns while it lives, and never again once it has been killed."""

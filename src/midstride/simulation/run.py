@@ -25,7 +25,7 @@ from midstride.simulation import loop as seeded
 from midstride.simulation.disk import SimulatedDisk
 from midstride.simulation.faults import LATE, Fault, draw, strike
 from midstride.simulation.invariants import Invariants
-from midstride.simulation.lives import Killed, Life
+from midstride.simulation.lives import Life, ManagerKilled
 from midstride.simulation.oracle import Oracle
 from midstride.simulation.platform import Platform
 from midstride.simulation.scenario import Scenario, rover
@@ -51,7 +51,7 @@ class Struck:
 
 
 @dataclass
-class Run:
+class SeedRun:
     """What came of a seed. ``problems`` are the violated invariants; ``digest`` is the same for the same run."""
 
     seed: int
@@ -63,7 +63,7 @@ class Run:
     seconds: float
 
 
-def simulate(seed: int, scenario: Scenario | None = None) -> Run:
+def simulate(seed: int, scenario: Scenario | None = None) -> SeedRun:
     """Run one seed, of the built-in scenario or another."""
     return Simulation(seed, scenario).run()
 
@@ -97,7 +97,7 @@ class Simulation:
         self._timeline: list[str] = []
         self._outcomes: list[str] = []
 
-    def run(self) -> Run:
+    def run(self) -> SeedRun:
         logging.disable(logging.CRITICAL)
         gc.disable()  # finalizers would be called at moments that differ from run to run; and it takes time
         try:
@@ -108,7 +108,7 @@ class Simulation:
             gc.enable()
             logging.disable(logging.NOTSET)
         text = "\n".join([*self._timeline, str(sorted(self._invariants.heard.items()))])
-        return Run(
+        return SeedRun(
             self._seed,
             self._problems,
             self._timeline,
@@ -164,7 +164,11 @@ class Simulation:
             return event
 
         manager.events.add = added  # type: ignore[method-assign]
-        await self._ended(life, manager.up())
+        try:
+            await self._ended(life, manager.up())
+        except MidstrideError:
+            life.kill()  # its process ends
+            raise
 
     async def _ended(self, life: Life, command: Any) -> Any:
         """The result of a command; None where its manager is killed meanwhile."""
@@ -183,7 +187,7 @@ class Simulation:
                     task.cancel()
                     return None
             return task.result()
-        except Killed:
+        except ManagerKilled:
             self._note("manager", "killed")
             self._reached("manager killed")
             return None
@@ -281,7 +285,9 @@ class Simulation:
 
     def _uncaught(self) -> list[str]:
         """What no task has caught. Tasks of a process that was killed end where they were."""
-        errors = [error for error in self._loop.errors if not isinstance(error.get("exception"), (Killed, NoneType))]
+        errors = [
+            error for error in self._loop.errors if not isinstance(error.get("exception"), (ManagerKilled, NoneType))
+        ]
         return [f"uncaught: {error['message']}: {error['exception']!r}" for error in errors]
 
     # -- what is watched -----------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from midstride.cli.planned_change import planned_change, planned_change_options
 
 if TYPE_CHECKING:
     from midstride.simulation.campaign import Summary
-    from midstride.simulation.run import Run
+    from midstride.simulation.run import SeedRun
     from midstride.simulation.scenario import Scenario
 
 # The columns of the table: the branches of recovery that the outcome of a change is.
@@ -66,7 +66,7 @@ def _scenario(file: Path | None, change: dict[str, Any]) -> Scenario | None:
     return rehearsed(load(file), request)
 
 
-def _show_one(run: Run, same: bool) -> int:
+def _show_one(run: SeedRun, same: bool) -> int:
     if wants_json():
         print_json({**_document(run), "deterministic": same, "digest": run.digest, "timeline": run.timeline})
     else:
@@ -112,5 +112,5 @@ def _show(summary: Summary, seconds: float) -> int:
     return 1
 
 
-def _document(run: Run) -> dict[str, Any]:
+def _document(run: SeedRun) -> dict[str, Any]:
     return {"seed": run.seed, "problems": run.problems, "outcomes": run.outcomes}
