@@ -18,6 +18,7 @@
     ├── StepFailed              a step of a running plan failed; the plan is rolled back
     └── ManagerError            the manager cannot do what was asked of it
         ├── ManagerBusy         another command is running
+        ├── Superseded          another manager of the system has taken over
         └── NoManager           no manager of that system is running
 
 This module imports nothing, so that every other one may import it.
@@ -118,6 +119,10 @@ class ManagerError(MidstrideError):
 
 class ManagerBusy(ManagerError):
     """Another command is running; the message says which, and since when."""
+
+
+class Superseded(ManagerError):
+    """Another manager of the system has taken over: this one must not change anything any more."""
 
 
 class NoManager(ManagerError):

@@ -3,25 +3,33 @@
 managing.py WORKSPACE down: finds the system and ends it.
 managing.py WORKSPACE swap [OP NUMBER before|after]: brings the system up (or finds it again), fails if it is not valid,
 and replaces the component of ``source`` by the other one. The manager is killed with -9 just before it makes the
-NUMBER-th call OP of that change, or just after that call was answered. Each call is printed.
+NUMBER-th call OP of that change, or just after that call was answered; OP ``write``: the NUMBER-th durable write. Each
+call and each write is printed, and what the manager has found in the beginning.
 """
 
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import signal
+import sqlite3
 import sys
 from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from midstride import backends
 from midstride.plan.request import PlanRequest
+from midstride.runtime import reaper
+from midstride.runtime.disk import Database, Disk, Statement
 from midstride.runtime.manager import Manager
 from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import Command
+from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 from tests.acceptance.support import BENCHMARKS, swap_specification
 
 
@@ -44,23 +52,83 @@ def killed_at(manager: Manager, op: str, number: int, when: str) -> None:
     client._send = counted  # type: ignore[method-assign]
 
 
+@dataclass
+class MortalDisk(Disk):
+    """Calls ``at_write`` before and after each durable write."""
+
+    at_write: Callable[[str], object] = lambda when: None
+
+    def open(self, path: Path, schema: str) -> Database:
+        return MortalDatabase(super().open(path, schema).connection, self)
+
+
+class MortalDatabase(Database):
+    def __init__(self, connection: sqlite3.Connection, disk: MortalDisk) -> None:
+        super().__init__(connection)
+        self.disk = disk
+
+    def write(self, statements: Iterable[Statement], only_if: Statement | None = None) -> None:
+        self.disk.at_write("before")
+        super().write(statements, only_if)
+        self.disk.at_write("after")
+
+
+def killed_at_write(disk: MortalDisk, number: int, when: str) -> None:
+    """Let this process die at the ``number``-th durable write from now on."""
+    counts = Counter[str]()
+
+    def at_write(moment: str) -> None:
+        counts[moment] += 1
+        if moment == "before":
+            print("call write", flush=True)
+        if (moment, counts[moment]) == (when, number):
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    disk.at_write = at_write
+
+
+async def found(manager: Manager) -> str:
+    """What the earlier manager has left, once this one is up: as JSON, on one line."""
+    instances = manager.configuration.instances
+    orphans = [
+        process.pid
+        for process in reaper.processes()
+        if process.alive
+        and reaper.environment_value(process.pid, ENV_TOKEN) == manager._client.token
+        and reaper.environment_value(process.pid, ENV_INSTANCE) not in instances
+    ]
+    changes = (await manager.history(3)).changes
+    return json.dumps(
+        {
+            "roles": sorted(each.role for each in instances.values()),
+            "source": next(each.component.name for each in instances.values() if each.role == "source"),
+            "declared": manager.specification.nodes["source"].component,
+            "orphans": orphans,
+            "outcomes": [change.outcome for change in changes if change.command != "up"],
+        }
+    )
+
+
 async def main(folder: Path, task: str, op: str = "", number: str = "0", when: str = "") -> int:
     workspace = Workspace(folder)
     saved = StateStore(workspace.state).load()
     specification = swap_specification() if saved is None else saved.specification
     backend = backends.make("ros2", workspace)
-    manager = Manager(specification, backend, workspace, BENCHMARKS)
+    disk = MortalDisk()
+    manager = Manager(specification, backend, workspace, BENCHMARKS, disk=disk)
     await manager.up()
     try:
         status = await manager.status()
         if not status.valid:
             print(f"not valid: {status.violations} {status.components}")
             return 1
+        print("found", await found(manager), flush=True)
         if task == "down":
             await manager.down()
         else:
             (now,) = (each.component.name for each in manager.configuration.instances.values() if each.role == "source")
             killed_at(manager, op, int(number), when)
+            killed_at_write(disk, int(number) if op == "write" else 0, when)
             other = "Source" if now == "OtherSource" else "OtherSource"
             outcome = await manager.change(PlanRequest(replace=(("source", other),)))
             print(outcome.outcome, outcome.because)

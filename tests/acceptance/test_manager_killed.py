@@ -1,8 +1,10 @@
-"""The manager killed with -9 at every point of a hand-over: the robot goes on, and is found again."""
+"""The manager killed with -9 at every point of a hand-over, and at every durable write: the robot goes on, and is found
+again."""
 
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import signal
 import subprocess
@@ -18,6 +20,8 @@ from tests.acceptance.support import PERIOD, ROOT, Recorder, ended
 
 pytestmark = pytest.mark.ros2
 
+# How often the manager is killed at a durable write, each in turn.
+WRITES = int(os.environ.get("MIDSTRIDE_TEST_KILLED_WRITES", "200"))
 # Where a death does most harm: after one side has its orders, and before the outcome is known.
 CRITICAL = {"meet", "cut_out", "cut_in", "await_cut"}
 
@@ -49,7 +53,7 @@ def killed_at_each(folder: Path, only: set[str] | None = None, times: int = 1) -
         points = [
             (op, str(number + 1), when)
             for op, count in calls.items()
-            if only is None or op in only
+            if (op in only if only is not None else op != "write")
             for number in range(count)
             for when in ("before", "after")
         ]
@@ -77,3 +81,48 @@ def test_the_topic_is_never_silent_for_longer_than_is_stated(tmp_path: Path) -> 
 @pytest.mark.timeout(1500)
 def test_the_topic_is_never_silent_for_longer_than_is_stated_at_any_point(tmp_path: Path) -> None:
     killed_at_each(tmp_path, times=2)
+
+
+def killed_at_writes(folder: Path, times: int, longest: float) -> None:
+    """Kill the manager ``times`` times, at writes all over a change; what the next one finds is whole each time.
+
+    ``longest``: how long the topic may be silent (s).
+    """
+    system = folder / "system"
+    system.mkdir()
+    with ended():
+        writes = min(calls_of_a_swap(system)["write"] for _ in range(2))
+        assert writes > 10
+        points = [(str(number + 1), when) for number in range(writes) for when in ("before", "after")]
+        recorder = Recorder(folder)
+        recorder.wait_until_it_hears()
+        for index in range(times):
+            number, when = points[index * max(1, len(points) // times) % len(points)]
+            killed = manage(system, "swap", "write", number, when)
+            assert killed.returncode == -signal.SIGKILL, f"{number} {when}: {killed.stdout}{killed.stderr}"
+            assert_found_whole(killed.stdout)
+        assert_found_whole(manage(system, "swap").stdout)
+        rows = recorder.stop()
+        end = manage(system, "down")
+        assert end.returncode == 0, end.stdout + end.stderr
+    assert max(silences(rows)) <= longest
+
+
+def assert_found_whole(printed: str) -> None:
+    """What the killed manager left was brought to one end of the change: nothing is missing, and nothing left over."""
+    [line] = [line for line in printed.splitlines() if line.startswith("found ")]
+    left = json.loads(line.removeprefix("found "))
+    assert left["roles"] == ["sink", "source"] and left["orphans"] == [], left
+    assert left["source"] == left["declared"] and None not in left["outcomes"], left
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.full
+def test_whatever_write_the_manager_is_killed_at_the_next_one_finds_a_whole_system(tmp_path: Path) -> None:
+    killed_at_writes(tmp_path, 5, longest=2.0)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(60 + 20 * WRITES)
+def test_the_manager_may_be_killed_at_each_write_in_turn(tmp_path: Path) -> None:
+    killed_at_writes(tmp_path, WRITES, longest=(RESUME_PERIODS + 2) * PERIOD)

@@ -16,6 +16,16 @@ from tests.runtime.test_parameters import source, tuned
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
 
+# A parameter of the node itself, which the component knows nothing of.
+ON_THE_NODE = """
+@comp.on_setup
+def declare(node):
+    node.declare_parameter("speed", 0.5)
+
+comp.start()
+"""
+
+
 async def set_by_a_client(bare: Bare, node: str, name: str, value: Any) -> tuple[bool, str]:
     """As `ros2 param set` does."""
     from rcl_interfaces.srv import SetParameters
@@ -30,7 +40,8 @@ async def set_by_a_client(bare: Bare, node: str, name: str, value: Any) -> tuple
 
 def test_what_a_bare_client_sets_before_and_after_a_replacement_is_kept(tmp_path: Path) -> None:
     async def scenario() -> None:
-        async with managed(tmp_path / "system", tuned(tmp_path), EXAMPLES / "talker") as (manager, _):
+        specification = tuned(tmp_path, source(2.5).replace("comp.start()", ON_THE_NODE))
+        async with managed(tmp_path / "system", specification, EXAMPLES / "talker") as (manager, _):
             with Bare() as bare:
                 assert await set_by_a_client(bare, "/talker", "gain", 1.7) == (True, "")
                 done, reason = await set_by_a_client(bare, "/talker", "gain", -1.0)
@@ -42,12 +53,14 @@ def test_what_a_bare_client_sets_before_and_after_a_replacement_is_kept(tmp_path
                 assert (state.parameters["gain"], state.declared) == (1.7, {"gain": 2.5})
 
                 assert await set_by_a_client(bare, NODE, "label", "left") == (True, "")
+                assert await set_by_a_client(bare, NODE, "speed", 0.7) == (True, "")
                 await manager.set_parameters("talker", {"gain": 1.9})
                 outcome = await manager.change(PlanRequest(restart=("talker",)))
                 assert outcome.outcome == "done", outcome.because
                 (new,) = (name for name, live in manager.configuration.instances.items() if live.role == "talker")
                 state = await manager.peek(new)
-                assert state.set_values() == {"gain": 1.9, "label": "left"}
+                assert state.set_values() == {"gain": 1.9, "label": "left", "speed": 0.7}
+                assert state.declared["speed"] == 0.5
 
     run(scenario(), 120)
 

@@ -42,7 +42,8 @@ def test_a_source_that_waits_for_a_clock_is_shown_and_not_handed_over(tmp_path: 
             with Bare() as bare:
                 await set_simulated_time(bare, "/source", True)
                 assert not (await status_when(manager, ON_CLOCK)).valid
-                outcome = await manager.change(replace("source", "OtherSource"))
+                declared = changed(replace("source", "OtherSource"), declared_parameters=True)
+                outcome = await manager.change(declared)
                 assert outcome.outcome == "rolled_back"
                 assert "source follows /clock (use_sim_time) and source_2 the clock of the system" in str(
                     outcome.because
@@ -52,6 +53,31 @@ def test_a_source_that_waits_for_a_clock_is_shown_and_not_handed_over(tmp_path: 
                 assert (await manager.change(replace("source", "OtherSource"))).outcome == "done"
 
     run(scenario(), 120)
+
+
+@pytest.mark.full
+def test_use_sim_time_set_while_it_runs_travels_to_the_replacement(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with managed(tmp_path / "system", swap_specification()) as (manager, _):
+            clock = ClockSource(tmp_path, 1.0)
+            with Bare() as bare:
+                await set_simulated_time(bare, "/source", True)
+                await status_when(manager, None)
+                await received(manager, 50)
+                outcome = await manager.change(replace("source", "OtherSource"))
+                assert (outcome.outcome, outcome.because) == ("done", None)
+                words = "source: use_sim_time = True, set at run time: kept"
+                assert [value.words for value in outcome.parameters] == [words]
+                state = await manager.peek("source_2")
+                assert state.simulated_time and state.set_values() == {"use_sim_time": True}
+                await set_simulated_time(bare, "/source", False)
+                await received(manager, 50)
+                outcome = await manager.change(other_source(manager))
+                assert (outcome.outcome, outcome.parameters) == ("done", [])
+            clock.stop()
+
+    with ended():
+        run(scenario(), 120)
 
 
 @pytest.mark.full

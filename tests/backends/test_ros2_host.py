@@ -281,6 +281,48 @@ def test_a_list_is_set_by_tools_as_well(tmp_path: Path) -> None:
     run(scenario())
 
 
+ON_THE_NODE = """
+@comp.on_setup
+def declare(node):
+    node.declare_parameter("speed", 0.5)
+    node.declare_parameter("frames", ["base"])
+    node.declare_parameter("inner", 1)
+    node.declare_parameter("limit", float("inf"))
+    node.set_parameters([Parameter("inner", value=2)])
+
+comp.start()
+"""
+
+
+def test_parameters_of_the_node_itself_are_in_the_state_and_a_replacement_starts_with_them(tmp_path: Path) -> None:
+    text = TUNED.replace("comp.start()", ON_THE_NODE).replace(
+        "import String", "import String\nfrom rclpy.parameter import Parameter"
+    )
+    declared = {"gain": 1.5, "label": "plain"}
+
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            states: list[Any] = []
+            r.client.on_event = states.append
+            await r.start("tuned", text, set_parameters={"speed": 0.7, "frames": [], "use_sim_time": False})
+            state = await r.client.observe("tuned")
+            node = {"speed": 0.7, "frames": ["base"], "inner": 2}
+            assert (state.parameters, state.declared) == (declared | node, {"speed": 0.5})
+            await r.client.change("tuned", SetParametersCommand(parameters={"frames": []}, declared={}))
+            with Bare() as bare:
+                tools = Tools(bare, "/tuned")
+                assert await tools.get("speed", "frames", "limit") == [0.7, [], float("inf")]
+                assert await tools.set(inner=3, use_sim_time=True) == [(True, ""), (True, "")]
+                changed = {"speed": 0.7, "frames": [], "inner": 3, "use_sim_time": True}
+                await until(lambda: states[-1].set_values() == changed)
+                assert states[-1].declared == {"speed": 0.5, "frames": ["base"], "inner": 1, "use_sim_time": False}
+                replied = await r.client.change("tuned", SetParametersCommand(parameters={"speed": 0.9}))
+                assert replied.before == {"speed": 0.7}
+                assert "speed" not in (await r.client.observe("tuned")).set_values(), "the file says so"
+
+    run(scenario())
+
+
 def hear_parameters(bare: Bare, events: list[tuple[str, Any]]) -> None:
     """Append the node and the value of each change of a `gain` that is published."""
     from rcl_interfaces.msg import ParameterEvent

@@ -348,5 +348,9 @@ def test_a_renamed_component_goes_on_under_its_new_name(chain: Running) -> None:
         after = midstride("status", "--json").json["components"]
         assert [entry["pid"] for entry in after] == [entry["pid"] for entry in before]
         assert {entry["role"]: entry["component"] for entry in after}["pass"] == "Relay"
+        assert midstride("status", "--json").json["file"] == midstride.saved("chain").file == new
+        unchanged = chain.file(SYSTEM.replace("<- /neat", "<- /neet"), "refused.stride")
+        assert midstride("apply", unchanged, "--yes").status == 1
+        assert f"brought up from {new}" in midstride("status").out
     finally:
         assert midstride("apply", chain.file(SYSTEM, "chain.stride"), "--yes").status == 0

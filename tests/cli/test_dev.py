@@ -165,6 +165,34 @@ def test_what_was_refused_is_tried_again_when_its_files_change_and_not_before(ro
     assert robot.shown[-1] == "swapped talker (talker.py)"
 
 
+def test_a_node_that_has_crashed_is_restarted_with_the_next_save_and_not_before(robot: Robot) -> None:
+    robot.edit("talker.py", "hello", "crashing")
+    assert robot.asked() == [restart("talker")]
+    del robot.code["talker"]
+    for _ in range(3):
+        robot.session.look()
+    assert robot.asked() == []
+    robot.edit("talker.py", "crashing", "bad")
+    assert robot.asked() == [restart("talker")]
+    robot.edit("talker.py", "bad", "hello again")
+    assert robot.asked() == [restart("talker")] and robot.shown[-1] == "swapped talker (talker.py)"
+    robot.session.look()
+    assert robot.asked() == []
+
+
+def test_a_save_between_a_crash_and_its_discovery_is_not_lost(robot: Robot) -> None:
+    del robot.code["talker"]
+    robot.edit("talker.py", "hello", "hello again")
+    assert robot.asked() == [restart("talker")]
+
+
+def test_a_node_that_was_removed_elsewhere_is_not_restarted(robot: Robot) -> None:
+    del robot.code["talker"]
+    robot.runs = robot.runs.without_node("talker")
+    robot.edit("talker.py", "hello", "hello again")
+    assert robot.asked() == []
+
+
 def test_code_that_is_undone_after_it_was_refused_needs_nothing(robot: Robot) -> None:
     robot.edit("talker.py", "hello", "bad")
     robot.asked()
@@ -215,6 +243,21 @@ def test_a_faulty_specification_is_shown_and_the_system_goes_on(robot: Robot) ->
     robot.edit("talker.stride", "10 Hzz", "20 Hz")
     assert robot.asked() == [restart(to=True)]
     assert robot.shown[-1] == "swapped talker.stride"
+
+
+def test_a_save_while_the_specification_is_read_is_not_lost(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    specification = robot.session.specification
+    read, path = specification.read, robot.folder / "talker.stride"
+
+    def saved_meanwhile() -> Any:
+        found = read()
+        path.write_text(path.read_text().replace("20 Hz", "25 Hz"))
+        return found
+
+    monkeypatch.setattr(specification, "read", saved_meanwhile)
+    robot.edit("talker.stride", "10 Hz", "20 Hz")
+    robot.session.look()
+    assert "25" in str(encode_specification(robot.runs)["topics"])
 
 
 def test_a_specification_that_was_refused_is_tried_again_when_a_program_of_it_changes(robot: Robot) -> None:
@@ -310,8 +353,11 @@ def write(path: Path, old: str, new: str) -> None:
 
 def test_dev_swaps_what_is_saved_and_refuses_what_is_faulty(midstride: Midstride, project: Path) -> None:
     file = str(project / "talker.stride")
-    with Terminal(midstride, "dev", file, "--backend", "sim") as terminal:
+    refused = midstride("dev", file, "--backend", "sim", "--use-sim-time")
+    assert (refused.status, "--use-sim-time is for ROS 2" in refused.err) == (2, True)
+    with Terminal(midstride, "dev", file, "--backend", "sim", "--no-middleware-settings") as terminal:
         terminal.until("Swapping on save; Ctrl-C stops the system.")
+        assert not midstride.saved("talker").options.middleware_settings
         write(project / "talker.py", "hello world", "hello new world")
         shown = terminal.until(", missed ")  # in real time: how many depends on the machine
         assert "talker (talker.py): swapped in" in shown
@@ -339,7 +385,8 @@ def test_dev_attaches_to_a_running_system_and_leaves_it_running(midstride: Midst
     file = str(project / "talker.stride")
     assert midstride("up", file, "--backend", "sim", "-d").status == 0
     write(project / "talker.py", "hello world", "hello new world")  # before it attaches
-    with Terminal(midstride, "dev", file) as terminal:
+    with Terminal(midstride, "dev", file, "--no-middleware-settings") as terminal:
+        terminal.until("talker is running already: --use-sim-time and --no-… have no effect")
         terminal.until("Swapping on save; Ctrl-C leaves it running.")
         terminal.until("talker (talker.py): swapped in")
         terminal.press("\x03")

@@ -85,6 +85,15 @@ def test_parameters_are_shown_set_and_kept(tuned: Midstride, folder: Path) -> No
     assert tuned("param", "get", "talker", "gain").out == "gain = -2.5, set at run time (started with 1.5)\n"
     assert tuned("--json", "param", "list", "talker_2").json["talker_2"][0]["value"] == -2.5
 
+    kept = tuned("plan", "--restart", "talker_2")
+    assert (kept.status, "talker: gain = -2.5, set at run time: kept\n" in kept.out) == (0, True)
+    assert kept.out.startswith("tuned: restart talker_2")
+    document = tuned("plan", "--restart", "talker", "--declared-parameters", "--json").json
+    assert [(each["parameter"], each["fate"]) for each in document["parameters"]] == [("gain", "not_kept")]
+    whole = tuned("plan", "--to", str(folder / "tuned.json"), "--system", "tuned", "--json").json
+    assert (whole["steps"], whole.get("parameters", [])) == ([], [])
+    assert tuned("param", "get", "talker_2", "gain").status == 0, "a plan changes nothing"
+
     done = tuned("restart", "talker", "--yes", "--declared-parameters")
     assert done.status == 0, done.err
     assert "talker: gain = -2.5, set at run time: not kept, as requested; it becomes 1.5" in done.out
@@ -93,6 +102,14 @@ def test_parameters_are_shown_set_and_kept(tuned: Midstride, folder: Path) -> No
     assert tuned("param", "set", "talker", "names", "[x, y]", "--json").json["parameters"][0]["value"] == ["x", "y"]
     done = tuned("apply", str(folder / "tuned.json"), "--yes", "--declared-parameters", "--json")
     assert (done.status, done.json["parameters"]) == (0, []), "the specification does not declare it"
+
+
+@pytest.mark.parametrize("option", [("--declared-parameters",), ("--system", "tuned")])
+def test_a_plan_for_a_file_refuses_what_is_for_a_running_system(
+    tuned: Midstride, folder: Path, option: tuple[str, ...]
+) -> None:
+    refused = tuned("plan", str(folder / "tuned.json"), "--restart", "talker", *option)
+    assert (refused.status, f"{option[0]} is for the running system" in refused.err) == (2, True)
 
 
 @pytest.mark.parametrize(

@@ -94,6 +94,21 @@ def test_status_verbose_shows_how_each_component_was_started_and_what_is_set(tal
     assert (refused.status, "--use-sim-time is for ROS 2" in refused.err) == (2, True)
 
 
+def test_status_of_single_nodes(talker: Midstride) -> None:
+    instances = [each["name"] for each in talker("status", "--json").json["components"]]
+    (name,) = (each for each in instances if each.startswith("talker"))
+    for node in ("talker", name):
+        document = talker("status", node, "--json").json
+        assert [each["name"] for each in document["components"]] == [name]
+        assert [each["name"] for each in document["topics"]] == ["/chatter"]
+    shown = talker("status", name, "--verbose")
+    assert shown.status == 0 and "Listener" not in shown.out and "python3 listener.py" not in shown.out
+    assert len(talker("status", "talker", "listener", "--json").json["components"]) == 2
+    refused = talker("status", "talkr")
+    assert (refused.status, refused.out) == (1, "")
+    assert "no node talkr is running; did you mean `talker`?" in refused.err
+
+
 def test_why_and_log(talker: Midstride) -> None:
     why = talker("why", "listener.listen")
     assert (why.status, why.out.splitlines()[0]) == (0, "listener.listen is in mode normal")

@@ -94,6 +94,16 @@ def test_a_value_of_another_type_is_refused_with_the_reason(value: ParameterValu
     assert fates(RUNNING, target, keep=False, gain=value) == {"gain": "not_kept"}
 
 
+def test_the_clock_that_every_node_has_travels_unless_the_file_changed_it() -> None:
+    (clock,) = decide(RUNNING, RUNNING, "talker", {"use_sim_time": True})
+    assert (clock.fate, clock.words) == ("kept", "talker: use_sim_time = True, set at run time: kept")
+    stated = system("Talker", TALKER, use_sim_time=True)
+    assert fates(stated, stated, use_sim_time=False) == {"use_sim_time": "kept"}
+    assert fates(RUNNING, stated, use_sim_time=True) == {}
+    again = system("Talker", TALKER, use_sim_time=False)
+    assert fates(stated, again, use_sim_time=False) == {}
+
+
 def test_an_integer_fits_a_float() -> None:
     assert fates(RUNNING, RUNNING, gain=3) == {"gain": "kept"}
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Container, Coroutine
+from collections.abc import Callable, Container, Coroutine, Sequence
 from dataclasses import dataclass, field
 from dataclasses import replace as changed
 from pathlib import Path
@@ -27,6 +27,7 @@ from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient, LatestState
 from midstride.runtime.events import EventLog
 from midstride.runtime.executor import Executor
+from midstride.runtime.journal import Journal
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.reconciler import Reconciler
 from midstride.runtime.running_system import RunningSystem
@@ -38,6 +39,7 @@ from midstride.wire.commands import (
     AttachCommand,
     Attached,
     AwaitCutCommand,
+    AwaitIdleCommand,
     AwaitMatchCommand,
     AwaitWriteCommand,
     Command,
@@ -50,6 +52,7 @@ from midstride.wire.commands import (
     GatedWrites,
     Grid,
     GridCommand,
+    Idle,
     ModesCommand,
     ObserveCommand,
     PrepareStateCommand,
@@ -83,6 +86,7 @@ UNREACHABLE = Unreachable("the component cannot be reached")
 REPLIES: dict[type[Command[Any]], Any] = {
     AttachCommand: Attached(matched=1),
     AwaitCutCommand: CutResult(outcome="done"),
+    AwaitIdleCommand: Idle(busy=None),
     AwaitMatchCommand: lambda command: Attached(matched=command.peers),
     AwaitWriteCommand: GatedWrites(gated=1, wrong_type=None),
     DetachCommand: Detached(acknowledged=True, last=None),
@@ -275,6 +279,15 @@ class ScriptedBackend:
     async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
         return []
 
+    def keep_spares(self, number: int, token: str) -> None:
+        pass
+
+    def spares(self) -> int:
+        return 0
+
+    def takes_spare(self, arguments: Sequence[str], directory: Path) -> bool:
+        return False
+
     def disconnected(self, instance: str) -> None:
         self.disconnections.append(instance)
 
@@ -307,6 +320,7 @@ class Bench:
         self.store = StateStore(self.path / "state.db")
         self.store.begin(self.backend.name, TOKEN, self.specification)
         self.driver = ActionDriver(self.client, self.launcher, self.backend, self.system, self.events)
+        self.journal = Journal(self.path / "journal.db", self.backend.name)
         self.executor = Executor(self.driver, self.store)
         for instance in self.configuration.instances.values():
             self.attend(instance)

@@ -73,6 +73,7 @@ class SessionBench(ReconcilingBench):
             self.reconciler,
             self.verifier,
             lambda: self.executor,
+            self.journal,
         )
         target = self.specification.with_node(changed(self.specification.nodes["talker"], component="NewTalker"))
         self.startable(target.instance("talker", "talker_2"), self.specification.instance("talker"))

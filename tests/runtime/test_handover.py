@@ -76,6 +76,7 @@ async def swapped(b: Bench, *swaps: Swap) -> dict[PortRef, int | None]:
         b.backend.lingering_readers,
         b.system.crashed.__contains__,
         StateTransfers(b.client, b.events),
+        b.driver.fences,
     )
     return await handover.run()
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from midstride.backends.simulator import Simulator
+from midstride.model.configuration import Instance
 from midstride.model.specification import Node, Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
@@ -174,3 +175,52 @@ def test_up_says_what_cannot_be_in_its_normal_mode_as_specified(tmp_path: Path) 
     specification = example("talker").without_node("talker")
     report, _ = up(EXAMPLES / "talker", tmp_path, specification)
     assert told(report.lowered) == [("listener.listen", "normal", "degraded", True)]
+
+
+def test_the_time_in_which_the_old_one_is_down_is_counted_from_its_exception_on(tmp_path: Path) -> None:
+    """It raises while its replacement starts, at 10 Hz."""
+    flag, seconds = tmp_path / "raise", 2.0
+    directory = rewritten(
+        "talker",
+        tmp_path / "programs",
+        lambda name, text: (
+            text.replace(
+                "def normal() -> None:\n", f"def normal() -> None:\n    assert not os.path.exists({str(flag)!r})\n"
+            ).replace("from midstride", "import os\n\nfrom midstride", 1)
+            if name == "talker.py"
+            else text
+        ),
+    )
+
+    async def body(manager: Manager, simulator: Simulator) -> Outcome:
+        registered = manager._launcher.registered
+
+        async def late(instance: Instance) -> None:
+            flag.touch()
+            await simulator.clock.sleep(seconds)
+            await registered(instance)
+
+        manager._launcher.registered = late  # type: ignore[method-assign]
+        return await manager.change(replace("talker", "NewTalker"))
+
+    outcome = managed("talker", tmp_path, body, directory=directory)
+    assert (outcome.outcome, outcome.lowered) == ("done", [])
+    assert list(outcome.fallen) == ["talker.talk"]
+    assert seconds - 0.15 < outcome.fallen["talker.talk"] < outcome.seconds
+
+
+def test_a_crash_of_the_old_one_is_counted_from_then_on(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> Outcome:
+        registered = manager._launcher.registered
+
+        async def late(instance: Instance) -> None:
+            simulator.faults.kill("talker")
+            await simulator.clock.sleep(2.0)
+            await registered(instance)
+
+        manager._launcher.registered = late  # type: ignore[method-assign]
+        return await manager.change(replace("talker", "NewTalker"))
+
+    outcome = managed("talker", tmp_path, body)
+    assert (outcome.outcome, outcome.ended) == ("done", ["talker"]), outcome.because
+    assert 2.0 <= outcome.fallen["talker.talk"] < outcome.seconds

@@ -607,3 +607,13 @@ def test_what_could_not_be_undone_is_taken_over_as_the_component_reports_it(tmp_
         assert (await manager.why("listener.listen")).mode == "normal"
 
     managed("talker", tmp_path, body)
+
+
+def test_a_component_that_refuses_to_be_degraded_is_asked_again(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        simulator.faults.fail_next("controller", "modes", "refused")
+        simulator.faults.kill("detector")
+        await asyncio.sleep(2)
+        assert (await manager.peek("controller")).functionalities["control"].mode == "degraded"
+
+    managed("obstacle", tmp_path, body)

@@ -245,6 +245,12 @@ class Platform(processes.ProcessBackend):
     async def _died(self, instance: str) -> None:
         pass
 
+    def _python(self) -> str:
+        return sys.executable
+
+    def _environment_of_spares(self, token: str) -> dict[str, str]:
+        return dict(os.environ)
+
 
 def test_the_logs_of_running_components_are_kept_short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(processes, "CHECK_LOGS", 0.01)
@@ -272,7 +278,7 @@ def test_the_logs_of_running_components_are_kept_short(tmp_path: Path, monkeypat
         assert "talkative" in backend._processes
         await backend.end("talkative", 3.0)
         assert "talkative" not in backend._processes
-        backend._stop_watching()
+        await backend._stop_watching()
 
     asyncio.run(main())
 

@@ -47,29 +47,29 @@ def test_a_file_has_changed_when_its_content_has(tmp_path: Path) -> None:
     script = tmp_path / "talker.py"
     script.write_text("hello")
     file = read(script)
-    assert not file.has_changed()
+    assert file.unchanged()
     os.utime(script, ns=(1, 1))  # touched: another time, the same content
-    assert not file.has_changed()
+    assert file.unchanged()
     script.write_text("hallo")
-    assert file.has_changed()
+    assert file.unchanged() is None
     script.write_text("hello")  # undone
-    assert not file.has_changed()
+    assert file.unchanged()
     script.unlink()
-    assert file.has_changed()
+    assert file.unchanged() is None
 
 
 def test_what_was_modified_after_the_process_had_started_may_not_be_what_it_has_read(tmp_path: Path) -> None:
     script = tmp_path / "talker.py"
     script.write_text("hello")
-    assert read(script, started=script.stat().st_mtime_ns - 1).has_changed()
-    assert not read(script, started=script.stat().st_mtime_ns).has_changed()
+    assert read(script, started=script.stat().st_mtime_ns - 1).unchanged() is None
+    assert read(script, started=script.stat().st_mtime_ns).unchanged()
 
 
 def test_a_time_of_modification_to_come_says_nothing(tmp_path: Path) -> None:
     script = tmp_path / "talker.py"
     script.write_text("hello")
     os.utime(script, ns=(LATER, LATER))
-    assert not read(script, started=1).has_changed()
+    assert read(script, started=1).unchanged()
 
 
 def test_a_large_file_is_compared_without_being_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -78,9 +78,9 @@ def test_a_large_file_is_compared_without_being_read(tmp_path: Path, monkeypatch
     library.write_text("hello")
     file = read(library)
     assert file.digest is None
-    assert not file.has_changed()
+    assert file.unchanged()
     os.utime(library, ns=(1, 1))
-    assert file.has_changed()
+    assert file.unchanged() is None
 
 
 def test_only_regular_files_are_files_of_a_program(tmp_path: Path) -> None:
@@ -216,6 +216,32 @@ def test_a_file_that_run_names_belongs_to_the_program(tmp_path: Path) -> None:
         assert str(options) in (await programs(manager))["talker"].files
         options.write_text("loud: false\n")
         assert (await programs(manager))["talker"].changed == [str(options)]
+
+    (tmp_path / "workspace").mkdir()
+    managed("talker", tmp_path / "workspace", body, specification=start)
+
+
+def test_a_file_that_was_touched_is_read_again_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    start = stateful_talkers(tmp_path)
+    script, digest, hashed = tmp_path / "Talker.py", wire_program._digest, list[str]()
+
+    def counted(path: str, size: int) -> str | None:
+        hashed.append(path)
+        return digest(path, size)
+
+    async def body(manager: Manager, _: Simulator) -> None:
+        await programs(manager)
+        monkeypatch.setattr(wire_program, "_digest", counted)
+        for moment in (1, 2):
+            os.utime(script, ns=(moment, moment))
+            for _again in range(3):
+                assert (await programs(manager))["talker"].changed == []
+            assert hashed == [str(script)] * moment
+        text = script.read_text()
+        script.write_text(text.replace('"+"', '"!"'))
+        assert (await programs(manager))["talker"].changed == [str(script)]
+        script.write_text(text)
+        assert (await programs(manager))["talker"].changed == []
 
     (tmp_path / "workspace").mkdir()
     managed("talker", tmp_path / "workspace", body, specification=start)

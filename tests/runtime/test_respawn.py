@@ -13,7 +13,7 @@ import pytest
 from midstride.backends.simulator import Simulator
 from midstride.model.respawn import RespawnPolicy
 from midstride.model.rules import violations
-from midstride.model.specification import Specification
+from midstride.model.specification import Node, Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import CrashedInstance
@@ -309,6 +309,55 @@ def test_a_crash_of_the_old_or_new_component_is_the_changes_first(victim: str, t
         assert (await manager.why("listener.listen")).mode == "normal"
 
     run(body, tmp_path, respawning(RespawnPolicy()))
+
+
+@pytest.mark.parametrize("starts", [True, False], ids=["done", "rolled back"])
+def test_what_relies_on_a_component_that_crashes_during_a_change_of_others_is_degraded_at_once(
+    starts: bool, tmp_path: Path
+) -> None:
+    """The change goes on, or is rolled back, without raising it again; it is restored with the crashed one."""
+    program = tmp_path / "program.py"
+
+    async def mode(manager: Manager) -> str:
+        return (await manager.peek("listener")).functionalities["listen"].mode
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        program.write_text("raise SystemExit(7)" if not starts else program.read_text())
+        add = PlanRequest(add=(Node("second", "Talker"),))
+        change = asyncio.ensure_future(manager.change(add))
+        await asyncio.sleep(0.5)  # the new process is starting
+        simulator.faults.kill("talker")
+        await asyncio.sleep(0.05)
+        assert not change.done() and await mode(manager) == "degraded"
+        assert manager.configuration.component("talker").name == "Talker"  # the model follows at the end
+        assert "degrade listener.listen from normal to degraded" in words(manager, "degraded")
+        outcome = await change
+        assert outcome.outcome == ("done" if starts else "rolled_back")
+        assert outcome.ended == ["talker"] and outcome.degraded == []
+        assert await mode(manager) == "degraded"
+        assert violations(manager.configuration) == []
+        program.write_text((EXAMPLES / "talker" / "talker.py").read_text())
+        await asyncio.sleep(RESTORED + 5)
+        assert (await manager.status()).valid and await mode(manager) == "normal"
+
+    specification = programmed(respawning(RespawnPolicy(delay=1.0)), "Talker", program)
+    run(body, tmp_path, specification, Simulator(starting=2.0))
+
+
+def test_what_a_step_gives_other_support_is_raised_again(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        node = changed(manager.specification.nodes["talker"], role="second")
+        change = asyncio.ensure_future(manager.change(PlanRequest(add=(node,))))
+        await asyncio.sleep(0.5)
+        simulator.faults.kill("talker")
+        await asyncio.sleep(0.05)
+        assert (await manager.peek("listener")).functionalities["listen"].mode == "degraded"
+        assert (await change).outcome == "done"
+        assert (await manager.peek("listener")).functionalities["listen"].mode == "normal"
+        status = await manager.status()
+        assert status.valid and [found.name for found in status.crashed] == ["talker"]
+
+    run(body, tmp_path, example("talker"), Simulator(starting=2.0))
 
 
 # -- with another manager --------------------------------------------------------------------------------

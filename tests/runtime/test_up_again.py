@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import shlex
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import replace as changed
@@ -23,7 +24,7 @@ from midstride.runtime.manager import Manager
 from midstride.runtime.reports import UpReport
 from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import Command
-from tests.runtime.systems import EXAMPLES, example, replace, saved
+from tests.runtime.systems import EXAMPLES, example, replace, rewritten, saved
 
 
 def again(
@@ -247,6 +248,47 @@ def test_a_component_started_by_hand_that_is_missing_does_not_keep_the_rest_down
         restored = await second.change(PlanRequest(restart=("talker",)))
         assert (restored.outcome, restored.lowered) == ("done", [])
         assert (await second.status()).crashed == []
+        await second.close()
+
+    simulator.run(main())
+
+
+def test_what_cannot_be_restored_is_missing_and_the_rest_keeps_its_manager(tmp_path: Path) -> None:
+    """Of two that have died, one program is broken: the other is restored, and the manager stays."""
+    folder, simulator = rewritten("filter", tmp_path / "programs", lambda _, text: text), Simulator()
+    specification = example("filter", folder)
+    (source,) = shlex.split(specification.component_of("source").run or "")[1:2]
+
+    async def main() -> None:
+        first = Manager(specification, simulator, Workspace(tmp_path), folder)
+        await first.up()
+        await first.close()
+        for name in ("source", "sink"):
+            simulator.faults.kill(name)
+        text = (folder / source).read_text()
+        (folder / source).write_text("raise ValueError('no such device')\n")
+        await asyncio.sleep(1)
+        second = Manager(specification, simulator, Workspace(tmp_path), folder)
+        report = await second.up()
+        assert (report.outcome, report.components) == ("incomplete", ["filter", "sink"])
+        assert list(report.missing) == ["source"] and "no such device" in report.missing["source"]
+        assert [(each.functionality, each.planned) for each in report.lowered] == [
+            ("filter.smooth", False),
+            ("sink.use", False),
+            (f"source.{next(iter(specification.component_of('source'))).name}", False),
+        ]
+        assert next(event.words for event in second.log() if event.kind == "up").startswith(
+            "filter is up without source: 2 components; degraded: "
+        )
+        status = await second.status()
+        assert [each.remedy for each in status.crashed] == ["`midstride restart source` restores it"]
+        again = await second.change(PlanRequest(restart=("source",)))
+        assert again.outcome == "rolled_back"
+        assert len((await second.status()).crashed) == 1, "it is still missing"
+        (folder / source).write_text(text)
+        restored = await second.change(PlanRequest(restart=("source",)))
+        assert (restored.outcome, restored.lowered) == ("done", []), restored.because
+        await whole(second, simulator, UpReport("done", []))
         await second.close()
 
     simulator.run(main())

@@ -69,7 +69,10 @@ class ScriptedManager:
         expected: int | None = None,
         verify: bool = False,
         brief: bool = False,
+        wait: float = 5.0,
         id: str | None = None,
+        by: str | None = None,
+        file: str | None = None,
     ) -> Any:
         return await self._answer("change", (request, expected, verify))
 

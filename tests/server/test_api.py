@@ -74,7 +74,7 @@ def test_the_openapi_document_has_every_operation() -> None:
             path for path, operations in document["paths"].items() if "post" in operations
         }
         reading = ("", "/up", "/status", "/programs", "/configuration", "/specification", "/why", "/log", "/events")
-        assert {f"/api/v1{path}" for path in reading} == {
+        assert {f"/api/v1{path}" for path in (*reading, "/history", "/specification/earlier")} == {
             path for path, operations in document["paths"].items() if "get" in operations
         }
         strategies = document["components"]["schemas"]["ChangeRequest"]["properties"]["strategy"]["enum"]
@@ -402,7 +402,8 @@ def test_up_is_answered_when_it_is_known() -> None:
         done, _ = await asyncio.wait({asking}, timeout=0.05)
         assert not done
         manager.holds["up"].set()
-        assert (await asking).json() == {"outcome": "done", "components": ["listener", "talker"], "lowered": []}
+        up = {"outcome": "done", "components": ["listener", "talker"], "lowered": [], "missing": {}}
+        assert (await asking).json() == up
         await bringing
 
     served(test, up=False)

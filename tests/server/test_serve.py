@@ -149,7 +149,10 @@ class Changing(ScriptedManager):
         expected: int | None = None,
         verify: bool = False,
         brief: bool = False,
+        wait: float = 5.0,
         id: str | None = None,
+        by: str | None = None,
+        file: str | None = None,
     ) -> Any:
         self.asked.append(("change", None))
         try:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from midstride.errors import CommandRefused, ManagerError, MidstrideError, NodeError
+from midstride.node.host import HeldParameter
 from midstride.wire.environment import ENV_CONTROL, ENV_SYSTEM
 from midstride.wire.folders import COMPONENTS, workspace_folder
 from midstride.wire.sockets import SocketFolder
@@ -83,6 +84,12 @@ class KeptParameters:
         self._on_change[name] = on_change or (lambda _: None)
         self._show(name, default)
         return default
+
+    def held(self) -> Mapping[str, HeldParameter]:
+        return {}
+
+    def on_changed(self, changed: Callable[[], object]) -> None:
+        pass  # each parameter says so itself
 
     def set(self, values: dict[str, Any]) -> None:
         if missing := [name for name in values if name not in self.values]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import abc
 import asyncio
 import json
+import logging
 import os
 import shutil
 import tempfile
@@ -12,7 +13,8 @@ from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from midstride.errors import StartFailed, Unreachable
+from midstride.backends.spares import Spares, fits
+from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.runtime.backend import Handle, Launch
 from midstride.runtime.clock import Clock, SystemClock
 from midstride.runtime.process import Process, end_orphans, find, spawn
@@ -22,6 +24,8 @@ from midstride.wire.sockets import SocketFolder
 from midstride.wire.transport import Transport
 
 _OURS: Final = ("python", "python3")
+log = logging.getLogger(__name__)
+
 # How often the logs of components are checked (s), how long one may get, and how much is then kept of it (bytes).
 CHECK_LOGS: Final = 60.0
 LONGEST_LOG: Final = 8 * 1024 * 1024
@@ -82,6 +86,8 @@ class ProcessBackend(abc.ABC):
     what is started should this process be killed. To be opened, used and closed on one event loop.
     """
 
+    name: str
+
     def __init__(self, control: Path, logs: Path | None, guardian: Reaper | None) -> None:
         self.clock: Clock = SystemClock()
         self.transport: Transport = SocketFolder(control)
@@ -91,6 +97,34 @@ class ProcessBackend(abc.ABC):
         # The processes that it watches, by instance.
         self._processes: dict[str, Process] = {}
         self._shortening: asyncio.Task[None] | None = None
+        self._spares: Spares | None = None
+
+    @abc.abstractmethod
+    def _environment_of_spares(self, token: str) -> dict[str, str]:
+        """What a process is given before its component is known. Raises BackendError where it cannot be said."""
+
+    @abc.abstractmethod
+    def _python(self) -> str:
+        """The interpreter that `python3` means. Raises BackendError where none is known."""
+
+    def keep_spares(self, number: int, token: str) -> None:
+        try:
+            if self._spares is None:
+                if number == 0:
+                    return
+                self._spares = Spares(
+                    f"{__package__}.{self.name}", self._python(), self._log_folder(token) / "spares.log"
+                )
+            self._spares.keep(number, self._environment_of_spares(token))
+        except BackendError as error:
+            log.warning("no spare process can be started: %s", error)
+
+    def spares(self) -> int:
+        return 0 if self._spares is None else self._spares.ready
+
+    def takes_spare(self, arguments: Sequence[str], directory: Path) -> bool:
+        ours = (*_OURS, self._spares.python) if self._spares is not None else _OURS
+        return arguments[0] in ours and fits(arguments, directory)
 
     @abc.abstractmethod
     def _exited(self, instance: str, status: int | None, process: Process) -> None:
@@ -103,7 +137,9 @@ class ProcessBackend(abc.ABC):
     def _spawn(self, launch: Launch, node: str, command: Sequence[str], environment: Mapping[str, str]) -> Handle:
         """Start the process of the node that has the full name ``node``. Raises StartFailed."""
         log = self._log_folder(launch.token) / f"{node.strip('/').replace('/', '.')}.log"
-        process = spawn(command, launch.directory, environment, log)
+        process = None if self._spares is None else self._spares.run(command, launch.directory, environment, log)
+        if process is None:
+            process = spawn(command, launch.directory, environment, log)
         self._watch(launch.instance, process)
         return Handle(launch.instance, process.pid, process.started, str(log))
 
@@ -165,8 +201,10 @@ class ProcessBackend(abc.ABC):
             for process in list(self._processes.values()):
                 process.shorten_log(LONGEST_LOG, KEPT_OF_LOG)
 
-    def _stop_watching(self) -> None:
-        """The processes go on."""
+    async def _stop_watching(self) -> None:
+        """The processes go on, but for spares."""
+        if self._spares is not None:
+            await self._spares.close()
         if self._shortening is not None:
             self._shortening.cancel()
             self._shortening = None

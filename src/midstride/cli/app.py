@@ -37,6 +37,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
         "dev": ("dev", "run a system, and swap its nodes whenever a file is saved"),
         "logs": ("logs", "show what a node's component has written"),
         "log": ("running", "show the latest events"),
+        "history": ("history", "show the changes of a system, with their figures"),
         "watch": ("running", "watch the system live"),
         "down": ("running", "stop all components and the manager"),
     },
@@ -46,6 +47,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
         "add": ("change", "add a node"),
         "remove": ("change", "remove nodes"),
         "apply": ("change", "change the system to another specification"),
+        "rollback": ("history", "go back to an earlier specification"),
         "param": ("param", "show and set parameters of running nodes"),
     },
     "Tools": {

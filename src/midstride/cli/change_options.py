@@ -21,6 +21,13 @@ def strategy_option(function: Any) -> Any:
     )(function)
 
 
+def wait_option(function: Any) -> Any:
+    summary = "How long to try before a node that hangs, and is to go, is fenced: replaced inside a call of its code."
+    return click.option(
+        "--wait", type=click.FloatRange(0), default=5.0, show_default=True, metavar="SECONDS", help=summary
+    )(function)
+
+
 def declared_parameters_option(function: Any) -> Any:
     summary = "Start with the declared values of parameters instead of those that were set at run time."
     return click.option("--declared-parameters", is_flag=True, help=summary)(function)

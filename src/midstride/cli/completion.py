@@ -183,11 +183,13 @@ def examples(_: click.Context, __: str) -> Iterable[str]:
 
 
 def _system(context: click.Context) -> Document:
-    """The system that the command is about: that of its file, where it takes one, else the running one."""
+    """The system that the command is about: that of its file, where it names one, else the running one."""
     parameters = {parameter.name: parameter for parameter in context.command.params}
     if isinstance(parameters.get("file"), click.Argument):
         # While the value of an option is missing, Click leaves the arguments unparsed.
-        return _file(context.params.get("file") or Path(context.args[0]))
+        named = context.params.get("file") or next(iter(context.args), None)
+        if named is not None:
+            return _file(Path(named))
     return _running(context)
 
 

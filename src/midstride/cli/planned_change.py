@@ -10,9 +10,6 @@ import click
 
 from midstride.cli import completion
 from midstride.cli.change_options import parse_new_node, parse_pair, strategy_option
-from midstride.cli.files import load
-from midstride.plan.request import PlanRequest
-from midstride.plan.request_form import decode_request
 
 
 def planned_change_options(function: Any) -> Any:
@@ -37,21 +34,17 @@ def planned_change(
     added: tuple[str, ...],
     removed: tuple[str, ...],
     strategy: str,
-) -> PlanRequest:
-    """The change that the options describe. Raises UsageError, and what reading NEW raises."""
+) -> dict[str, Any]:
+    """The change that the options describe, without NEW, as the document of a request. Raises UsageError."""
     single = replaced or restarted or added or removed
-    if to is not None:
-        if single:
-            raise click.UsageError("--to cannot be combined with --replace, --restart, --add or --remove")
-        return PlanRequest(to=load(to), strategy=strategy)
-    if not single:
+    if not (to or single):
         raise click.UsageError("nothing to change: pass --to NEW, --replace, --restart, --add or --remove")
-    return decode_request(
-        {
-            "replace": [parse_pair(text, "NODE=COMPONENT, such as talker=NewTalker") for text in replaced],
-            "restart": list(restarted),
-            "add": [parse_new_node(shlex.split(text)) for text in added],
-            "remove": list(removed),
-            "strategy": strategy,
-        }
-    )
+    if to is not None and single:
+        raise click.UsageError("--to cannot be combined with --replace, --restart, --add or --remove")
+    return {
+        "replace": [parse_pair(text, "NODE=COMPONENT, such as talker=NewTalker") for text in replaced],
+        "restart": list(restarted),
+        "add": [parse_new_node(shlex.split(text)) for text in added],
+        "remove": list(removed),
+        "strategy": strategy,
+    }

@@ -26,6 +26,7 @@ _STYLES: Final = {
     "up_failed": "red",
     "exited": "red",
     "silence": "red",
+    "fenced": "red",
     "degraded": "yellow",
     "rollback": "yellow",
     "respawn": "yellow",
@@ -199,6 +200,7 @@ def _fallen_lines(document: Document) -> list[str]:
         lines.append(f"Exited unexpectedly meanwhile: {', '.join(ended)}; see `midstride log`.")
     if degraded := document.get("degraded"):
         lines.append(f"Degraded unexpectedly meanwhile: {', '.join(degraded)}; see `midstride why {degraded[0]}`.")
+    lines += [f"Fenced: {each['words']}." for each in document.get("fenced") or ()]
     lines += map(_silence, document.get("silences") or ())
     swaps = document.get("swaps") or ()
     lines += [line for swap in swaps if (line := _faults(swap))]
@@ -374,8 +376,7 @@ def _problems(document: Document) -> Iterable[Text]:
         if crash.get("remedy") and not (respawn and respawn["restarting"]):
             next_.append(crash["remedy"])
         problems.append("; ".join([f"{crash['name']} exited unexpectedly{status}", *next_]))
-    if document.get("unwritten"):
-        problems.append(document["unwritten"])
+    problems += [document[name] for name in ("unwritten", "damaged") if document.get(name)]
     return [Text(problem, style="red") for problem in problems]
 
 
@@ -394,7 +395,16 @@ def platform(document: Document) -> RenderableType:
     lines: list[RenderableType] = [Text(""), starts, Text(f"\nMiddleware: {middleware['name']}")]
     if middleware["set"] or middleware["kept"]:
         lines.append(settings)
-    return Group(*lines, *(Text(note, style="dim") for note in middleware["notes"]))
+    notes = [*middleware["notes"], *_spares(document["spares"])]
+    return Group(*lines, *(Text(note, style="dim") for note in notes))
+
+
+def _spares(spares: Document) -> list[str]:
+    if not spares["kept"]:
+        return []
+    words = f"Spare processes: {spares['ready']} of {spares['kept']} ready"
+    unused_by = f"; not for {', '.join(spares['unused_by'])}, whose commands start as before"
+    return [words + (unused_by if spares["unused_by"] else "") + "."]
 
 
 def _silence(fault: Document) -> str:
@@ -406,6 +416,31 @@ def time_of_day(at: float) -> str:
     """A Unix time (s) as the local time, to the millisecond."""
     whole, millis = divmod(round(at * 1000), 1000)
     return f"{time.strftime('%H:%M:%S', time.localtime(whole))}.{millis:03d}"
+
+
+def history(document: Document) -> RenderableType:
+    """The changes and the incidents, oldest first."""
+    left, right = ("", "when", "what", "outcome", "version"), ("steps", "missed", "gap", "took")
+    rows = table(left, right)
+    entries = [*document["changes"], *document["incidents"]]
+    for each in sorted(entries, key=lambda entry: float(entry["at"])):
+        when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(each["at"]))
+        if "number" not in each:
+            rows.add_row("", when, Text(each["words"].splitlines()[0], style="dim"), *[""] * 6)
+            continue
+        done = sum(step["outcome"] == "done" for step in each["steps"])
+        outcome = (each["outcome"] or "in progress").replace("_", " ")
+        figures: list[RenderableType] = [_count(each["missed"]), seconds(each["gap"]), seconds(each["seconds"])]
+        what = each["by"] or each["command"]
+        style = "green" if each["outcome"] == "done" else "yellow"
+        version = f"v{each['version']}"
+        rows.add_row(
+            str(each["number"]), when, what, Text(outcome, style=style), version, f"{done}/{each['total']}", *figures
+        )
+        if each["because"]:
+            rows.add_row("", "", Text(each["because"].splitlines()[0], style="dim"), *[""] * 6)
+    damaged = [Text(document["damaged"], style="red")] if document["damaged"] else []
+    return Group(rows, *damaged)
 
 
 def event(document: Document) -> Text:

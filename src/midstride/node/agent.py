@@ -32,7 +32,7 @@ from midstride.wire import commands, frames
 from midstride.wire.command_server import CommandServer
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply, Request
-from midstride.wire.state import ComponentState, WireValue
+from midstride.wire.state import NOT_WELCOMED, ComponentState, WireValue
 
 # How often the state is reported while nothing changes (s): it shows that the component is alive, and what is busy.
 HEARTBEAT: Final = 0.5
@@ -91,6 +91,7 @@ class Agent:
         heartbeat = asyncio.ensure_future(self._heartbeat())
         try:
             await host.on_data(handlers.set_up)
+            host.parameters.on_changed(self._parameter_changed)
             try:
                 await host.on_data(handlers.begin)
                 if self.standalone is not None:
@@ -255,7 +256,7 @@ class Agent:
 
     def _waiting(self) -> str | None:
         if self.standalone is None and not self._welcomed:
-            return "no manager has welcomed it yet"
+            return NOT_WELCOMED
         if self.host.now() == 0:
             return "use_sim_time is on, and nothing has arrived on /clock yet: modes with a rate are not called"
         still = self.host.clock_history.still_for(self.host.steady()) if self.host.simulated_time else 0.0

@@ -16,12 +16,14 @@ from functools import partial
 from typing import Any, Final, TypeVar
 
 from midstride.errors import BackendError, CommandRefused
+from midstride.model.component import ROS_PARAMETERS
 from midstride.node.answering import Answering
 from midstride.node.attachments import Attachments
 from midstride.node.declaration import DeclaredParts
+from midstride.node.fencing import Fencing
 from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner, format_error
 from midstride.node.handover_commands import HandoverCommands
-from midstride.node.host import Host
+from midstride.node.host import HeldParameter, Host
 from midstride.node.mode_switch import DataExecutor, ModeSwitch, within
 from midstride.node.state_hooks import StateHooks
 from midstride.wire import commands
@@ -75,6 +77,7 @@ class CommandHandlers:
         self._handovers = HandoverCommands(
             self._attachments, self.host, self._data, self.changed, self.token, self._hooks, self._runners
         )
+        self._fencing = Fencing(self._attachments, self.host, self._data, self._runners, self.changed)
         answering = Answering(self.host.gate, self._handovers.call, self.changed)
         self._handlers: dict[type[Command[Any]], Handler] = {
             commands.AttachCommand: self._attachments.attach,
@@ -89,6 +92,8 @@ class CommandHandlers:
             commands.CancelCutCommand: self._handovers.cancel_cut,
             commands.AwaitCutCommand: self._handovers.await_cut,
             commands.CutTakenCommand: self._handovers.taken,
+            commands.AwaitIdleCommand: self._fencing.await_idle,
+            commands.FenceCommand: self._fencing.fence,
             commands.AnswerCommand: answering.answer,
             commands.YieldCommand: answering.stop,
             commands.PrepareStateCommand: self._handovers.prepare_state,
@@ -121,6 +126,7 @@ class CommandHandlers:
 
     def begin(self) -> None:
         """On the data thread: start every functionality in its last mode."""
+        self._fencing.data_thread = threading.get_ident()
         for functionality in self.parts.functionalities.values():
             runner = FunctionalityRunner(functionality, self.host, self.degraded)
             functionality.start(runner.current_mode)
@@ -157,7 +163,7 @@ class CommandHandlers:
             await self._attachments.close_all(0.5)
 
     def _stop_calls(self) -> None:
-        for parameter in self.parts.parameters.values():
+        for parameter in self._parameters().values():
             parameter.closed = "the component is ending"
         for runner in self._runners:
             runner.stop_calls()
@@ -174,7 +180,7 @@ class CommandHandlers:
 
     def state(self, instance: str, uuid: str, pid: int, waiting: str | None, imported: int) -> ComponentState:
         """The component's state, read without waiting for the data thread."""
-        parameters = list(self.parts.parameters.values())
+        parameters = list(self._parameters().values())
         return ComponentState(
             instance=instance,
             uuid=uuid,
@@ -182,7 +188,7 @@ class CommandHandlers:
             revision=self.revision.value,
             functionalities={runner.name: runner.state() for runner in self._runners},
             ports={name: port.states() for name, port in self.parts.ports.items()},
-            parameters={each.name: each.value for each in parameters},
+            parameters={each.name: each.value for each in parameters if _is_shown(each)},
             stopping=self.parts.callbacks.stop_timeout + SHUTDOWN_SECONDS,
             waiting=waiting,
             simulated_time=self.host.simulated_time,
@@ -192,6 +198,10 @@ class CommandHandlers:
             clock_speed=self.host.clock_history.speed(self.host.steady()) if self.host.simulated_time else 1.0,
             declared={each.name: each.declared for each in parameters if each.value != each.declared},
         )
+
+    def _parameters(self) -> dict[str, HeldParameter]:
+        """Those of the component, and those that are declared on the ROS node itself."""
+        return {**self.host.parameters.held(), **self.parts.parameters}
 
     def _busy_words(self) -> str:
         busy = [(runner.name, seconds) for runner in self._runners if (seconds := runner.state().busy) is not None]
@@ -241,7 +251,7 @@ class CommandHandlers:
     # -- parameters and state ----------------------------------------------------------------------
 
     async def _set_parameters(self, command: commands.SetParametersCommand) -> commands.PreviousParameters:
-        declared = self.parts.parameters
+        declared = self._parameters()
         for name in command.parameters:
             if name.startswith("midstride."):
                 raise CommandRefused(f"{name} shows the state of the component and cannot be set")
@@ -300,3 +310,10 @@ class CommandHandlers:
             moments=moments,
             ros_sources=self.host.publishes_ros_time,
         )
+
+
+def _is_shown(parameter: HeldParameter) -> bool:
+    """Whether it is in the component's state. Of those that every node has, only what was set at run time is."""
+    if parameter.value is None:
+        return False
+    return parameter.name not in ROS_PARAMETERS or parameter.value != parameter.declared

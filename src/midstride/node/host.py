@@ -7,7 +7,7 @@ happens between two calls of user code.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Coroutine, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias, TypeVar
 
@@ -75,8 +75,25 @@ class Timer(Protocol):
     def cancel(self) -> None: ...
 
 
+class HeldParameter(Protocol):
+    """A parameter that can be set from outside; ``declared`` is the value that it was started with.
+
+    ``closed`` says why it cannot be set any more.
+    """
+
+    name: str
+    declared: Any
+    closed: str
+
+    @property
+    def value(self) -> Any: ...
+
+    def fitted(self, value: Any) -> Any:
+        """``value`` as a value of this parameter. Raises NodeError where it is of another type."""
+
+
 class NodeParameters(Protocol):
-    """The parameters of the ROS node. Used on the data thread."""
+    """The parameters of the ROS node. Used on the data thread, except where stated."""
 
     def declare(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
         """Declare a parameter, and return its value."""
@@ -86,6 +103,12 @@ class NodeParameters(Protocol):
 
         ``on_change`` may raise: then nothing is set, and its error is the reason.
         """
+
+    def held(self) -> Mapping[str, HeldParameter]:
+        """The parameters of the node, by name, also those that are declared on the node itself. Any thread."""
+
+    def on_changed(self, changed: Callable[[], object]) -> None:
+        """Have ``changed`` called on the data thread when a parameter has been set from outside."""
 
 
 class Host(Protocol):

@@ -89,7 +89,7 @@ class OutputLink:
         self.topic = topic
         self.times = times
         self.endpoint = publisher
-        self.publish = publisher.publish
+        self.publish: Callable[[Any], None] = publisher.publish
         self.open = False
         self.count = 0
         self.gated = 0
@@ -99,7 +99,25 @@ class OutputLink:
     @property
     def lets_pass(self) -> bool:
         """Whether a message that is written now is published."""
-        return self.open or (self.cut is not None and self.cut.passes(self))
+        return not self.fenced and (self.open or (self.cut is not None and self.cut.passes(self)))
+
+    @property
+    def fenced(self) -> bool:
+        """Whether nothing passes, however the gate is set."""
+        return self.publish == self._drop
+
+    def fence(self, on: bool) -> None:
+        """Let nothing pass from now on, however the gate is set, or lift that. On the control thread.
+
+        It replaces what every message passes in the end, which the data thread never sets: so no command that still
+        waits for that thread can open the gate again. One that is being published meanwhile is not held up.
+        """
+        self.publish = self._drop if on else self.endpoint.publish
+
+    def _drop(self, message: Any) -> None:
+        """In the place of ``publish``: its callers count a message that has passed."""
+        self.count -= 1
+        self.gated += 1
 
     def write_gated(self, message: Any) -> None:
         """A write while the gate is not open: a cut may let it pass, else it is counted, and kept for late joiners."""
@@ -135,6 +153,8 @@ class OutputLink:
 
     @property
     def gate(self) -> GateState:
+        if self.fenced:
+            return "closed"
         if self.cut is not None:
             return self.cut.shows(self)
         return "open" if self.open else "closed"
@@ -150,6 +170,7 @@ class InputLink:
     endpoint: Subscription
     gate: Final = None
     gated: Final = 0
+    fenced: Final = False
 
     def __init__(self, input: Input, topic: str, times: MessageTimes) -> None:
         self.input = input
@@ -189,6 +210,7 @@ class _Port(Generic[L]):
                 gated=link.gated,
                 measured=link.times.measured(window),
                 fields=link.fields.samples(),
+                fenced=link.fenced,
             )
             for link in self.links
         }

@@ -52,8 +52,20 @@ class ProgramFiles:
                 yield path
 
 
+# When the program began to load, where the process had started before (unix ns).
+_loading: int | None = None
+
+
+def loads_now() -> None:
+    """The process has existed for a while, and begins to load its program only now."""
+    global _loading
+    _loading = time.time_ns()
+
+
 def process_started() -> int:
     """When this process started (unix ns), to the tick of the kernel, 10 ms; now where that is not known."""
+    if _loading is not None:
+        return _loading
     try:
         after_name = Path("/proc/self/stat").read_text().rpartition(")")[2]
         since_boot = int(after_name.split()[19]) / os.sysconf("SC_CLK_TCK")

@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar, Literal, TypeAlias, cast
 from midstride.codec.form import Form, field
 from midstride.codec.parameter import PlainValue, Value
 from midstride.errors import PlanRefused
-from midstride.model.component import ParameterValue, value_fits, value_kind
+from midstride.model.component import ROS_PARAMETERS, ComponentSpec, ParameterValue, value_fits, value_kind
 from midstride.model.specification import Specification
 from midstride.plan.change import Change
 
@@ -59,6 +59,8 @@ def _decisions(
                 yield runtime_value(role, name, value, "not_kept", "not kept, as requested")
             elif name in was:
                 yield left_behind(role, name, value, will.name)
+            elif name in ROS_PARAMETERS:
+                yield runtime_value(role, name, value, "kept", "kept")
             else:
                 yield runtime_value(role, name, value, "kept", f"kept if the program of {will.name} declares it")
         elif declares[name] == value:
@@ -67,14 +69,18 @@ def _decisions(
             yield runtime_value(role, name, value, "not_kept", f"not kept, as requested; it becomes {declares[name]!r}")
         elif _file_changed(before, after, role, name):
             yield runtime_value(role, name, value, "file_wins", f"the file wins and changes it to {declares[name]!r}")
-        elif not value_fits(value, will.parameters[name].value):
+        elif not value_fits(value, default := _default(will, name)):
             raise PlanRefused(
-                f"{role} has {name} = {value!r}, set at run time, and {will.name} takes "
-                f"{value_kind(will.parameters[name].value)}: set another value, or start from the file with "
-                "--declared-parameters"
+                f"{role} has {name} = {value!r}, set at run time, and {will.name} takes {value_kind(default)}: set "
+                "another value, or start from the file with --declared-parameters"
             )
         else:
             yield runtime_value(role, name, value, "kept", "kept")
+
+
+def _default(component: ComponentSpec, name: str) -> ParameterValue:
+    declared = component.parameters.get(name)
+    return ROS_PARAMETERS[name] if declared is None else declared.value
 
 
 def _file_changed(before: Specification, after: Specification, role: str, name: str) -> bool:

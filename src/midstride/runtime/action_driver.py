@@ -6,7 +6,7 @@ each component that can be reached.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Container, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
@@ -18,6 +18,7 @@ from midstride.runtime.answering import have_answer
 from midstride.runtime.backend import Backend
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
+from midstride.runtime.fencing import Fences
 from midstride.runtime.handover import ATTACH_TIMEOUT, DETACH_TIMEOUT, LiveHandover
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import own_degradations_in
@@ -53,8 +54,13 @@ class ActionDriver:
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
     late: dict[str, float] = field(default_factory=dict)
     parameters: ParameterTransfer | None = None
+    leaving: Container[str] = ()  # the instances that the plan removes
+    fences: Fences = field(init=False)
     _before_setting: dict[str, commands.PreviousParameters] = field(default_factory=dict)  # by instance
     _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
+
+    def __post_init__(self) -> None:
+        self.fences = Fences(self.client, self.launcher, self.system, self.events)
 
     @property
     def configuration(self) -> Configuration:
@@ -65,12 +71,39 @@ class ActionDriver:
 
         ``because`` is the reason that components report for their new modes.
         """
+        begun = self.fences.now()
+        if any(self.fences.hangs_already(name) for name in action.instances()):
+            await self._fence_leaving(action, begun)
         try:
-            await self._perform(action, because)
+            try:
+                await self._perform(action, because)
+            except (CommandRefused, CallTimeout):
+                if not await self._fence_leaving(action, begun + self.fences.wait):
+                    raise
+                await self._perform(action, because)
         except (CommandRefused, StepFailed) as error:
             if degradations := await self._own_degradations(action):
                 raise StepFailed("; ".join(degradations)) from error
             raise
+
+    async def _fence_leaving(self, action: Action, deadline: float) -> bool:
+        """Fence the instances of a step that the plan removes and that hang until ``deadline``; whether there are any.
+
+        They need not do their part: what they still do in that call is neither heard nor relied on.
+        """
+        if self.rolling_back or not isinstance(action, Degrade | Detach | Remove):
+            return False
+        found = False
+        for name in sorted(action.instances()):
+            if name not in self.leaving or name in self.fences.fenced:
+                continue
+            if (because := await self.fences.unresponsive(name, deadline)) is not None:
+                found = True
+                links = [(port, self.configuration.topic(key)) for port, key in self.configuration.attached_ports(name)]
+                await self.fences.fence(
+                    name, because, [link for link in links if self.configuration.is_output(link[0])]
+                )
+        return found
 
     async def _own_degradations(self, action: Action) -> list[str]:
         """What degraded by itself in the instances of ``action``: the root cause of whatever they refused."""
@@ -123,7 +156,11 @@ class ActionDriver:
                 await self._change_answering(instance, runs=False)
             case Attach(port, connector) if not self._has_endpoint(port, connector):
                 await self._attach(action)
-            case Detach(port, connector) if not (self._is_gone(port.instance) or self._has_endpoint(port, connector)):
+            case Detach(port, connector) if not (
+                self._is_gone(port.instance)
+                or port.instance in self.fences.fenced
+                or self._has_endpoint(port, connector)
+            ):
                 await self._detach(action)
 
     async def _set_parameters(self, instance: str, declared: dict[str, Any]) -> None:
@@ -154,7 +191,10 @@ class ActionDriver:
 
     async def _remove(self, action: Remove) -> None:
         instance = self.configuration.instances[action.instance]
-        if not self.rolling_back:  # else this change created it, and the instance that returns has its own state
+        fenced = action.instance in self.fences.fenced
+        if (
+            not self.rolling_back and not fenced
+        ):  # else this change created it, and the instance that returns has its own state
             try:
                 exported = await self.client.read(action.instance, commands.ExportStateCommand())
                 if exported.state is not None:
@@ -164,7 +204,13 @@ class ActionDriver:
         if self.parameters is not None:
             await self.parameters.leaving(action.instance, self.configuration)
         if instance.component.run is None:
-            await self.launcher.release(action.instance)
+            try:
+                await self.launcher.release(action.instance)
+            except MidstrideError as error:
+                if not fenced:
+                    raise
+                self.client.disconnect(action.instance)
+                self.events.add("note", f"{action.instance} could not be released: {error}; end its process")
             self.events.add("note", f"{action.instance} was started elsewhere: it is released, and left running")
         else:
             await self.launcher.end(action.instance)
@@ -221,7 +267,7 @@ class ActionDriver:
         changed: list[tuple[str, commands.ModesCommand]] = []
         try:
             for instance, modes in by_instance(action.modes).items():
-                if isinstance(action, Degrade) and self._is_gone(instance):
+                if isinstance(action, Degrade) and (self._is_gone(instance) or instance in self.fences.fenced):
                     continue
                 before = {ref: self.configuration.modes[ref] for ref in modes}
                 changed.append((instance, self._modes_command(before, "roll-back")))
@@ -256,7 +302,7 @@ class ActionDriver:
         states = StateTransfers(self.client, self.events, replaced, required=not self.rolling_back)
         lingering_readers = self.backend.lingering_readers
         handover = LiveHandover(
-            self.client, self.events, configuration, action.swaps, lingering_readers, self._is_gone, states
+            self.client, self.events, configuration, action.swaps, lingering_readers, self._is_gone, states, self.fences
         )
         handover.before_cut = self._carry_parameters
         self.last_numbers |= await handover.run()

@@ -7,7 +7,7 @@ are translated here: a back end raises ``BackendError`` and its kinds only.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -95,10 +95,22 @@ class Backend(Protocol):
         """Take over a component that an earlier manager started. False if it is no longer running."""
 
     async def end(self, instance: str, grace: float) -> None:
-        """Terminate a started component, and kill it after ``grace`` seconds. Returns once it has exited.
+        """Terminate a started component, and kill it after ``grace`` seconds (0: at once). Returns once it has exited.
 
         What the graph still shows of it is ignored from then on, even if its process had exited before.
         """
+
+    def keep_spares(self, number: int, token: str) -> None:
+        """Keep so many processes ready for later starts: what is missing starts in the background.
+
+        To be called when nothing else is going on. A platform without processes, or that cannot start them, has none.
+        """
+
+    def spares(self) -> int:
+        """How many of them are ready."""
+
+    def takes_spare(self, arguments: Sequence[str], directory: Path) -> bool:
+        """Whether a command can be run in one of them, in ``directory``; others get a new process."""
 
     async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
         """Terminate the system's processes whose instance is not ``known``; returns the names of those instances.

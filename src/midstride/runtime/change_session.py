@@ -27,10 +27,15 @@ from midstride.plan.request import PlanRequest
 from midstride.plan.runtime_values import Values, of_change
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.crash_during_change import CrashResponse
 from midstride.runtime.degradation_timer import DegradationTimer
 from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
+from midstride.runtime.fencing import DEFAULT_WAIT
+from midstride.runtime.journal import Journal, JournalEntry
+from midstride.runtime.journal_records import NewChange
 from midstride.runtime.lowered import in_words, lowered_functionalities
+from midstride.runtime.observed_configuration import with_failures
 from midstride.runtime.parameter_transfer import ParameterTransfer
 from midstride.runtime.reconciler import Reconciler
 from midstride.runtime.recording import Recording
@@ -67,6 +72,7 @@ class ChangeSession:
     reconciler: Reconciler
     verifier: Verifier
     executor: Callable[[], Executor]
+    journal: Journal
     measuring: bool = False
     another_waits: asyncio.Event = field(default_factory=asyncio.Event)
     _measured_until: int = 0
@@ -77,10 +83,18 @@ class ChangeSession:
         values = system.values.by_role(system.configuration)
         instances, nodes = system.configuration.instances.items(), system.specification.nodes
         request = request.for_roles({name: live.role for name, live in instances if name not in nodes})
-        return await asyncio.to_thread(_plan, request, system.specification, system.configuration, values)
+        measured = dict(self.journal.estimates)
+        return await asyncio.to_thread(_plan, request, system.specification, system.configuration, values, measured)
 
     async def change(
-        self, request: PlanRequest, *, expected: int | None = None, verify: bool = False, brief: bool = False
+        self,
+        request: PlanRequest,
+        *,
+        expected: int | None = None,
+        verify: bool = False,
+        brief: bool = False,
+        wait: float = DEFAULT_WAIT,
+        by: str | None = None,
     ) -> Outcome:
         """Carry out ``request``; see :meth:`midstride.runtime.manager.Manager.change`."""
         if expected is not None and expected != self.system.revision:
@@ -91,17 +105,23 @@ class ChangeSession:
             self.store.require()
         except (PlanRefused, ManagerError) as error:
             return self._refuse(str(error))
+        verdict: Verdict | UnsetType = UNSET
+        step_verifier = None
+        if verify:
+            self.events.add("verifying", f"Alloy judges the {len(plan.steps)} steps of the plan")
+            verdict = await self.verifier.plan(plan)
+            self._verified(verdict)
+            if not verdict.holds:
+                return self._refuse(verdict.words, verdict)
+            seen = tuple(plan.configurations())
+            step_verifier = StepVerifier(self.verifier, seen, self.client, self.system.crashed, self._verified)
+        new = NewChange(request.describe(), by, self.system.specification, target, len(plan.steps))
+        try:
+            entry = await self.journal.begin(new)
+        except ManagerError as error:
+            return self._refuse(str(error), verdict)
         keep = not request.declared_parameters
-        if not verify:
-            return await self.carry_out(plan, target, keep=keep, brief=brief)
-        self.events.add("verifying", f"Alloy judges the {len(plan.steps)} steps of the plan")
-        verdict = await self.verifier.plan(plan)
-        self._verified(verdict)
-        if not verdict.holds:
-            return self._refuse(verdict.words, verdict)
-        configurations = tuple(plan.configurations())
-        step_verifier = StepVerifier(self.verifier, configurations, self.client, self.system.crashed, self._verified)
-        outcome = await self.carry_out(plan, target, step_verifier, keep=keep, brief=brief)
+        outcome = await self.carry_out(plan, target, entry, step_verifier, keep=keep, brief=brief, wait=wait)
         return structs.replace(outcome, verdict=verdict)
 
     def _verified(self, verdict: Verdict) -> None:
@@ -115,30 +135,35 @@ class ChangeSession:
         self,
         plan: Plan,
         target: Specification,
+        entry: JournalEntry,
         verifier: StepVerifier | None = None,
         *,
         keep: bool = True,
         brief: bool = False,
+        wait: float = DEFAULT_WAIT,
     ) -> Outcome:
-        """Carry out ``plan``, measure, and report.
+        """Carry out ``plan``, measure, report, and record it in ``entry``.
 
         ``keep``: with the parameter values that were set at run time. ``brief``: the next command does not wait for the
-        whole measurement.
+        whole measurement. ``wait``: after how long a component that hangs, and is to go, is fenced (s).
         """
         recording = Recording(self.client, self.clock, self.another_waits if brief else None, self._measured_until)
         transfer = ParameterTransfer(self.client, self.system.values, plan.change, plan.parameters, keep)
         try:
-            return await self._carry_out(plan, target, recording, transfer, verifier)
+            return await self._carry_out(plan, target, entry, recording, transfer, verifier, wait)
         finally:
+            self.reconciler.on_failure = lambda _: None
             await recording.stop(self.system.configuration.instances)
 
     async def _carry_out(
         self,
         plan: Plan,
         target: Specification,
+        entry: JournalEntry,
         recording: Recording,
         transfer: ParameterTransfer,
         verifier: StepVerifier | None,
+        wait: float,
     ) -> Outcome:
         system = self.system
         preview = PlanPreview.of(plan)
@@ -152,15 +177,20 @@ class ChangeSession:
         self.events.add("plan", f"{steps}, disruption {plan.disruption:g}{afterwards}", plan=preview)
         actions = [step.action for step in plan.steps]
         await recording.begin(system.configuration, actions)
-        timer = DegradationTimer(plan.change, self.clock.steady)
+        timer = DegradationTimer(plan.change, self.clock.steady, self._with_failures)
         started, before, missing = self.clock.steady(), system.configuration, dict(system.missing)
         self.reconciler.degraded.clear()
         system.configuration = plan.change.start
         executor = self.executor()
         executor.on_moved = timer.moved
-        executor.driver.parameters = transfer
+        executor.entry = entry
+        self.reconciler.on_failure = lambda instance: timer.moved(system.configuration, (instance,))
+        executor.driver.parameters, executor.driver.fences.wait = transfer, wait
         executor.driver.before_handover = recording.record_driving_inputs
         executor.after_step = None if verifier is None else verifier.look
+        response = CrashResponse(executor, self.reconciler, actions)
+        executor.on_performed = response.performed
+        self.reconciler.on_crash_during_change = response.crashed
         outcome: OutcomeKind = "done"
         because = None
         try:
@@ -172,24 +202,32 @@ class ChangeSession:
             system.forget_filled_roles()
         except StepFailed as error:
             outcome, because = cast("OutcomeKind", error.outcome), str(error)
+            system.missing = {**missing, **system.missing}  # those that it has tried to restore
+            system.forget_filled_roles()
             if outcome == "rolled_back":
                 system.configuration = before
-                system.missing = {**missing, **system.missing}  # what could not be restored is still missing
         except asyncio.CancelledError:
-            if system.configuration == plan.change.start:  # everything has been rolled back
+            undone = system.configuration == plan.change.start
+            if undone:
                 system.configuration = before
+            await entry.end("rolled_back" if undone else "failed", "the manager was terminated", None)
             raise
+        finally:
+            self.reconciler.on_crash_during_change = None
+            await response.close()
         system.values.forget_ended(system.configuration)
         self.reconciler.save_values()
         ended = self.clock.steady()
         seconds, degraded_seconds = ended - started, timer.stop()
-        exited = {name for name in system.crashed if name in before.instances}
+        fenced = executor.driver.fences.fenced
+        exited = {name for name in system.crashed if name in before.instances and name not in fenced}
         await self.reconciler.reconcile_crashes()  # before measuring: dependent functionalities must not wait for it
+        await entry.end(outcome, because, round(seconds, 6))
         if recording.recorded:
             self.events.add("measuring", "watching the subscribers for 20 periods more")
         self.measuring = True
         try:
-            swaps = await recording.finish(executor.driver.last_numbers, resumed=outcome != "done")
+            swaps = await recording.finish(executor.driver.last_numbers, resumed=outcome != "done", hung=fenced)
             if outcome == "done":
                 await self.clock.sleep(ended + self._first_calls(actions) - self.clock.steady())
         finally:
@@ -198,6 +236,7 @@ class ChangeSession:
             self._measured_until = int(self.clock.steady() * 1e9) if hurried else 0
         await self.reconciler.reconcile()  # the report includes unexpected degradations
         silences = {fault.words: fault for fault in [*recording.silences, *self.monitor.faults(system.configuration)]}
+        await entry.measured(swaps)
         if swaps:
             self.events.add("measured", f"measured at {counted(len(swaps), 'subscriber')}", swaps=swaps)
         planned = plan.change.settled(plan.change.final) if outcome == "done" else before
@@ -211,6 +250,7 @@ class ChangeSession:
             fallen=degraded_seconds,
             swaps=swaps,
             late=executor.driver.late,
+            fenced=[fenced[name] for name in sorted(fenced)],
             because=because,
             parameters=transfer.report(outcome == "done"),
             ended=sorted(exited | {name for name, event in system.missing.items() if missing.get(name) is not event}),
@@ -218,6 +258,9 @@ class ChangeSession:
             silences=[fault for words, fault in silences.items() if words not in silent_before],
             lowered=lowered,
         )
+
+    def _with_failures(self, configuration: Configuration, instances: Iterable[str]) -> Configuration:
+        return with_failures(configuration, instances, self.client, self.system.crashed)
 
     def _first_calls(self, actions: Iterable[Action]) -> float:
         """How long the first calls of the functionalities that ``actions`` have raised take (s)."""
@@ -235,15 +278,19 @@ class ChangeSession:
 
 
 def _plan(
-    request: PlanRequest, specification: Specification, configuration: Configuration, values: Mapping[str, Values]
+    request: PlanRequest,
+    specification: Specification,
+    configuration: Configuration,
+    values: Mapping[str, Values],
+    measured: Mapping[str, float],
 ) -> tuple[Plan, Specification]:
     target, keep = request.target(specification), not request.declared_parameters
     if request.to is not None and not keep:
         configuration = _as_set(configuration, values)
     if request.to is None and len(request.roles()) == 1:
-        change = requested_change(configuration, specification, request, target)
+        change = requested_change(configuration, specification, request, target, measured)
     else:
-        change = change_between(configuration, specification, target, renewed=request.renewed())
+        change = change_between(configuration, specification, target, measured, request.renewed())
     parameters = of_change(change, values, keep=keep)
     return replace(planner(request.strategy)(change), parameters=parameters), target
 

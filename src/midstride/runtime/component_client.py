@@ -29,6 +29,8 @@ ANSWER_TIMEOUT: Final = 3.0
 UNDO_ATTEMPTS: Final = 2
 # A component that has reported nothing for this long (s) is silent; components report twice a second.
 SILENCE: Final = 2.0
+# After so long (s) it counts as stopped, and a command has failed, however long that may take itself.
+STOPPED: Final = SILENCE + ANSWER_TIMEOUT
 # The interval between attempts to connect to a component that is starting (s).
 CONNECT_INTERVAL: Final = 0.005
 CONNECT_INTERVAL_LONGEST: Final = 0.1
@@ -281,10 +283,27 @@ class ComponentClient:
         """Send a request, and once more under the same id if no reply comes: it is carried out only once."""
         id, timeout = uuid.uuid4().hex, command.timeout + ANSWER_TIMEOUT
         try:
-            channel = await self._channel(instance)
-            return await channel.request(command, revision=revision, timeout=timeout, id=id)
+            return await self._unless_stopped(instance, command, revision, timeout, id)
         except CallTimeout:
             if self._is_silent(instance):
                 raise
-            channel = await self._channel(instance)
-            return await channel.request(command, revision=revision, timeout=ANSWER_TIMEOUT, id=id)
+            return await self._unless_stopped(instance, command, revision, ANSWER_TIMEOUT, id)
+
+    async def _unless_stopped(
+        self, instance: str, command: Command[R], revision: int | None, timeout: float, id: str
+    ) -> Reply:
+        """One request. Raises CallTimeout once the component has neither answered nor reported for too long."""
+        channel = await self._channel(instance)
+        sent = self.clock.steady()
+        request = asyncio.ensure_future(channel.request(command, revision=revision, timeout=timeout, id=id))
+        try:
+            while not request.done():
+                latest = self._latest.get(instance)  # None: it has not registered yet
+                given_up = sent + timeout if latest is None else max(latest.at + STOPPED, sent + ANSWER_TIMEOUT)
+                left = given_up - self.clock.steady()
+                if left <= 0:
+                    raise CallTimeout(f"{instance} has reported nothing for {STOPPED:g} s")
+                await asyncio.wait({request}, timeout=left)
+            return request.result()
+        finally:
+            request.cancel()

@@ -18,12 +18,18 @@ from midstride.plan.disruption import Levels
 class DegradationTimer:
     """Sums the seconds below the baseline; :meth:`moved` must be called with each configuration as it is reached.
 
-    The cost of a step depends on what it changes: at the start, only functionalities that the change lowered beforehand
-    are below.
+    ``observed(configuration, instances)`` is the configuration with what has failed of these instances. The cost of a
+    step depends on what it changes: at the start, only functionalities that the change lowered beforehand are below.
     """
 
-    def __init__(self, change: Change, steady: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        change: Change,
+        steady: Callable[[], float],
+        observed: Callable[[Configuration, Iterable[str]], Configuration] = lambda configuration, _: configuration,
+    ) -> None:
         self._change = change
+        self._observed = observed
         self._levels = Levels(change)
         self._steady = steady
         self._since = steady()
@@ -32,11 +38,12 @@ class DegradationTimer:
         self._seconds: defaultdict[FunctionalityRef, float] = defaultdict(float)
 
     def moved(self, configuration: Configuration, instances: Iterable[str]) -> None:
-        """A step has led to ``configuration``, now, and has changed ``instances``."""
+        """A step has led to ``configuration``, now, and has changed ``instances``; or one of these has failed."""
         self._count()
         for role in {self._change.role_of(instance) for instance in instances}:
+            actual = self._observed(configuration, configuration.instances_by_role.get(role, ()))
             self._below -= {counted.ref for counted in self._levels.counted(role)}
-            self._below |= self._levels.below(configuration, role).keys()
+            self._below |= self._levels.below(actual, role).keys()
 
     def _count(self) -> None:
         now = self._steady()

@@ -14,7 +14,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, Final, TypeAlias
 
-from midstride.errors import ManagerError
+from midstride.errors import Superseded
 
 # A statement in SQL, and its values.
 Statement: TypeAlias = tuple[str, Sequence[str | float | None]]
@@ -32,13 +32,13 @@ class Database:
     def write(self, statements: Iterable[Statement], only_if: Statement | None = None) -> None:
         """Carry out all of ``statements`` or none; they are durable when the call returns.
 
-        Raises ManagerError, and writes nothing, unless the query ``only_if`` finds a row.
+        Raises Superseded, and writes nothing, unless the query ``only_if`` finds a row.
         """
         with self._lock, self.connection:
             if only_if is not None:
                 self.connection.execute("BEGIN IMMEDIATE")
                 if self.connection.execute(*only_if).fetchone() is None:
-                    raise ManagerError("another manager of this system has taken over")
+                    raise Superseded("another manager of this system has taken over")
             for statement, values in statements:
                 self.connection.execute(statement, values)
 

@@ -5,16 +5,17 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 from midstride.runtime.reports import Event
 
 
 class EventLog:
-    """The latest events of one manager."""
+    """The latest events of one manager. ``on_event`` is called with each."""
 
     def __init__(self) -> None:
+        self.on_event: Callable[[Event], object] = lambda _: None
         self._events: deque[Event] = deque(maxlen=10_000)
         self._count = 0
         self._wakers: set[asyncio.Event] = set()
@@ -24,6 +25,7 @@ class EventLog:
         self._count += 1
         event = Event(n=self._count, at=time.time(), kind=kind, words=words, **details)
         self._events.append(event)
+        self.on_event(event)
         for waker in self._wakers:
             waker.set()
         return event

@@ -7,6 +7,7 @@ partial effects are undone, then the steps before it in reverse order (docs/sema
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,14 +16,15 @@ from typing import Any, Final
 from immutables import Map
 from msgspec import UNSET
 
-from midstride.errors import BackendError, MidstrideError, StepFailed
-from midstride.model.action import Action, Create, Degrade, Remove, SetParameters
+from midstride.errors import BackendError, MidstrideError, StepFailed, Superseded
+from midstride.model.action import Action, Create, Degrade, Handover, Remove, SetParameters
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.plan.step_forms import AnyStep
 from midstride.runtime.action_driver import ActionDriver, by_instance
 from midstride.runtime.backend import Exited
 from midstride.runtime.events import counted
+from midstride.runtime.journal import JournalEntry
 from midstride.runtime.pacing import room_for_a_start
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.state_store import StateStore
@@ -49,13 +51,19 @@ class Executor:
     """Carries out actions on the running system.
 
     ``on_moved`` is called with the configuration after each step and the instances that the step changed.
-    ``after_step`` checks the configuration after each step of a plan: if it raises, the step has failed.
+    ``after_step`` checks the configuration after each step of a plan: if it raises, the step has failed. ``entry``
+    records the steps in the journal. ``on_performed`` is called after each action of a plan and of its roll-back;
+    ``commanding`` is held while an action sends commands to components that run already: a component refuses the second
+    of two changes at one revision.
     """
 
     driver: ActionDriver
     store: StateStore
     on_moved: Callable[[Configuration, Collection[str]], None] = lambda *_: None
     after_step: Callable[[Configuration], Awaitable[None]] | None = None
+    entry: JournalEntry | None = None
+    on_performed: Callable[[Action], Awaitable[None]] | None = None
+    commanding: asyncio.Lock = field(default_factory=asyncio.Lock)
     _one_start: asyncio.Lock = field(default_factory=asyncio.Lock)
     _ahead: asyncio.Task[None] | None = None  # starts the processes of the next creations
 
@@ -70,17 +78,20 @@ class Executor:
         as well.
         """
         done: Done = []
+        self.driver.leaving = {action.instance for action in actions if isinstance(action, Remove)}
         for index, action in enumerate(actions):
             position = _position(actions, index, forms)
             what = action.describe(self.system.configuration)
             self.driver.events.add("step", f"{index + 1}/{len(actions)} {what}", **position)
             try:
+                if self.entry is not None:
+                    await self.entry.step(what)
                 if isinstance(action, Create):
                     await self._start(action)
                     if index == 0 or not isinstance(actions[index - 1], Create):
                         await self._stop_starting()
                         self._ahead = asyncio.ensure_future(self._start_ahead(actions[index + 1 :]))
-                await self._step(action, done)
+                await self._timed_step(action, done, actions)
                 if self.after_step is not None:
                     await self.after_step(self.system.configuration)
             except (Exception, asyncio.CancelledError) as raised:
@@ -90,6 +101,11 @@ class Executor:
                     position = _position(actions, actions.index(raised.action), forms)
                 why = _words(error)
                 self.driver.events.add("step_failed", f"{what} failed: {why}", **position)
+                if isinstance(error, Superseded) or not (self.entry is None or await self.entry.failed()):
+                    # What runs is the other manager's.
+                    await self._stop_starting()
+                    words = f"{what}: {why}; nothing is rolled back, since another manager has taken over"
+                    raise StepFailed(words, "failed") from error
                 problems = [*await self._abandon_started(actions[index:]), *await self._roll_back(done)]
                 if isinstance(error, asyncio.CancelledError):
                     raise
@@ -98,6 +114,13 @@ class Executor:
                 raise StepFailed(f"{what}: {why}; and the roll-back failed: {'; '.join(problems)}", "failed") from error
             self.driver.events.add("step_done", f"{index + 1}/{len(actions)} done", **position)
         await self._stop_starting()
+
+    async def _timed_step(self, action: Action, done: Done, actions: Sequence[Action]) -> None:
+        clock, key = self.driver.backend.clock, _estimates(action, self.system.configuration, actions)
+        begun = clock.steady()
+        await self._step(action, done)
+        if self.entry is not None:
+            self.entry.took(clock.steady() - begun, key)
 
     async def _step(self, action: Action, done: Done) -> None:
         """Perform ``action`` and append it to ``done``.
@@ -127,13 +150,17 @@ class Executor:
         """Check the precondition of one action, carry it out, and update the model. Raises MidstrideError."""
         before = self.system.configuration
         after = action.apply(before)
-        await self.driver.perform(action, f"the plan asked for it: {action.describe(before)}")
+        because = f"the plan asked for it: {action.describe(before)}"
+        async with contextlib.nullcontext() if isinstance(action, Create) else self.commanding:
+            await self.driver.perform(action, because)
         self._moved(after, action.instances())
         match action:
             case Remove(instance):
                 self.store.remove_instance(instance)
             case SetParameters(instance):
                 self.store.write_instance(after.instances[instance], self.driver.launcher.handles.get(instance))
+        if self.on_performed is not None:
+            await self.on_performed(action)
 
     def _moved(self, configuration: Configuration, instances: Collection[str]) -> None:
         self.system.moved(configuration)
@@ -169,13 +196,16 @@ class Executor:
         An instance that the change itself created is removed in any case: if it does not answer, it is killed.
         """
         if not done:
-            return []
+            return list(self.driver.fences.problems())
         self.driver.events.add("rollback", f"rolling back {counted(len(done), 'step')}", of=len(done))
         self.driver.rolling_back = True
         created = {action.instance.name for action, _ in done if isinstance(action, Create)}
         await self._kill(name for name in sorted(created) if self.driver.client.responsive(name) is None)
-        problems = []
+        problems = list(self.driver.fences.problems())
+        kept = self._taken_over(done)
         for action, before in reversed(done):
+            if kept & set(action.instances()):
+                continue
             for undoing in action.undo(before):
                 if (problem := await self._undo(undoing, created)) is not None:
                     problems.append(problem)
@@ -183,6 +213,12 @@ class Executor:
         if not problems:
             self.driver.events.add("rolled_back", "every step has been undone")
         return problems
+
+    def _taken_over(self, done: Done) -> set[str]:
+        """The fenced instances and those that have taken over from them: a topic does not go back to one that hangs."""
+        fenced = self.driver.fences.fenced
+        swaps = [swap for action, _ in done if isinstance(action, Handover) for swap in action.swaps]
+        return {*fenced, *(swap.new.instance for swap in swaps if swap.old.instance in fenced)}
 
     async def _undo(self, undoing: Action, created: Collection[str]) -> str | None:
         """Perform ``undoing``; if that fails, again without the instances in ``created``. Returns why it failed."""
@@ -266,6 +302,17 @@ class Executor:
                 else:
                     self.store.remove_instance(action.instance.name)
         return problems
+
+
+def _estimates(action: Action, configuration: Configuration, actions: Sequence[Action]) -> str | None:
+    """What the duration of ``action`` is an estimate of (:meth:`Change.seconds`)."""
+    match action:
+        case Create(instance):  # beside others, a process starts more slowly
+            alone = sum(isinstance(each, Create) for each in actions) == 1
+            return f"create {instance.component.name}" if alone else None
+        case Remove(name):
+            return f"remove {configuration.component(name).name}"
+    return action.kind
 
 
 def _position(actions: Sequence[Action], index: int, forms: Sequence[AnyStep]) -> dict[str, Any]:

@@ -10,11 +10,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Awaitable, Callable, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Final
 
-from midstride.errors import CommandRefused, MidstrideError, StepFailed, Unreachable
+from immutables import Map
+
+from midstride.errors import CallTimeout, CommandRefused, MidstrideError, StepFailed, Unreachable
 from midstride.model.action import Swap
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
@@ -28,13 +31,21 @@ from midstride.runtime.agreed_cut import (
 from midstride.runtime.answering import have_answer
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
+from midstride.runtime.fencing import Fences
 from midstride.runtime.simulated_time import stretch
 from midstride.runtime.state_transfers import StateTransfers
 from midstride.wire import commands
+from midstride.wire.commands import CutResult
 
 # How far ahead the cut is (s): many round trips, so that both sides know it in time. If the machine is too busy for one
 # of these, the next one is tried.
 LEADS: Final = (0.1, 0.3, 1.0)
+# The same for an old side that was too slow for these, at most: as far as it may still take to become free.
+LONGEST_LEAD: Final = 10.0
+# An old side that is not free for so long after a cut could not be agreed was too busy for it (s).
+AT_ONCE: Final = 0.2
+# One that refuses a cut after this part of the time ahead of it was busy until then.
+SLOW: Final = 0.9
 # How long the new component may take to write once behind its gate (s), on top of 10 of its periods.
 PROBATION: Final = 5.0
 # From how many calls its code must have returned behind the gate, as far as they come within so many seconds of its
@@ -54,13 +65,32 @@ EXIT_ATTEMPTS: Final = 10
 EXIT_INTERVAL: Final = 0.01
 
 
+class OldSideFailed(StepFailed):
+    """The old side may not have done its part."""
+
+
+@contextlib.contextmanager
+def _old_side_needed() -> Iterator[None]:
+    try:
+        yield
+    except (CommandRefused, CallTimeout) as error:
+        raise OldSideFailed(str(error)) from error
+
+
+def _raised(result: CutResult | BaseException) -> CutResult:
+    """The result; raises it if it is an exception."""
+    if isinstance(result, BaseException):
+        raise result
+    return result
+
+
 @dataclass(slots=True)
 class LiveHandover:
     """One hand-over on the components of ``configuration``.
 
-    ``lingering_readers`` says how many readers on a topic the middleware still counts although their processes have
-    exited, ``is_gone`` whether a component has exited. ``states`` moves their state. ``before_cut(old, new)`` is called
-    when both are ready for it.
+    ``fences`` is for old sides that hang. ``lingering_readers`` says how many readers on a topic the middleware still
+    counts although their processes have exited, ``is_gone`` whether a component has exited. ``states`` moves their
+    state. ``before_cut(old, new)`` is called when both are ready for it.
     """
 
     client: ComponentClient
@@ -70,10 +100,13 @@ class LiveHandover:
     lingering_readers: Callable[[str], Awaitable[int]]
     is_gone: Callable[[str], bool]
     states: StateTransfers
+    fences: Fences
     before_cut: Callable[[str, str], Awaitable[None]] | None = None
     _begun: list[Swap] = field(default_factory=list)
     _attached: list[Swap] = field(default_factory=list)
     _cuts: list[Cut] = field(default_factory=list)
+    _too_slow: bool = False  # the old side was not free until the last moment that was tried
+    _published: bool = False  # the new side has published after the cut
 
     async def run(self) -> dict[PortRef, int | None]:
         """The number of each old output's last message. Raises StepFailed with the reason.
@@ -82,12 +115,7 @@ class LiveHandover:
         cut is only noted.
         """
         try:
-            try:
-                last = await self._agree()
-            except MidstrideError:
-                if not all([await self._has_exited(swap.old.instance) for swap in self.swaps]):
-                    raise
-                last = await self._take_over()
+            last = await self._exchange()
         except MidstrideError as error:
             await self._undo()
             raise StepFailed(str(error)) from error
@@ -96,7 +124,7 @@ class LiveHandover:
             raise
         await self._change_answering()
         for swap in self.swaps:
-            if self.is_gone(swap.old.instance):
+            if self.is_gone(swap.old.instance) or swap.old.instance in self.fences.fenced:
                 continue
             try:
                 await self.client.change(swap.old.instance, self._detachment(swap.old, swap))
@@ -104,6 +132,44 @@ class LiveHandover:
                 words = f"{swap.old} could not be taken off {swap.connector} after the hand-over: {error}"
                 self.events.add("note", words)
         return last
+
+    async def _exchange(self) -> dict[PortRef, int | None]:
+        """Hand over at an agreed moment; or take over from old sides that have exited, or that are fenced.
+
+        One that hangs has until ``fences.wait`` seconds from now to become free; then it is tried once more, with more
+        time ahead.
+        """
+        deadline = self.fences.now() + self.fences.wait
+        olds = sorted({swap.old.instance for swap in self.swaps})
+        attempt: Callable[[], Awaitable[dict[PortRef, int | None]]] = partial(self._agree, LEADS)
+        while True:
+            try:
+                return await attempt()
+            except MidstrideError as error:
+                failure = error
+            asked = self.fences.now()
+            hung: dict[str, str] = {}
+            if isinstance(failure, OldSideFailed) and not await self._have_exited():
+                if self._published:
+                    deadline = asked  # nothing is gained by waiting: it may only disturb the new one
+                found = await asyncio.gather(*(self.fences.unresponsive(old, deadline) for old in olds))
+                hung = {old: words for old, words in zip(olds, found, strict=True) if words is not None}
+            if await self._have_exited():
+                return await self._take_over()
+            slow = self._too_slow or self.fences.now() - asked > AT_ONCE
+            if not isinstance(failure, OldSideFailed) or not (hung or slow):
+                raise failure
+            if hung or self.fences.now() >= deadline:
+                return await self._take_over(hung or {old: f"{old} is too slow: {failure}" for old in olds})
+            if self._published:
+                attempt = self._await_cuts
+            else:
+                await self._undo()
+                self._begun, self._attached, self._cuts = [], [], []
+                attempt = partial(self._agree, (max(LEADS[-1], min(LONGEST_LEAD, deadline - self.fences.now())),))
+
+    async def _have_exited(self) -> bool:
+        return all([await self._has_exited(swap.old.instance) for swap in self.swaps])
 
     async def _change_answering(self) -> None:
         """Have each replacement answer the requests to its role's node."""
@@ -115,11 +181,15 @@ class LiveHandover:
                 except MidstrideError as error:
                     self.events.add("note", f"{new} does not answer requests to {instances[new].role} yet: {error}")
 
-    async def _agree(self) -> dict[PortRef, int | None]:
-        """Hand over at an agreed moment; the number of each old output's last message."""
+    async def _agree(self, leads: Sequence[float]) -> dict[PortRef, int | None]:
+        """Hand over at an agreed moment; the number of each old output's last message.
+
+        Raises OldSideFailed where the old side may be to blame.
+        """
         pairs = sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps})
         for old, new in pairs:
-            await require_same_clock(self.client, old, new)
+            with _old_side_needed():
+                await require_same_clock(self.client, old, new)
         connectors = sorted({swap.connector for swap in self.swaps})
         found = {
             name: await publishers_found(self.client, self.configuration, name, self.is_gone) for name in connectors
@@ -131,22 +201,31 @@ class LiveHandover:
         for swap in self.swaps:
             await self._await_probation(swap)
         for old, new in pairs:
-            await self._meet(new, old)
+            with _old_side_needed():
+                await self._meet(new, old)
         await self.states.prepare()
-        for old, new in pairs:
-            if self.before_cut is not None:
-                await self.before_cut(old, new)
-        for lead in LEADS:
-            self._cuts = await agree_cuts(self.client, self.configuration, self.swaps, lead, self.states.agreed)
-            if await self._announce(last_try=lead == LEADS[-1]):
-                break
+        await self._before_cut()
+        for lead in leads:
+            with _old_side_needed():
+                self._cuts = await agree_cuts(self.client, self.configuration, self.swaps, lead, self.states.agreed)
+                if await self._announce(last_try=lead == leads[-1]):
+                    break
         return await self._await_cuts()
 
-    async def _take_over(self) -> dict[PortRef, int | None]:
-        """Have the new publishers publish at once, because the processes of the old ones have exited.
+    async def _before_cut(self) -> None:
+        for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps}):
+            if self.before_cut is not None:
+                await self.before_cut(old, new)
 
-        Going back would leave the topics without a publisher.
+    async def _take_over(self, hung: Mapping[str, str] = Map()) -> dict[PortRef, int | None]:
+        """Have the new publishers publish at once, because the old ones have exited, or are fenced since they hang.
+
+        Of one that has exited, going back would leave the topics without a publisher. One that is ``hung``, and why, is
+        fenced when the new ones are ready to publish, and before they do.
         """
+        last: dict[PortRef, int | None] = {}
+        if hung and self._cuts:  # the new ones are ready, and may publish already
+            last = await self._fence(hung)
         publishing = [swap for cut in self._cuts if await self._publishes(cut) for swap in cut.swaps]
         waiting = [swap for swap in self.swaps if swap not in publishing]
         await self._cancel(cut for cut in self._cuts if not any(swap in publishing for swap in cut.swaps))
@@ -155,6 +234,9 @@ class LiveHandover:
                 await self._attach(swap, readers=0)
         for swap in waiting:
             await self._await_probation(swap)
+        if hung and not last:
+            await self._before_cut()
+            last = await self._fence(hung)
         for swap in waiting:
             grid = await self.client.read(swap.new.instance, commands.GridCommand(port=swap.new.port))
             # What is written once was written behind the gate.
@@ -162,13 +244,23 @@ class LiveHandover:
             opening = commands.GateCommand(port=swap.new.port, topic=self._topic(swap), gate="open", latch=latch)
             await self.client.change(swap.new.instance, opening)
         for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps}):
-            self.events.add("note", f"{old} exited during the hand-over, and {new} took over at once")
+            how = "was fenced" if old in hung else "exited during the hand-over"
+            self.events.add("note", f"{old} {how}, and {new} took over at once")
             moved = any(
                 (cut.old, cut.new) == (old, new) and swap in publishing for cut in self._cuts for swap in cut.swaps
             )
             if (old, new) in self.states.agreed and not moved:
-                self.states.note_own_state(new, f"{old} has exited")
-        return {}
+                self.states.note_own_state(new, f"{old} {'hangs' if old in hung else 'has exited'}")
+        return last
+
+    async def _fence(self, hung: Mapping[str, str]) -> dict[PortRef, int | None]:
+        """Fence the old sides that hang. Raises StepFailed. Those that do not were asked to agree with them in vain."""
+        last: dict[PortRef, int | None] = {}
+        for old in sorted({swap.old.instance for swap in self.swaps}):
+            because = hung.get(old, f"{old} hands over together with {', '.join(sorted(hung))}")
+            links = [(swap.old, self._topic(swap)) for swap in self.swaps if swap.old.instance == old]
+            last |= await self.fences.fence(old, because, links)
+        return last
 
     async def _publishes(self, cut: Cut) -> bool:
         """Whether the new side of ``cut`` has published, or will at the agreed moment."""
@@ -185,6 +277,8 @@ class LiveHandover:
         for _ in range(EXIT_ATTEMPTS):
             if self.is_gone(instance):
                 return True
+            if self.client.responsive(instance) is None and self.client.latest(instance) is not None:
+                return False  # it is connected, and silent
             try:
                 await self.client.peek(instance)
             except Unreachable:
@@ -203,7 +297,8 @@ class LiveHandover:
 
         It should also match as many readers as the old publisher does; if it does not, that is noted.
         """
-        readers = await self._readers(swap)
+        with _old_side_needed():
+            readers = await self._readers(swap)
         matched = await self._attach(swap, readers)
         # Asked again if some are missing: the old publisher may have counted readers whose lease was about to expire.
         if matched < readers and matched < (readers := await self._readers(swap)):
@@ -283,9 +378,15 @@ class LiveHandover:
 
     async def _announce(self, last_try: bool) -> bool:
         """Send each cut to both sides. False if one side received it too late; then all cuts have been cancelled."""
+        self._too_slow = False
         try:
             for cut in self._cuts:  # the old side first: it resumes if the new side never learns of the cut
-                await self.client.change(cut.old, cut.outgoing())
+                sent = self.fences.now()
+                try:
+                    await self.client.change(cut.old, cut.outgoing())
+                except CommandRefused:
+                    self._too_slow = self.fences.now() - sent >= SLOW * cut.lead
+                    raise
             for cut in self._cuts:
                 await self.client.change(cut.new, cut.incoming(self.client.address(cut.old)))
         except CommandRefused:
@@ -299,16 +400,22 @@ class LiveHandover:
         last: dict[PortRef, int | None] = {}
         for cut in self._cuts:
             await_cut = self._await_cut(cut)
-            incoming, outgoing = await asyncio.gather(
-                self.client.read(cut.new, await_cut), self.client.read(cut.old, await_cut)
+            new, old = await asyncio.gather(
+                self.client.read(cut.new, await_cut), self.client.read(cut.old, await_cut), return_exceptions=True
             )
+            incoming = _raised(new)
+            self._published = any(incoming.first.values())
+            with _old_side_needed():
+                outgoing = _raised(old)
             because = incoming.because or outgoing.because
             reason = "" if because is None else f": {because}"
             if incoming.outcome != "done" and not any(incoming.first.values()):
                 reason = reason or await self._waits_for(cut.new)
-                raise StepFailed(f"{cut.new} did not publish after the cut; {cut.old} continues{reason}")
+                # An old side that is busy with exporting its state does not hang.
+                failed = OldSideFailed if because is None else StepFailed
+                raise failed(f"{cut.new} did not publish after the cut; {cut.old} continues{reason}")
             if incoming.outcome != "done" or outgoing.outcome != "done":
-                raise StepFailed(f"{cut.old} resumed before it learned that {cut.new} had published{reason}")
+                raise OldSideFailed(f"{cut.old} resumed before it learned that {cut.new} had published{reason}")
             self.states.ended(cut, incoming)
             for swap in cut.swaps:
                 write = outgoing.last.get(f"{swap.old.port} {self._topic(swap)}")
@@ -322,10 +429,13 @@ class LiveHandover:
     async def _cancel(self, cuts: Iterable[Cut]) -> None:
         for cut in cuts:
             for side in (cut.new, cut.old):
+                if side in self.fences.fenced:
+                    continue  # it may hang for ever, and publishes nothing
                 await self.client.undo(side, commands.CancelCutCommand(cut=cut.id))
 
     async def _undo(self) -> None:
         """Reopen the gates of the old publishers and detach the new ones, as far as they can be reached."""
+        await self.fences.lift({swap.old.instance for swap in self.swaps})
         await self._cancel(self._cuts)
         for swap in self._begun:
             await self.client.undo(swap.new.instance, self._detachment(swap.new, swap))

@@ -118,6 +118,14 @@ class Launcher:
         if not registering.cancelled() and registering.exception() is None:
             self._last_registration = self._backend.clock.steady()
 
+    def takes_spare(self, instance: Instance) -> bool:
+        """Whether the program of ``instance`` can be started in a spare process."""
+        try:
+            arguments = shlex.split(instance.component.run or "")
+        except ValueError:
+            return False
+        return bool(arguments) and self._backend.takes_spare(arguments, self._directory)
+
     def starting(self) -> int:
         """How many processes have been started and have neither registered nor exited."""
         return sum(not (registering.done() or self._exits[name].done()) for name, registering in self._starting.items())

@@ -12,14 +12,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import secrets
-from collections.abc import AsyncIterator, Iterable, Mapping
+from collections.abc import AsyncIterator, Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from midstride.codec.configuration import ConfigurationForm
-from midstride.errors import CommandRefused, ManagerError, MidstrideError, StepFailed
+from midstride.errors import CommandRefused, ManagerError, MidstrideError, PlanRefused, StepFailed
 from midstride.model.component import ParameterValue
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification, initial
@@ -36,6 +36,10 @@ from midstride.runtime.component_client import ComponentClient, ComponentEvent
 from midstride.runtime.disk import DISK, Disk
 from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
+from midstride.runtime.fencing import DEFAULT_WAIT
+from midstride.runtime.history import History, SpecificationVersion
+from midstride.runtime.journal import Journal
+from midstride.runtime.journal_records import Interrupted, NewChange
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.lowered import in_words, lowered_functionalities
 from midstride.runtime.observed_configuration import observe
@@ -89,8 +93,11 @@ class Manager:
         self._waiting = 0  # how many commands wait for it
         self._since = 0.0  # when it started (steady s)
         self._store = StateStore(workspace.state, lambda words: self.events.add("note", words), disk)
+        self._journal = Journal(workspace.journal, backend.name, disk)
+        self.events.on_event = self._journal.note
         self._client = ComponentClient(backend.transport, backend.clock, secrets.token_hex(16))
         self._options = options
+        self._spares = options.spares
         self._launcher = Launcher(backend, self._client, directory, options)
         self._monitor = SilenceMonitor(self._client, backend.clock, self.events, self._launcher.ending)
         self._reconciler = Reconciler(
@@ -116,12 +123,13 @@ class Manager:
             self._reconciler,
             verifier or Verifier(),
             self._executor,
+            self._journal,
         )
         self._respawner = Respawner(self.system, backend.clock, self.events, self._command, self._restore)
         self._reconciler.on_reconciled = self._respawner.update
 
     async def _restore(self, request: PlanRequest) -> Outcome:
-        return await self._session.change(request, brief=True)
+        return await self._session.change(request, brief=True, by="the restart policy")
 
     def _on_component_event(self, event: ComponentEvent) -> None:
         if isinstance(event, ComponentState):
@@ -150,8 +158,9 @@ class Manager:
     async def up(self) -> UpReport:
         """Recover the components that still run, and bring up the rest of the specification.
 
-        Raises ManagerError if the running system has another specification or back end, StepFailed if a component could
-        not be brought up (the components that this call started are then terminated).
+        Where components still run, what cannot be restored beside them is in the report. Raises ManagerError if the
+        running system has another specification or back end; StepFailed, where none runs, if a component could not be
+        brought up (the components that this call started are then terminated).
         """
         saved = self._store.load()
         if saved is not None:
@@ -159,39 +168,96 @@ class Manager:
             self._file = saved.file
         await self._backend.open(self._reconciler.on_exit)
         async with self._command(f"up {self.specification.name}"):
-            absent = set() if saved is None else await self._recover(saved)
+            interrupted = await self._journal.take_over()
+            if self._journal.damaged is not None:
+                self.events.add("note", self._journal.damaged)
+            absent = set() if saved is None else await self._recover(saved, interrupted)
             try:
-                await self._complete(absent)
+                missing: dict[str, str] = {}
+                if saved is None or not await self._finish(absent, interrupted):
+                    missing = await self._restore_missing(absent, is_new=saved is None)
             except BaseException:
                 if saved is None and not self._launcher.handles:
                     self._store.forget()
                 raise
+            for change in interrupted:
+                await self._journal.settle(change, None if saved is None else self.specification)
             many = counted(len(self.configuration.instances), "component")
             intended = initial(self.specification)
             lowered = lowered_functionalities(self.system, self._client, Configuration(), intended)
             degraded = f"; degraded: {in_words(lowered)}" if lowered else ""
-            self.events.add("up", f"{self.specification.name} is up: {many}{degraded}")
-            return UpReport(outcome="done", components=sorted(self.configuration.instances), lowered=lowered)
+            without = f" without {', '.join(missing)}" if missing else ""
+            self.events.add("up", f"{self.specification.name} is up{without}: {many}{degraded}")
+            outcome: Literal["done", "incomplete"] = "incomplete" if missing else "done"
+            return UpReport(outcome, sorted(self.configuration.instances), lowered, missing)
 
-    async def _complete(self, absent: Iterable[str]) -> None:
-        """Bring up the part of the specification that does not run, without the roles ``absent``.
+    async def _restore_missing(self, absent: set[str], *, is_new: bool) -> dict[str, str]:
+        """Bring up what does not run, without the roles ``absent``; returns why each of the others could not be.
+
+        One that cannot be started does not keep the others down, or the manager from managing what runs. Raises
+        StepFailed or PlanRefused where nothing else runs, or all roles do.
+        """
+        present = self.configuration.instances_by_role
+        gone = [role for role in self.specification.roles() if role not in absent and not present.get(role)]
+        missing, alone = dict.fromkeys(gone, ""), not self.configuration.instances
+        for group in [gone, *([role] for role in gone if len(gone) > 1)]:
+            try:
+                without = {*absent, *missing}.difference(group)
+                await self._complete(without, self.specification, is_new=is_new)
+            except (PlanRefused, StepFailed) as error:
+                if alone or not gone:
+                    raise
+                missing |= dict.fromkeys(group, str(error))
+            else:
+                missing = {role: because for role, because in missing.items() if role not in group}
+                if not missing:
+                    break
+        return missing
+
+    async def _finish(self, absent: Collection[str], interrupted: Sequence[Interrupted]) -> bool:
+        """Finish the change that an earlier manager began, if that is the system's policy; whether that was possible.
+
+        If not, the caller rolls it back.
+        """
+        if not interrupted or not self._options.finish_interrupted:
+            return False
+        change = interrupted[-1]
+        if change.target == self.specification:
+            return False
+        try:
+            await self._complete(absent, change.target)
+        except (PlanRefused, StepFailed) as error:
+            if isinstance(error, StepFailed) and error.outcome != "rolled_back":
+                raise
+            self.events.add("note", f"`{change.command}` was interrupted, and cannot be finished: {error}")
+            return False
+        return True
+
+    async def _complete(self, absent: Collection[str], specification: Specification, *, is_new: bool = False) -> None:
+        """Bring up the part of ``specification`` that does not run, without the roles ``absent``; ``is_new``: none ran.
 
         Raises StepFailed after a roll-back.
         """
-        target = self.specification
+        running = self.specification
+        target = specification
         for role in absent:
-            target = target.without_node(role)
-        change = change_between(self.configuration, self.specification, target)
+            if role in target.nodes:
+                target = target.without_node(role)
+        change = change_between(self.configuration, running, target)
         parameters = of_change(change, self.system.values.by_role(self.configuration))
         plan = replace(await asyncio.to_thread(planner("minimal"), change), parameters=parameters)
         # Before any component has the token.
-        self._store.begin(self._backend.name, self._client.token, self.specification, self._options, self._file)
-        if plan.steps:
-            outcome = await self._session.carry_out(plan, self.specification)
+        self._store.begin(self._backend.name, self._client.token, running, self._options, self._file)
+        if plan.steps or specification != running:
+            new = NewChange("up", None, None if is_new else running, specification, len(plan.steps))
+            entry = await self._journal.begin(new, required=False)
+            outcome = await self._session.carry_out(plan, specification, entry)
             if outcome.outcome != "done":
                 raise StepFailed(str(outcome.because), outcome.outcome)
+        else:
+            self.system.configuration = change.settled(self.configuration)
 
-    async def _recover(self, saved: SavedState) -> set[str]:
+    async def _recover(self, saved: SavedState, interrupted: Iterable[Interrupted]) -> set[str]:
         """Find what an earlier manager left, and degrade what has lost its support.
 
         Returns the roles of components that are started by hand and do not run: nothing can restore these. Raises
@@ -207,8 +273,9 @@ class Manager:
                 "`midstride apply` changes a running system, `midstride down` ends it"
             )
         self.system.values.saved = dict(saved.values)
+        targets = [change.target for change in interrupted]
         self.system.configuration = await recover(
-            saved.instances, self.specification, self._launcher, self._client, self.events
+            saved.instances, self.specification, self._launcher, self._client, self.events, targets
         )
         gone = [each.instance for each in saved.instances if each.instance.name not in self.configuration.instances]
         for instance in gone:
@@ -233,11 +300,13 @@ class Manager:
         await self._programs.close()
         self._client.close()
         self._store.close()
+        self._journal.close()
         await self._backend.close()
 
     async def down(self) -> None:
         """Terminate every component and delete the saved state. Raises ManagerError naming those that still run."""
         async with self._command("down"):
+            self._spares = 0
             self._respawner.stop()
             names = sorted({*self._launcher.handles, *self.configuration.instances})
             ended = await asyncio.gather(*(self._end(name) for name in names))
@@ -271,7 +340,7 @@ class Manager:
         running = None
         if self._current is not None:
             running = RunningCommand(self._current, round(self._backend.clock.steady() - self._since, 3))
-        unwritten = self._store.unwritten
+        unwritten = "; ".join(filter(None, [self._store.unwritten, self._journal.unwritten])) or None
         return status.status(
             self.system,
             self._client,
@@ -281,7 +350,9 @@ class Manager:
             programs,
             running,
             unwritten,
+            self._journal.damaged,
             self._file,
+            self._spares,
             self._respawner,
         )
 
@@ -308,6 +379,14 @@ class Manager:
         plan, _ = await self._session.plan(request)
         return plan
 
+    async def history(self, latest: int) -> History:
+        """The latest changes and incidents, also of earlier managers. Raises ManagerError if they cannot be read."""
+        return await self._journal.history(latest)
+
+    async def earlier_specification(self, version: int | None = None) -> SpecificationVersion:
+        """A version of the specification, by default the one before the latest change of it. Raises ManagerError."""
+        return await self._journal.specification(version)
+
     def log(self, since: int = 0) -> list[Event]:
         """The events after number ``since``."""
         return self.events.since(since)
@@ -325,18 +404,29 @@ class Manager:
         expected: int | None = None,
         verify: bool = False,
         brief: bool = False,
+        wait: float = DEFAULT_WAIT,
         id: str | None = None,
+        by: str | None = None,
+        file: str | None = None,
     ) -> Outcome:
         """Carry out ``request``.
 
         ``expected`` is the revision that the previewed plan was made for: at any other one the change is refused, since
         its plan may differ. With ``verify``, Alloy verifies the plan first, and the change is refused unless the plan
         holds; the live configuration is verified after each step, and the step fails unless it is valid. If ``brief``,
-        the next command does not wait until this one has been measured over 20 periods. The events
-        `waiting` and `command` contain ``id``, so that a client can distinguish its own from others.
+        the next command does not wait until this one has been measured over 20 periods. An old component that hangs is
+        fenced after ``wait`` seconds (docs/semantics.md section 7, *Mode changes*). The events `waiting` and `command`
+        contain ``id``, so that a client can distinguish its own from others. The specification of ``request`` was read
+        from ``file``. ``by`` says in the history who asked.
         """
         async with self._command(request.describe(), id):
-            return await self._session.change(request, expected=expected, verify=verify, brief=brief)
+            outcome = await self._session.change(
+                request, expected=expected, verify=verify, brief=brief, by=by, wait=wait
+            )
+            if request.to is not None and outcome.outcome == "done":
+                self._file = file
+                self._store.write_file(file)
+            return outcome
 
     async def set_parameters(self, node: str, values: Mapping[str, ParameterValue]) -> ParametersReport:
         """Set parameters of a role or an instance, all of them or none, once the commands before are done.
@@ -367,6 +457,8 @@ class Manager:
                     yield
             finally:
                 self._current = None
+                if not self._waiting:  # or they would compete with the next one for the processor
+                    self._backend.keep_spares(self._spares, self._client.token)
 
     @contextlib.asynccontextmanager
     async def _turn(self) -> AsyncIterator[None]:

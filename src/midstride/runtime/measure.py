@@ -55,6 +55,7 @@ class Observation:
     of the messages that a message-driven publisher had to answer, if known: they serve as its time grid. ``resumed``:
     the change was rolled back, so the old publisher is the one at the end, too. ``watched``: how long the recording
     continued after the last step (s), where that is not 20 periods; ``earliest``: rows before belong to another change.
+    ``hung``: the old publisher may have been silent before: the figures begin with its last message.
     """
 
     topic: str
@@ -69,6 +70,7 @@ class Observation:
     resumed: bool = False
     watched: float = math.inf
     earliest: int = 0
+    hung: bool = False
 
 
 def report(seen: Observation) -> SwapReport:
@@ -86,6 +88,8 @@ def report(seen: Observation) -> SwapReport:
     elif grid and by_side is not None:
         answered = None if seen.inputs is None else _answers(by_side, seen.inputs)
         missed, duplicates = answered or _slots(rows, by_side, grid, seen.ended)
+    if seen.hung and not any(row.received <= seen.begun for row in rows):
+        gap = missed = None  # since when it was silent is not known
     return SwapReport(
         topic=seen.topic,
         subscriber=seen.subscriber,
@@ -99,7 +103,10 @@ def report(seen: Observation) -> SwapReport:
 
 
 def _window(seen: Observation, period: float | None) -> list[Receipt]:
-    start = max(seen.earliest, seen.begun - int(WINDOW_PERIODS * period * 1e9) if period else seen.earliest)
+    begun = seen.begun
+    if seen.hung:
+        begun = max((row.received for row in seen.rows if row.received <= begun), default=begun)
+    start = max(seen.earliest, begun - int(WINDOW_PERIODS * period * 1e9) if period else seen.earliest)
     return sorted((row for row in seen.rows if start <= row.received <= seen.ended), key=lambda row: row.received)
 
 

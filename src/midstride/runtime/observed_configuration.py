@@ -45,6 +45,18 @@ def own_degradations_in(configuration: Configuration, state: ComponentState) -> 
     return {ref: index for ref, index in reported.items() if index > configuration.modes[ref]}
 
 
+def with_failures(
+    configuration: Configuration, instances: Iterable[str], client: ComponentClient, exited: Container[str]
+) -> Configuration:
+    """``configuration`` with what ``instances`` have degraded by themselves, and without those in ``exited``."""
+    for name in instances:
+        if name in exited:
+            configuration = configuration.without_instance(name)
+        elif (latest := client.latest(name)) is not None:
+            configuration = configuration.with_modes(own_degradations_in(configuration, latest.state))
+    return configuration
+
+
 def reported_modes(component: ComponentSpec, state: ComponentState) -> dict[FunctionalityRef, int]:
     """The mode of each functionality of one component, as it reports it."""
     return {

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from midstride.errors import CommandRefused, MidstrideError, PlanRefused, StepFailed
-from midstride.model.component import ParameterValue
+from midstride.model.component import ROS_PARAMETERS, ParameterValue
 from midstride.model.configuration import Configuration, Instance
 from midstride.plan.change import Change
 from midstride.plan.runtime_values import RuntimeValue, Values, decide, left_behind, runtime_value
@@ -97,7 +97,7 @@ class ParameterTransfer:
 
     async def _set(self, instance: Instance, name: str, value: ParameterValue) -> None:
         """One value, so that a refusal is about it. Raises StepFailed, or BackendError."""
-        if name not in (await self.client.peek(instance.name)).parameters:
+        if name not in ROS_PARAMETERS and name not in (await self.client.peek(instance.name)).parameters:
             self._record(left_behind(instance.role, name, value, instance.component.name))
             return
         try:

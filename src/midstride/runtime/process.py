@@ -62,6 +62,11 @@ class Process:
     def running(self) -> bool:
         return not self._exited.is_set()
 
+    def log_to(self, log: Path) -> None:
+        """From now on, what the process writes is appended to ``log``."""
+        self.log = log
+        self._log_begins = log.stat().st_size if log.exists() else 0
+
     def last_words(self) -> str:
         """The end of what the process has written to its log."""
         return tail(self.log, since=self._log_begins)
@@ -94,13 +99,15 @@ class Process:
     async def end(self, grace: float) -> None:
         """End the process and its group: with SIGTERM, and after ``grace`` seconds with SIGKILL.
 
-        Returns when all of them have exited. Raises BackendError if the kernel does not remove a killed process.
+        With a ``grace`` of 0 with SIGKILL at once: one that is stopped does not run again, not for an instant. Returns
+        when all of them have exited. Raises BackendError if the kernel does not remove a killed process.
         """
         self._ending = True
-        deadline = self._loop.time() + grace
-        self._signal(signal.SIGTERM)
-        self._signal(signal.SIGCONT)  # a stopped process must run to handle SIGTERM
-        await self._gone(deadline)
+        if grace > 0:
+            deadline = self._loop.time() + grace
+            self._signal(signal.SIGTERM)
+            self._signal(signal.SIGCONT)  # a stopped process must run to handle SIGTERM
+            await self._gone(deadline)
         deadline = self._loop.time() + KILL_PATIENCE
         while self._remaining():
             if self._loop.time() > deadline:
@@ -137,8 +144,17 @@ class Process:
             self._fd = -1
 
 
-def spawn(arguments: Sequence[str], directory: Path, environment: Mapping[str, str], log: Path) -> Process:
-    """Start a process that appends its output to ``log``. Raises StartFailed with the reason."""
+def spawn(
+    arguments: Sequence[str],
+    directory: Path,
+    environment: Mapping[str, str],
+    log: Path,
+    descriptors: Sequence[int] = (),
+) -> Process:
+    """Start a process that appends its output to ``log``, and inherits ``descriptors``.
+
+    Raises StartFailed with the reason.
+    """
     try:
         log.parent.mkdir(parents=True, exist_ok=True)
         with open(log, "ab") as output:
@@ -150,6 +166,7 @@ def spawn(arguments: Sequence[str], directory: Path, environment: Mapping[str, s
                 stderr=subprocess.STDOUT,
                 cwd=directory,
                 env=dict(environment),
+                pass_fds=descriptors,
                 start_new_session=True,
             )
     except (OSError, ValueError) as error:
@@ -195,9 +212,9 @@ async def end_orphans(token: str, known: Container[str], grace: float) -> list[s
         if process.alive and reaper.environment_value(process.pid, ENV_TOKEN) == token:
             name = reaper.environment_value(process.pid, ENV_INSTANCE)
             if name is not None and name not in known:
-                orphans.setdefault(name, []).append(process)
+                orphans.setdefault(name.strip(), []).append(process)
     await asyncio.gather(*(_end(process, token, grace) for found in orphans.values() for process in _leaders(found)))
-    return sorted(orphans)
+    return sorted(filter(None, orphans))  # a spare has no name yet
 
 
 def _leaders(found: list[reaper.ProcessInfo]) -> list[reaper.ProcessInfo]:

@@ -26,12 +26,22 @@ PATIENCE: Final = 1.0
 
 @dataclass
 class _Known:
-    """What the process ``uuid`` has said when it had ``imported`` so many modules; ``named``: the files of `run`."""
+    """What the process ``uuid`` has said when it had ``imported`` so many modules; ``named``: the files of `run`.
+
+    ``latest`` has the files that were compared, each with its time of modification then.
+    """
 
     uuid: str
     imported: int
     program: Program | None = None
     named: list[FileFingerprint] | None = None
+    latest: dict[str, FileFingerprint] = field(default_factory=dict)
+
+    def changed(self, files: list[FileFingerprint]) -> list[str]:
+        """Those of ``files`` that have changed. One that was touched is read again once, not at each call."""
+        now = {file.path: self.latest.get(file.path, file).unchanged() for file in files}
+        self.latest |= {path: file for path, file in now.items() if file is not None}
+        return [path for path, file in now.items() if file is None]
 
 
 @dataclass
@@ -78,15 +88,17 @@ class Programs:
     def _of(self, instance: Instance, known: _Known | None) -> ProgramStatus:
         program = None if known is None else known.program
         files: list[FileFingerprint] = []
+        changed: list[str] = []
         if known is not None and program is not None:
             if known.named is None:
                 known.named = self._named(instance, program)
             files = [*program.files, *known.named]
+            changed = known.changed(files)
         return ProgramStatus(
             name=instance.name,
             role=instance.role,
             files=[file.path for file in files],
-            changed=[file.path for file in files if file.has_changed()],
+            changed=changed,
             unknown=_unknown(instance, program),
             startable=instance.component.run is not None,
         )

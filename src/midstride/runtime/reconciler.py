@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator, Callable, Container, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Container, Coroutine, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -34,6 +34,7 @@ from midstride.runtime.observed_configuration import (
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.silence import SilenceMonitor
 from midstride.runtime.state_store import StateStore
+from midstride.wire.state import ComponentState
 
 log = logging.getLogger(__name__)
 
@@ -46,8 +47,9 @@ class Reconciler:
 
     While a command is in progress (``busy``), the command reconciles at its start and its end; otherwise the reconciler
     does so in the background, holding ``lock``. ``executor`` makes the executor that degrades functionalities.
-    ``degraded`` are those that degraded unexpectedly since the last change began. ``on_reconciled`` is called when the
-    model is up to date, with no command in progress.
+    ``degraded`` are those that degraded unexpectedly since the last change began. ``on_failure`` is called with a live
+    instance as soon as it has exited, or reports a worse mode than the model has; ``on_crash_during_change`` at an exit
+    during the steps of a change; ``on_reconciled`` when the model is up to date, with no command in progress.
     """
 
     system: RunningSystem
@@ -60,8 +62,10 @@ class Reconciler:
     lock: Callable[[], AbstractAsyncContextManager[Any]]
     busy: Callable[[], bool]
     degraded: set[FunctionalityRef] = field(default_factory=set)
+    on_failure: Callable[[str], object] = lambda _: None
     pending: dict[FunctionalityRef, MidstrideError | None] = field(default_factory=dict)  # could not be degraded yet
     on_reconciled: Callable[[], None] = lambda: None
+    on_crash_during_change: Callable[[], Coroutine[Any, Any, None]] | None = None
     _why_pending: str = _LOST_BEFORE
     _unanswered: set[str] = field(default_factory=set)  # instances of these that did not answer
     _reconciling: asyncio.Lock = field(default_factory=asyncio.Lock)
@@ -97,8 +101,16 @@ class Reconciler:
                 answers_again = state.instance in self._unanswered
                 self._unanswered.discard(state.instance)
                 configuration = self.system.configuration
-                if answers_again or own_degradations_in(configuration, state) or differs(configuration, state):
+                degraded = own_degradations_in(configuration, state)
+                if degraded:
+                    self.on_failure(state.instance)
+                if answers_again or degraded or differs(configuration, state) or self._can_retry(state):
                     self._reconcile_soon()
+
+    def _can_retry(self, state: ComponentState) -> bool:
+        """Whether a functionality that refused to be degraded may accept it now: no call of its code is running."""
+        refused = [ref.functionality for ref in self.pending if ref.instance == state.instance]
+        return not self._reconciling.locked() and any(state.functionalities[name].busy is None for name in refused)
 
     def save_values(self) -> None:
         """Save the parameter values that were set at run time, where they have changed, for the next manager."""
@@ -110,7 +122,12 @@ class Reconciler:
         self.system.crashed[event.instance] = event
         status = "" if event.status is None else f" (status {event.status})"
         self.events.add("exited", f"{event.instance} exited unexpectedly{status}", log=event.log_tail)
-        self._reconcile_soon()
+        if event.instance in self.system.configuration.instances:
+            self.on_failure(event.instance)
+        if self.busy() and self.on_crash_during_change is not None:
+            self._in_background(self.on_crash_during_change())
+        else:
+            self._reconcile_soon()
 
     @contextlib.asynccontextmanager
     async def around(self) -> AsyncIterator[None]:
@@ -130,7 +147,10 @@ class Reconciler:
             self._start_reconciling()
 
     def _start_reconciling(self) -> None:
-        task = asyncio.get_running_loop().create_task(self._reconcile_in_background())
+        self._in_background(self._reconcile_in_background())
+
+    def _in_background(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 

@@ -19,7 +19,7 @@ from midstride.runtime.measure import WINDOW_PERIODS, Observation, SwapReport, r
 from midstride.runtime.reports import SilenceFault
 from midstride.runtime.silence import UNRECEIVED, not_receiving
 from midstride.runtime.simulated_time import report_on_ros_clock, stretch
-from midstride.wire.commands import GridCommand, RecordCommand, Records, RecordsCommand
+from midstride.wire.commands import Grid, GridCommand, RecordCommand, Records, RecordsCommand
 
 _PortOnTopic: TypeAlias = tuple[PortRef, str]
 
@@ -99,10 +99,8 @@ class Recording:
             topic = configuration.topic(exchange.connector)
             guarantee = configuration.component(old.instance).owner(old.port).modes[0].guarantee(old.port)
             period = 1 / guarantee.rate if isinstance(guarantee, Predicate) and guarantee.rate else None
-            try:
-                grid_period = (await self.client.read(old.instance, GridCommand(port=old.port))).period
-            except MidstrideError:
-                grid_period = None
+            grid = await self._grid(old)
+            grid_period = None if grid is None else grid.period
             for port in sorted(configuration.subscribers_on(exchange.connector)):
                 if port.instance in removed:
                     continue
@@ -113,6 +111,15 @@ class Recording:
                     continue
                 observation = Observation(topic, str(port), (), begun, begun, period, grid_period)
                 self.recorded.append(RecordedInput(port, exchange, observation))
+
+    async def _grid(self, old: PortRef) -> Grid | None:
+        """That of an old publisher; None if it does not answer: the hand-over reports that."""
+        if self.client.responsive(old.instance) is None:
+            return None
+        try:
+            return await self.client.read(old.instance, GridCommand(port=old.port))
+        except MidstrideError:
+            return None
 
     async def _begin(self, port: PortRef) -> int:
         """Start recording at ``port`` unless it does; returns since when it records (ns)."""
@@ -125,21 +132,23 @@ class Recording:
     async def record_driving_inputs(self, configuration: Configuration, action: Handover) -> None:
         """Just before a hand-over: record the input that drives the new side of a message-driven output."""
         for swap in action.swaps:
-            try:
-                if (await self.client.read(swap.old.instance, GridCommand(port=swap.old.port))).trigger != "message":
-                    continue
-                owner = configuration.component(swap.new.instance).owner(swap.new.port)
-                inputs = [PortRef(swap.new.instance, name) for name in owner.inputs]
-                if len(inputs) == 1:
+            grid = await self._grid(swap.old)
+            if grid is None or grid.trigger != "message":
+                continue
+            owner = configuration.component(swap.new.instance).owner(swap.new.port)
+            inputs = [PortRef(swap.new.instance, name) for name in owner.inputs]
+            if len(inputs) == 1:
+                with contextlib.suppress(MidstrideError):  # the hand-over reports the cause
                     await self._begin(inputs[0])
                     self._driving_inputs[swap.old] = inputs[0]
-            except MidstrideError:
-                continue  # the hand-over reports the cause
 
-    async def finish(self, last_numbers: dict[PortRef, int | None], *, resumed: bool = False) -> list[SwapReport]:
+    async def finish(
+        self, last_numbers: dict[PortRef, int | None], *, resumed: bool = False, hung: Container[str] = ()
+    ) -> list[SwapReport]:
         """Keep recording for a while, then compute the figures. :meth:`stop` must be called afterwards.
 
-        ``resumed``: the plan was rolled back, so the old publishers publish again. If cancelled, it reports unknown
+        ``resumed``: the plan was rolled back, so the old publishers publish again. ``hung``: the instances that were
+        silent before the change. If cancelled, it reports unknown
         figures instead of raising: the plan is done, and its outcome must be reported.
         """
         if not self.recorded:
@@ -172,7 +181,7 @@ class Recording:
             sources = None if driving is None else [row.source for row in driving.rows if row.source is not None]
             last = last_numbers.get(old)
             seen = replace(seen, rows=found.rows, ended=found.now, last_number=last, inputs=sources, resumed=resumed)
-            seen = replace(seen, watched=watched, earliest=self.earliest)
+            seen = replace(seen, watched=watched, earliest=self.earliest, hung=old.instance in hung)
             if found.moments is None:
                 reports.append(report(seen))
             else:

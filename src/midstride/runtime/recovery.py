@@ -1,13 +1,15 @@
 """Recovers a running system that an earlier manager left.
 
 The state store has the earlier manager's model; the components report the actual state, which takes precedence. A
-second instance of a role, left by a manager that was killed during a change, is terminated.
+second instance of a role, left by a manager that was killed during a change, is terminated. What is left of that change
+is a difference to the specification, which the manager removes by an ordinary plan (docs/semantics.md section 7).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 from midstride.errors import MidstrideError, ProtocolError, Unreachable
 from midstride.model.component import FunctionalityRef, PortRef
@@ -20,8 +22,8 @@ from midstride.runtime.events import EventLog
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import reported_modes
 from midstride.runtime.state_store import SavedInstance
-from midstride.wire.commands import GateCommand, RecordCommand
-from midstride.wire.state import ComponentState
+from midstride.wire.commands import FenceCommand, GateCommand, RecordCommand
+from midstride.wire.state import NOT_WELCOMED, ComponentState
 
 
 async def recover(
@@ -30,10 +32,12 @@ async def recover(
     launcher: Launcher,
     client: ComponentClient,
     events: EventLog,
+    targets: Sequence[Specification] = (),
 ) -> Configuration:
     """The configuration of the components that still run, after terminating those that were only partly started.
 
-    A component started by hand that does not answer is left out. Raises Unreachable for those that a manager started.
+    ``targets``: where interrupted changes led; components may be attached to the topics of these already. A component
+    started by hand that does not answer is left out. Raises Unreachable for those that a manager started.
     """
     found: dict[str, tuple[Instance, ComponentState]] = {}
     hanging: list[str] = []
@@ -54,6 +58,11 @@ async def recover(
             events.add("gone", f"{instance.name} is no longer running")
             await launcher.abandon(instance.name)
             continue
+        if state.waiting == NOT_WELCOMED and handle is not None:  # what it is has not been checked
+            events.add("ended", f"stopped {instance.name}, which an earlier manager had just started")
+            with suppress(MidstrideError):
+                await launcher.end(instance.name)
+            continue
         found[instance.name] = (instance, state)
         events.add("adopted", f"{instance.name} was reattached unchanged")
     if hanging:
@@ -72,32 +81,53 @@ async def recover(
             await launcher.end(name)
     for name in found:
         await have_answer(client, name)
-    for name, (instance, _) in found.items():
+    for name, (instance, observed) in found.items():
+        if fenced := _fenced(observed):  # the manager, and then its successor, exited before that took over
+            await client.read(name, FenceCommand(attachments=fenced, lift=True))
         # A cut that was in progress may have changed its gates and modes since it was adopted.
         found[name] = (instance, await client.observe(name))
         # This manager does not need the recordings of the earlier one.
         if inputs := list(instance.component.input_order):
             await client.undo(name, RecordCommand(inputs=inputs, on=False))
-    return await _configuration(specification, found, client)
+    return await _configuration(specification, targets, found, client)
 
 
 def _redundant(found: dict[str, tuple[Instance, ComponentState]]) -> list[str]:
-    """All instances of each role but the one with the most open gates, which publishes; else the one that answers."""
+    """All instances of each role but the one with the most open gates, which publishes; else the one that answers.
+
+    One that was fenced hangs, so its successor stays.
+    """
     by_role: dict[str, list[str]] = {}
     for name, (instance, _) in found.items():
         by_role.setdefault(instance.role, []).append(name)
 
-    def rank(name: str) -> tuple[int, bool, int, str]:
+    def rank(name: str) -> tuple[bool, int, bool, int, str]:
         links = [link for topics in found[name][1].ports.values() for link in topics.values()]
-        return -sum(link.gate == "open" for link in links), not found[name][1].answers, len(name), name
+        fenced = bool(_fenced(found[name][1]))
+        return fenced, -sum(link.gate == "open" for link in links), not found[name][1].answers, len(name), name
 
     return [name for names in by_role.values() for name in sorted(names, key=rank)[1:]]
 
 
+def _fenced(observed: ComponentState) -> list[tuple[str, str]]:
+    """The fenced attachments: port and topic."""
+    return [(port, topic) for port, topics in observed.ports.items() for topic, link in topics.items() if link.fenced]
+
+
 async def _configuration(
-    specification: Specification, found: dict[str, tuple[Instance, ComponentState]], client: ComponentClient
+    specification: Specification,
+    targets: Sequence[Specification],
+    found: dict[str, tuple[Instance, ComponentState]],
+    client: ComponentClient,
 ) -> Configuration:
-    by_topic = {connector.topic: connector.name for connector in specification.connectors.values()}
+    connectors = specification.connectors
+    by_topic = {connector.topic: connector.name for connector in connectors.values()}
+    for target in targets:
+        for name, connector in target.connectors.items():
+            if name not in connectors and connector.topic not in by_topic:
+                connectors = connectors.set(name, connector)
+                by_topic[connector.topic] = name
+    context = replace(specification.context, connectors=connectors)
     attachments: list[tuple[PortRef, str]] = []
     modes: dict[FunctionalityRef, int] = {}
     for name, (instance, observed) in sorted(found.items()):
@@ -109,4 +139,4 @@ async def _configuration(
                     await client.change(name, GateCommand(port=port, topic=topic, gate="open"))
                 attachments.append((PortRef(name, port), by_topic[topic]))
         modes |= reported_modes(instance.component, observed)
-    return configure(specification.context, [instance for instance, _ in found.values()], attachments, modes)
+    return configure(context, [instance for instance, _ in found.values()], attachments, modes)

@@ -54,17 +54,27 @@ class LoweredFunctionality(Report, frozen=True, kw_only=True):
 
 
 class UpReport(Report, frozen=True):
-    """The system is up, with these instances."""
+    """The system is up, with these instances. `incomplete`: it ran before, and what is `missing` is not restored."""
 
-    outcome: Literal["done"]
+    outcome: Literal["done", "incomplete"]
     components: list[str]
     lowered: Annotated[list[LoweredFunctionality], Meta(description="what is not in its normal mode")] = []
+    missing: Annotated[dict[str, str], Meta(description="why nodes could not be restored")] = {}
 
 
 class DownReport(Report, frozen=True):
     """The system is down."""
 
     outcome: Literal["done"] = "done"
+
+
+class FencedInstance(Report, frozen=True, kw_only=True):
+    """An instance that hung, was stopped or too slow, and was replaced inside a call of its user code."""
+
+    instance: str
+    how: Annotated[Literal["gate", "killed"], Meta(description="its outputs were closed, or its process was killed")]
+    because: str
+    words: str
 
 
 class Outcome(Report, frozen=True, kw_only=True):
@@ -83,6 +93,7 @@ class Outcome(Report, frozen=True, kw_only=True):
     parameters: Annotated[list[RuntimeValue], Meta(description="what became of values that were set at run time")] = []
     ended: Annotated[list[str], Meta(description="instances that exited unexpectedly meanwhile")] = []
     degraded: Annotated[list[str], Meta(description="functionalities that degraded unexpectedly meanwhile")] = []
+    fenced: Annotated[list[FencedInstance], Meta(description="replaced although they hung")] = []
     silences: Annotated[list[SilenceFault], Meta(description="faults that began meanwhile, and last")] = []
     lowered: Annotated[list[LoweredFunctionality], Meta(description="what is lower afterwards")] = []
     verdict: Annotated[Verdict | UnsetType, Meta(description="what Alloy found, where requested")] = UNSET
@@ -226,6 +237,7 @@ class CrashedInstance(Report, frozen=True):
     log: str
     remedy: Annotated[str | None, Meta(description="what to do, in words")] = None
     respawn: Annotated[RespawnStatus | None, Meta(description="null: the node has no restart policy")] = None
+    role: Annotated[str | None, Meta(description="null: the specification does not have it any more")] = None
 
 
 class TopicStatus(Report, frozen=True):
@@ -244,6 +256,14 @@ class RunningCommand(Report, frozen=True):
     since: float
 
 
+class Spares(Report, frozen=True, kw_only=True):
+    """The processes that are kept ready for the next components."""
+
+    kept: int
+    ready: int
+    unused_by: Annotated[list[str], Meta(description="instances whose command no spare can run")]
+
+
 class Status(Report, frozen=True, kw_only=True):
     """The running system."""
 
@@ -257,9 +277,11 @@ class Status(Report, frozen=True, kw_only=True):
     backend: str
     revision: int
     running: RunningCommand | None
-    unwritten: Annotated[str | None, Meta(description="why the state could not be written to disk")]
+    unwritten: Annotated[str | None, Meta(description="why the state or the journal could not be written to disk")]
+    damaged: Annotated[str | None, Meta(description="where a damaged journal is kept, and what was wrong with it")]
     middleware: Middleware
-    file: Annotated[str | None, Meta(description="the file that the system was brought up from")] = None
+    spares: Spares
+    file: Annotated[str | None, Meta(description="the file that was brought up, or applied last")] = None
 
 
 class LiveConfiguration(Report, frozen=True):
@@ -271,9 +293,10 @@ class LiveConfiguration(Report, frozen=True):
 
 
 class Why(Report, frozen=True, kw_only=True):
-    """Why a functionality is in its mode: its own reason, and what each better mode lacks."""
+    """Why a functionality of a node is in its mode: its own reason, and what each better mode lacks."""
 
     functionality: str
+    instance: Annotated[str, Meta(description="of the node: the one that was looked at")]
     mode: str
     normal: bool
     because: str | None

@@ -55,7 +55,7 @@ class SavedInstance:
 
 @dataclass(frozen=True, slots=True)
 class SavedState:
-    """The state that an earlier manager saved. ``file`` is the one that the system was brought up from, if any.
+    """The state that an earlier manager saved. ``file`` is the one that the specification was read from, if any.
 
     ``values``: by role, the parameter values that were set at run time.
     """
@@ -169,6 +169,10 @@ class StateStore:
                     delete = "DELETE FROM specification WHERE section = ? AND name = ?"
                     statements[f"{section} {name}"] = (delete, (section, name))
         return statements
+
+    def write_file(self, file: str | None) -> None:
+        """The file that the specification was read from."""
+        self._put("file", file or "")
 
     def write_instance(self, instance: Instance, handle: Handle | None) -> None:
         """An instance has been started, or its parameters have changed."""

@@ -27,7 +27,9 @@ def status(
     programs: Iterable[reports.ProgramStatus],
     running: reports.RunningCommand | None,
     unwritten: str | None,
+    damaged: str | None,
     file: str | None,
+    spares: int,
     respawner: Respawner,
 ) -> reports.Status:
     """The answer to ``midstride status``."""
@@ -50,6 +52,7 @@ def status(
                 exited.log_tail,
                 _remedy(system, name),
                 respawner.status(system.role_of_missing(name)),
+                system.role_of_missing(name),
             )
             for name, exited in sorted({**system.missing, **system.crashed}.items())
             if name not in configuration.instances
@@ -69,8 +72,16 @@ def status(
         revision=system.revision,
         running=running,
         unwritten=unwritten,
+        damaged=damaged,
         middleware=backend.middleware(),
         file=file,
+        spares=reports.Spares(
+            kept=spares,
+            ready=backend.spares(),
+            unused_by=[name for name, each in sorted(configuration.instances.items()) if not launcher.takes_spare(each)]
+            if spares
+            else [],
+        ),
     )
 
 
@@ -200,7 +211,8 @@ def why(configuration: Configuration, client: ComponentClient, functionality: st
     evaluator = Evaluator(configuration)
     inputs = [PortRef(ref.instance, name) for name in configuration.functionality(ref).inputs]
     return reports.Why(
-        functionality=str(ref),
+        functionality=str(FunctionalityRef(configuration.instances[ref.instance].role, ref.functionality)),
+        instance=ref.instance,
         mode=reported.mode,
         normal=reported.normal,
         because=reported.because,

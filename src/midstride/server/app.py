@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from typing import Annotated
+from typing import Annotated, Final
 
 from fastapi import APIRouter, FastAPI, Header, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
@@ -20,6 +20,7 @@ from midstride import __version__
 from midstride.codec.specification import SpecificationForm
 from midstride.errors import MidstrideError, SpecificationError
 from midstride.plan.request_form import ChangeRequest
+from midstride.runtime.history import History, SpecificationVersion
 from midstride.runtime.reports import (
     DownReport,
     Event,
@@ -38,6 +39,9 @@ from midstride.server.errors import Failure, answer, in_one_line, status_of
 from midstride.server.lifecycle import Lifecycle
 from midstride.server.openapi import answers, document_forms, failures, request_body
 from midstride.server.requests import ParameterSetting, SubmittedChange, read_change, read_request, read_setting
+
+# No table of the journal has more rows.
+_LARGEST: Final = 2**31 - 1
 
 
 def create_app(lifecycle: Lifecycle, *, backend: str) -> FastAPI:
@@ -126,6 +130,20 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
         """The specification that the system runs, in its JSON form."""
         return answer(SpecificationForm.of(manager.specification))
 
+    @router.get("/specification/earlier", responses=answers(SpecificationVersion))
+    async def earlier_specification(
+        version: Annotated[int | None, Query(ge=1, le=_LARGEST, description="as in /history")] = None,
+    ) -> Response:
+        """A version of the specification; by default the one before the latest change of it."""
+        return answer(await manager.earlier_specification(version))
+
+    @router.get("/history", responses=answers(History))
+    async def history(
+        latest: Annotated[int, Query(ge=1, le=_LARGEST, description="how many changes, and incidents")] = 20,
+    ) -> Response:
+        """The latest changes with their figures, also those of earlier managers, and incidents such as crashes."""
+        return answer(await manager.history(latest))
+
     @router.get("/why", responses=answers(Why))
     async def why(functionality: Annotated[str, Query(description="as `listener.listen`")]) -> Response:
         """Why a functionality is in the mode it is in."""
@@ -175,7 +193,16 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
         """Carry out a change, once the commands before it are done; responds when it has been measured."""
         change, request = await read_change(http)
         lifecycle.require_up()
-        work = manager.change(request, expected=change.expected, verify=change.verify, brief=change.brief, id=change.id)
+        work = manager.change(
+            request,
+            expected=change.expected,
+            verify=change.verify,
+            brief=change.brief,
+            wait=change.wait,
+            id=change.id,
+            by=change.by,
+            file=change.file,
+        )
         return answer(await lifecycle.carry_out(work))
 
     @router.post(

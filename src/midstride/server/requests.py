@@ -10,7 +10,7 @@ import msgspec
 from fastapi import HTTPException
 from fastapi import Request as HttpRequest
 
-from midstride.codec.form import Form, Name, field
+from midstride.codec.form import Form, Name, SecondsOrZero, field
 from midstride.codec.parameter import Value, values_of
 from midstride.codec.reading import decode, parse_json, under
 from midstride.errors import SpecificationError
@@ -18,6 +18,7 @@ from midstride.model.component import ParameterValue
 from midstride.model.diagnostics import Problem
 from midstride.plan.request import PlanRequest
 from midstride.plan.request_form import ChangeRequest, request_names
+from midstride.runtime.fencing import DEFAULT_WAIT
 
 F = TypeVar("F", bound=msgspec.Struct)
 T = TypeVar("T")
@@ -31,8 +32,10 @@ class SubmittedChange(Form, frozen=True):
 
     `expected`: refuse it unless the configuration still has that revision. `verify`: refuse it unless Alloy finds every
     step of the plan safe, and verify the live configuration after each of them. `brief`: the next command does not wait
-    until this change has been measured over 20 periods. `id`: any text; the events `waiting`
-    and `command` of this change contain it, and those that follow until the next `command` belong to it.
+    until this change has been measured over 20 periods. `wait`: after how many seconds a component that hangs, and is
+    to go, is fenced: replaced although its code does not return. `file`: the one that `to` was read from. `id`: any
+    text; the events `waiting` and `command` of this change contain it, and those that follow until the next `command`
+    belong to it. `by`: who asks, and for what, for the history.
     """
 
     what: ClassVar[str] = "a change"
@@ -41,7 +44,10 @@ class SubmittedChange(Form, frozen=True):
     expected: int | None = None
     verify: bool = False
     brief: bool = False
+    wait: SecondsOrZero = DEFAULT_WAIT
+    file: str | None = None
     id: Annotated[str, field("an id", max_length=100)] | None = None
+    by: Annotated[str, field("who asks", max_length=200)] | None = None
 
 
 class ParameterSetting(Form, frozen=True):

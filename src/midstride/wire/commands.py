@@ -5,7 +5,7 @@ has a *gate*: while it is closed, what the component writes is counted and type-
 
 A *reading* command changes nothing and needs no revision. A *changing* one names the revision that its sender expects
 the component to be at; the component refuses it at any other. A command between the two components of a hand-over is
-neither: the manager may be gone by then.
+neither: the manager may be gone by then; nor is the one that fences a component whose user code does not return.
 """
 
 from __future__ import annotations
@@ -171,6 +171,18 @@ class Yielded(WireValue, frozen=True, kw_only=True):
     handled: list[str]
 
 
+class Idle(WireValue, frozen=True, kw_only=True):
+    """``busy``: why user code had not returned in time, in words; None where the data thread is free."""
+
+    busy: str | None
+
+
+class FencedOutputs(WireValue, frozen=True, kw_only=True):
+    """The number of the last message of each of these outputs, by ``"port topic"``."""
+
+    last: dict[str, int]
+
+
 class Relieved(WireValue, frozen=True, kw_only=True):
     """``resumed``: it is too late, and the old side writes again."""
 
@@ -257,6 +269,12 @@ class AwaitMatchCommand(Command[Attached], frozen=True, kw_only=True, tag="await
     topic: str
     peers: int
     timeout: Seconds = 5.0
+
+
+class AwaitIdleCommand(Command[Idle], frozen=True, kw_only=True, tag="await_idle"):
+    """Wait until user code has returned, so that the data thread is free."""
+
+    kind = "reading"
 
 
 class AwaitCutCommand(Command[CutResult], frozen=True, kw_only=True, tag="await_cut"):
@@ -411,6 +429,19 @@ class GateCommand(Command[Done], frozen=True, kw_only=True, tag="gate"):
     topic: str
     gate: GateState
     latch: bool = False
+
+
+class FenceCommand(Command[FencedOutputs], frozen=True, kw_only=True, tag="fence"):
+    """Let nothing more pass on these attachments (port, topic), whatever user code is doing; or ``lift`` that.
+
+    It is carried out at once, on the control thread, at any revision: other commands may be waiting for the data
+    thread. Refused where a message is just being published, and that does not end in time.
+    """
+
+    kind = "between"
+    attachments: list[tuple[str, str]]
+    lift: bool = False
+    timeout: Seconds = 0.3
 
 
 class AnswerCommand(Command[Done], frozen=True, kw_only=True, tag="answer"):

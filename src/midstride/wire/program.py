@@ -13,6 +13,8 @@ import time
 from collections.abc import Iterable, Iterator
 from typing import Final
 
+from msgspec.structs import replace
+
 from midstride.wire.state import WireValue
 
 # Larger files are compared by size and time of modification alone (bytes).
@@ -45,17 +47,22 @@ class FileFingerprint(WireValue, frozen=True, kw_only=True):
             return None
         return cls(path=path, size=found.st_size, modified=found.st_mtime_ns, digest=digest)
 
-    def has_changed(self) -> bool:
-        """Whether the file has another content now, or does not exist any more."""
+    def unchanged(self) -> FileFingerprint | None:
+        """The same file as it is now; None if it has another content, or does not exist any more.
+
+        Only its time of modification may differ. Ask the result the next time: it does not read the file again.
+        """
         try:
             found = os.stat(self.path)
             if self.digest == UNKNOWN:
-                return True
+                return None
             if (found.st_size, found.st_mtime_ns) == (self.size, self.modified):
-                return False
-            return self.digest is None or found.st_size != self.size or _digest(self.path, self.size) != self.digest
+                return self
+            if self.digest is None or found.st_size != self.size or _digest(self.path, self.size) != self.digest:
+                return None
+            return replace(self, modified=found.st_mtime_ns)
         except OSError:
-            return True
+            return None
 
 
 class Program(WireValue, frozen=True, kw_only=True):

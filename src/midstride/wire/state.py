@@ -68,10 +68,15 @@ class FieldSamples(WireValue, frozen=True, kw_only=True):
     last: bool | int | float | str | None = None
 
 
+# What a component waits for that has been started, and is not yet part of its system.
+NOT_WELCOMED: Final = "no manager has welcomed it yet"
+
+
 class LinkState(WireValue, frozen=True, kw_only=True):
     """One attachment. ``count`` messages have passed, ``gated`` have not; an input has no gate.
 
     ``fields``: samples of the fields that the contract in force constrains.
+    ``fenced``: its gate was closed although user code did not return, and nothing but lifting that opens it.
     """
 
     gate: GateState | None
@@ -79,6 +84,7 @@ class LinkState(WireValue, frozen=True, kw_only=True):
     gated: int = 0
     measured: Measured | None = None
     fields: dict[str, FieldSamples] = msgspec.field(default_factory=dict)
+    fenced: bool = False
 
 
 class ComponentState(WireValue, frozen=True, kw_only=True):

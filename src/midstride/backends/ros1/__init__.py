@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from midstride.backends.ros1.host import Ros1Host
     from midstride.runtime.reaper import Reaper
 
-__all__ = ["available", "create_backend", "create_host"]
+__all__ = ["available", "create_backend", "create_host", "prepare"]
 
 
 def available() -> bool:
@@ -24,6 +24,11 @@ def available() -> bool:
     from midstride.backends.ros1.launching import interpreter
 
     return interpreter() is not None
+
+
+def prepare() -> None:
+    """Import what a component needs; it joins later, since a process has one node on ROS 1."""
+    from midstride.backends.ros1 import host  # noqa: F401
 
 
 def create_host(name: str, namespace: str) -> Ros1Host:

@@ -54,7 +54,7 @@ class Ros1Backend(processes.ProcessBackend):
     async def close(self) -> None:
         """Leave; the components go on, and the master with them. Without components, a master started here ends."""
         any_left = bool(self._processes)
-        self._stop_watching()
+        await self._stop_watching()
         if self._mark is None:
             return
         await asyncio.gather(*self._tidying, return_exceptions=True)
@@ -67,20 +67,29 @@ class Ros1Backend(processes.ProcessBackend):
     async def start(self, launch: Launch) -> Handle:
         master = self._opened()
         node = names.full(launch.instance, launch.namespace)
-        command = processes.command(launch.arguments, launch.directory, os.environ, launching.require_interpreter)
+        command = processes.command(launch.arguments, launch.directory, os.environ, self._python)
         if await master.is_running(node):
             raise StartFailed(
                 f"{launch.instance}: a node {node} is running already, and a second one of its name would end it; "
                 "end it yourself, or use another name"
             )
-        environment = {
-            **launching.environment(os.environ, master.uri),
-            **processes.identity(launch, self.name, self._control),
-            launching.NAMESPACE: names.split(launch.instance, launch.namespace)[1],
-        }
+        environment = self._environment(launch)
         handle = self._spawn(launch, node, command, environment)
         self._dead.discard(node)
         return handle
+
+    def _environment(self, launch: Launch) -> dict[str, str]:
+        return {
+            **launching.environment(os.environ, self._opened().uri),
+            **processes.identity(launch, self.name, self._control),
+            launching.NAMESPACE: names.split(launch.instance, launch.namespace)[1],
+        }
+
+    def _python(self) -> str:
+        return launching.require_interpreter()
+
+    def _environment_of_spares(self, token: str) -> dict[str, str]:
+        return self._environment(Launch("spare", "", (), token, Path("/")))
 
     async def adopt(self, handle: Handle) -> bool:
         """Raises Unreachable for a component that runs on another master."""

@@ -13,7 +13,7 @@ from midstride.node.host import Host
 from midstride.runtime.backend import Backend
 from midstride.runtime.reaper import Reaper
 
-__all__ = ["create_backend", "create_host"]
+__all__ = ["create_backend", "create_host", "prepare"]
 
 
 def _require_rclpy() -> None:
@@ -32,6 +32,14 @@ def create_host(name: str, namespace: str) -> Host:
     from midstride.backends.ros2.host import Ros2Host
 
     return Ros2Host(name, namespace)
+
+
+def prepare() -> None:
+    """Import what a component needs, and join ROS 2, before the component is known. Raises BackendError."""
+    _require_rclpy()
+    from midstride.backends.ros2 import early_join, host  # noqa: F401
+
+    early_join.join()
 
 
 def create_backend(

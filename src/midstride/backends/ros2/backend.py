@@ -17,14 +17,13 @@ from typing import Any, Final
 
 import rclpy
 from rclpy.context import Context
-from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from midstride.backends import processes
 from midstride.backends.common import on_new_thread
 from midstride.backends.processes import ProcessBackend
 from midstride.backends.ros2 import dds_profiles, launching, names
+from midstride.backends.ros2.early_join import hidden_node
 from midstride.backends.ros2.graph import Graph
 from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middleware
@@ -65,14 +64,7 @@ class Ros2Backend(ProcessBackend):
             self.settings = dds_profiles.of_this_process(enabled=self._set_middleware)
             with dds_profiles.applied_profile(self.settings) as self.warnings:
                 rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
-                self._node = Node(
-                    f"_midstride_manager_{os.getpid()}",
-                    context=context,
-                    use_global_arguments=False,
-                    enable_rosout=False,
-                    start_parameter_services=False,
-                    parameter_overrides=[Parameter("start_type_description_service", value=False)],
-                )
+                self._node = hidden_node(f"_midstride_manager_{os.getpid()}", context)
         except Exception as error:  # rclpy's own kinds are not public
             context.try_shutdown()
             raise BackendError(f"ROS 2 cannot be joined: {error}") from error
@@ -83,7 +75,7 @@ class Ros2Backend(ProcessBackend):
             self._node.get_logger().warning(words)
 
     async def close(self) -> None:
-        self._stop_watching()
+        await self._stop_watching()
         if self._context is not None:
             context, self._context = self._context, None
             await self._leave(context)
@@ -104,7 +96,7 @@ class Ros2Backend(ProcessBackend):
     async def start(self, launch: Launch) -> Handle:
         full_name = names.full(launch.instance, launch.namespace)
         node = names.full(launch.node or launch.instance, launch.namespace)
-        command = processes.command(launch.arguments, launch.directory, os.environ, lambda: sys.executable)
+        command = processes.command(launch.arguments, launch.directory, os.environ, self._python)
         graph = self._joined()
         await asyncio.sleep(max(0.0, self._opened + _LISTEN - time.monotonic()))
         if (
@@ -117,6 +109,13 @@ class Ros2Backend(ProcessBackend):
         graph.starts(full_name)
         environment = launching.environment(launch, self._control, command[0], self.settings, os.environ)
         return self._spawn(launch, full_name, command, environment)
+
+    def _python(self) -> str:
+        return sys.executable
+
+    def _environment_of_spares(self, token: str) -> dict[str, str]:
+        launch = Launch("", "", (), token, Path("/"))
+        return launching.environment(launch, self._control, sys.executable, self.settings, os.environ)
 
     async def _foreign(self, node: str, system: str) -> bool:
         """Whether a node of that name is in the graph that is no instance of the system."""

@@ -54,8 +54,7 @@ class Ros2Host:
         transport, self.reachable = control_transport(os.environ, sys.argv[1:])
         self.transport: Transport | None = transport
         self.logger: Any = get_logger(self.node_name.strip("/").replace("/", "."))
-        # The node gets all that the manager gave, for ROS itself has parameters (``use_sim_time``).
-        self._given = {**context.parameters, **context.set_parameters}
+        self._context = context
         self._nodes: ComponentNodes | None = None
         self._ports: set[int] = set()
         self.simulated_time = False
@@ -199,7 +198,9 @@ class Ros2Host:
             self._namespace,
             gate=self.gate,
             system=names.system_tag(os.environ.get(ENV_TOKEN, "")),
-            parameters=self._given,
+            # The node gets all that the manager gave, for ROS itself has parameters (``use_sim_time``).
+            parameters=self._context.parameters,
+            set_parameters=self._context.set_parameters,
             failed=lambda raised: self.logger.error(
                 f"a callback raised, and the component goes on without it:\n{raised}"
             ),
@@ -208,7 +209,9 @@ class Ros2Host:
         self._name, self._namespace = nodes.data.get_name(), nodes.data.get_namespace()
         self._executor = nodes.data_executor
         self._group = ReentrantCallbackGroup()
-        self.parameters: NodeParameters = node_parameters.Ros2NodeParameters(self.ros_node, self._given)
+        self.parameters: NodeParameters = node_parameters.Ros2NodeParameters(
+            self.ros_node, {**self._context.parameters, **self._context.set_parameters}
+        )
         self._clock = self.ros_node.get_clock()
         self.simulated_time = bool(self._clock.ros_time_is_active)
         any_move = JumpThreshold(

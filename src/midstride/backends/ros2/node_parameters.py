@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any, Final, Literal, TypeAlias
 
 from rcl_interfaces.msg import SetParametersResult
@@ -13,6 +13,7 @@ from rclpy.exceptions import (
 )
 from rclpy.parameter import Parameter
 
+from midstride.backends.ros2.data_node import NodeParameter
 from midstride.backends.ros2.names import PARAMETER_EVENTS, full, participant
 from midstride.errors import CommandRefused, NodeError
 from midstride.wire.state import Endpoint
@@ -54,6 +55,12 @@ class Ros2NodeParameters:
             self._on_change[name] = on_change
         return value
 
+    def held(self) -> Mapping[str, NodeParameter]:
+        return self._node.held()  # type: ignore[no-any-return]
+
+    def on_changed(self, changed: Callable[[], object]) -> None:
+        self._node.changed = changed
+
     def set(self, values: dict[str, Any]) -> None:
         """All of them or none. Raises CommandRefused."""
         missing = [name for name in values if not self._node.has_parameter(name)]
@@ -63,7 +70,7 @@ class Ros2NodeParameters:
             parameters = [self._parameter(name, value) for name, value in values.items()]
         except (TypeError, ValueError) as error:
             raise CommandRefused(f"not a value of a parameter: {error}") from None
-        result = self._node.set_parameters_atomically(parameters)
+        result = self._node.set_from_outside(parameters)
         if not result.successful:
             raise CommandRefused(result.reason or "the node refuses it without a reason")
 
@@ -74,7 +81,7 @@ class Ros2NodeParameters:
             value = float(value)
         elif kind == Parameter.Type.DOUBLE_ARRAY and isinstance(value, list):
             value = [float(member) for member in value]
-        return Parameter(name, value=value)
+        return Parameter(name, kind if value == [] else None, value)
 
     def _changing(self, parameters: list[Any]) -> Any:
         """What an author's function raises refuses the whole set; those called before get the old values again."""

@@ -18,7 +18,8 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
-from midstride.backends.ros2 import names
+from midstride.backends.ros2 import early_join, names
+from midstride.backends.ros2.data_node import DataNode
 from midstride.backends.ros2.diagnostics import DiagnosticsPublisher
 from midstride.backends.ros2.gated_node import GatedNode
 from midstride.backends.ros2.parameter_services import ParameterServices
@@ -88,10 +89,11 @@ class ComponentNodes:
         gate: ServiceGate,
         system: str,
         parameters: Mapping[str, Any],
+        set_parameters: Mapping[str, Any],
         failed: Callable[[str], None],
     ) -> None:
         self._own_context = not rclpy.ok()
-        if self._own_context:
+        if self._own_context and not early_join.become_default():
             rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         self._context = rclpy.utilities.get_default_context()
         self._control = GatedNode(
@@ -103,6 +105,7 @@ class ComponentNodes:
             start_parameter_services=False,
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
+        early_join.leave()
         self._full_name = names.full(name, namespace)
         self._system = system
         try:
@@ -112,13 +115,14 @@ class ComponentNodes:
             self._leave_ros()
             raise
         pinned = ["--ros-args", "-r", f"__node:={name}", "-r", f"__ns:={namespace}"] if system else None
-        self.data: Any = GatedNode(
+        self.data: Any = DataNode(
             name,
             gate,
             namespace=namespace,
             cli_args=pinned,
             start_parameter_services=False,
-            parameter_overrides=[Parameter(name, value=value) for name, value in parameters.items()],
+            parameters=parameters,
+            set_parameters=set_parameters,
         )
         self._full_name = self.data.get_fully_qualified_name()
         self.control_name = self._control.get_fully_qualified_name()

@@ -139,7 +139,7 @@ class ParameterServices:
 
         def work() -> None:
             try:
-                result = self._node.set_parameters_atomically(parameters)
+                result = self._node.set_from_outside(parameters)
             except ParameterNotDeclaredException as error:
                 result = _refused(str(error))
             except Exception as error:

@@ -131,6 +131,15 @@ class Simulator:
             await self.time.sleep(min(0.01, grace))
         process.kill()
 
+    def keep_spares(self, number: int, token: str) -> None:
+        pass
+
+    def spares(self) -> int:
+        return 0
+
+    def takes_spare(self, arguments: Sequence[str], directory: Path) -> bool:
+        return False
+
     async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
         started = {name for name, process in self.processes.items() if process.token == token}
         orphans = sorted(name for name in started if name not in known)

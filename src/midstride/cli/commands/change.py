@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import getpass
+import os
 import uuid
 from collections.abc import Callable
 from pathlib import Path
@@ -15,11 +17,12 @@ from midstride.cli.output import console, is_interactive, json_option, print_jso
 from midstride.cli.systems import find, system_option
 
 
-def _change_options(function: Any) -> Any:
+def request_options(function: Any) -> Any:
     yes = click.option("--yes", "-y", is_flag=True, help="Do not ask for confirmation.")
     summary = "Verify the plan with Alloy before it starts, and the running system after each step."
     verify = click.option("--verify", is_flag=True, help=summary)
-    return json_option(system_option(change_options.strategy_option(verify(yes(function)))))
+    options = change_options.strategy_option(change_options.wait_option(verify(yes(function))))
+    return json_option(system_option(options))
 
 
 def _components_option(function: Any) -> Any:
@@ -37,7 +40,7 @@ def _components_option(function: Any) -> Any:
 @click.argument("component", shell_complete=completion.components)
 @_components_option
 @change_options.declared_parameters_option
-@_change_options
+@request_options
 def replace_command(
     node: str,
     component: str,
@@ -45,25 +48,32 @@ def replace_command(
     declared_parameters: bool,
     system: str | None,
     strategy: str,
+    wait: float,
     verify: bool,
     yes: bool,
 ) -> int:
     """Replace the component of NODE with COMPONENT, on the same topics."""
     request = {"replace": [[node, component]], "components": _components(file), "strategy": strategy}
     request["declared_parameters"] = declared_parameters
-    return change(system, request, f"replace {node} with {component}", yes, verify)
+    return change(system, request, f"replace {node} with {component}", yes, verify, wait)
 
 
 @click.command("restart")
 @click.argument("nodes", nargs=-1, required=True, metavar="NODE...", shell_complete=completion.nodes)
 @change_options.declared_parameters_option
-@_change_options
+@request_options
 def restart_command(
-    nodes: tuple[str, ...], declared_parameters: bool, system: str | None, strategy: str, verify: bool, yes: bool
+    nodes: tuple[str, ...],
+    declared_parameters: bool,
+    system: str | None,
+    strategy: str,
+    wait: float,
+    verify: bool,
+    yes: bool,
 ) -> int:
     """Start nodes again, with what their programs are now: each is handed over to a new instance, without a gap."""
     request = {"restart": list(nodes), "strategy": strategy, "declared_parameters": declared_parameters}
-    return change(system, request, f"restart {', '.join(nodes)}", yes, verify)
+    return change(system, request, f"restart {', '.join(nodes)}", yes, verify, wait)
 
 
 @click.command("add")
@@ -72,7 +82,7 @@ def restart_command(
 @click.argument("attachments", nargs=-1, metavar="[PORT=TOPIC]...", shell_complete=completion.attachments)
 @click.option("--param", "parameters", multiple=True, metavar="NAME=VALUE", help="Set a parameter of the node.")
 @_components_option
-@_change_options
+@request_options
 def add_command(
     node: str,
     component: str,
@@ -81,35 +91,39 @@ def add_command(
     file: Path | None,
     system: str | None,
     strategy: str,
+    wait: float,
     verify: bool,
     yes: bool,
 ) -> int:
     """Add NODE, with COMPONENT, and attach its ports to topics."""
     new = change_options.new_node(node, component, attachments, parameters)
     request = {"add": [new], "components": _components(file), "strategy": strategy}
-    return change(system, request, f"add {node} ({component})", yes, verify)
+    return change(system, request, f"add {node} ({component})", yes, verify, wait)
 
 
 @click.command("remove")
 @click.argument("nodes", nargs=-1, required=True, metavar="NODE...", shell_complete=completion.nodes)
-@_change_options
-def remove_command(nodes: tuple[str, ...], system: str | None, strategy: str, verify: bool, yes: bool) -> int:
+@request_options
+def remove_command(
+    nodes: tuple[str, ...], system: str | None, strategy: str, wait: float, verify: bool, yes: bool
+) -> int:
     """Remove nodes. The functionalities that rely on them degrade only as far as they must."""
     request = {"remove": list(nodes), "strategy": strategy}
-    return change(system, request, f"remove {', '.join(nodes)}", yes, verify)
+    return change(system, request, f"remove {', '.join(nodes)}", yes, verify, wait)
 
 
 @click.command("apply")
 @click.argument("new", type=click.Path(path_type=Path))
 @click.option("--keep-code", is_flag=True, help="Do not replace nodes only because their code has changed on disk.")
 @change_options.declared_parameters_option
-@_change_options
+@request_options
 def apply_command(
     new: Path,
     keep_code: bool,
     declared_parameters: bool,
     system: str | None,
     strategy: str,
+    wait: float,
     verify: bool,
     yes: bool,
 ) -> int:
@@ -136,7 +150,7 @@ def apply_command(
             "declared_parameters": declared_parameters,
         }
 
-    return change(system, request, f"apply {new.name}", yes, verify)
+    return change(system, request, f"apply {new.name}", yes, verify, wait, file=str(new.resolve()))
 
 
 def _components(file: Path | None) -> list[Document]:
@@ -150,32 +164,55 @@ def _components(file: Path | None) -> list[Document]:
 
 
 def change(
-    system: str | None, asked: Document | Callable[[Client], Document], title: str, yes: bool, verify: bool
+    system: str | None,
+    asked: Document | Callable[[Client], Document],
+    title: str,
+    yes: bool,
+    verify: bool,
+    wait: float,
+    dry_run: bool = False,
+    file: str | None = None,
 ) -> int:
     """Show the plan, ask for confirmation, make the change and report it. The exit status.
 
-    ``asked``: the request, or what makes it with the help of the system's manager.
+    ``asked``: the request, or what makes it with the help of the system's manager. ``dry_run``: only show the plan.
+    ``file``: the one that is applied.
     """
-    if not yes and not is_interactive():
+    if not (yes or dry_run or is_interactive()):
         raise click.UsageError("not a terminal; pass --yes")
     client, _ = find(system)
     request = asked(client) if callable(asked) else asked
     expected = None
-    if not yes:
+    if dry_run or not yes:
         from midstride.cli import render
 
         preview = client.post("/plan", request)
+        if dry_run and wants_json():
+            print_json(preview)
+            return 0
         console(stderr=wants_json()).print(render.plan(preview, title))
+        if dry_run:
+            return 0
         if preview["steps"] and not click.confirm("Proceed?", err=True):
             click.echo("Nothing was changed.", err=True)
             return 1
         expected = preview["revision"]
-    document = {"request": request, "expected": expected, "verify": verify}
+    document = {"request": request, "expected": expected, "verify": verify, "wait": wait, "file": file}
+    document["by"] = asked_by(title)
     outcome = _carry_out(client, document, title, show_plan=yes)
     if wants_json():
         print_json(outcome)
     unexpected = outcome["silences"] or any(not each["planned"] for each in outcome["lowered"])
     return 0 if outcome["outcome"] == "done" and not unexpected else 1
+
+
+def asked_by(title: str) -> str:
+    """The user, and what was asked for, for the history."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a user without a name
+        user = f"user {os.getuid()}"
+    return f"{user}: {title}"[:200]
 
 
 def _carry_out(client: Client, change: Document, title: str, *, show_plan: bool) -> Document:

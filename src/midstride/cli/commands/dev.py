@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from midstride.cli.client import Client, Document
-from midstride.cli.commands.up import backend_option, bring_up
+from midstride.cli.commands.up import backend_option, bring_up, manager_arguments, missing_lines, platform_options
 from midstride.cli.dev.changes import Changes, worst
 from midstride.cli.dev.contents import saves
 from midstride.cli.dev.session import DevSession
@@ -26,8 +26,11 @@ from midstride.runtime.workspace import Workspace
 @click.command("dev")
 @click.argument("file", type=click.Path(path_type=Path))
 @backend_option("The platform, where the system is not running yet.")
+@platform_options(spares=1)
 @json_option
-def dev_command(file: Path, backend: str) -> int:
+def dev_command(
+    file: Path, backend: str, use_sim_time: bool, no_middleware_settings: bool, no_diagnostics: bool, spares: int
+) -> int:
     """Run the system of FILE, and on each save swap exactly the nodes that it changes, without losing a message.
 
     Watched are FILE, what it includes, its parameter files, and the programs with the modules that they import. Code
@@ -35,15 +38,19 @@ def dev_command(file: Path, backend: str) -> int:
 
     Ctrl-C ends a system that this command has started; one that was running already goes on.
     """
+    arguments = manager_arguments(file, backend, use_sim_time, no_middleware_settings, no_diagnostics, spares)
     specification = WatchedSpecification(file)
     workspace = Workspace.of(specification.wanted.name)
     client, screen = Client(workspace.socket), _Screen(console(stderr=wants_json()), wants_json())
     started = client.service() is None
     if started:
         workspace.require_room()
-        bring_up(client, workspace, [str(file.resolve()), "--backend", backend])
+        for line in missing_lines(bring_up(client, workspace, arguments)):
+            screen.say(line, "red")
+    elif use_sim_time or no_middleware_settings or no_diagnostics:
+        screen.say(f"{workspace.name} is running already: --use-sim-time and --no-… have no effect")
     try:
-        session = DevSession(specification, client, Changes(client).carry_out, screen)
+        session = DevSession(specification, client, Changes(client, str(file.resolve())).carry_out, screen)
         session.look()
         ends = "stops the system" if started else "leaves it running"
         screen.say(f"{workspace.name} is {'up' if started else 'attached'}. Swapping on save; Ctrl-C {ends}.", "green")

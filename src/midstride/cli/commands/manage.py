@@ -35,7 +35,9 @@ CHECK_LOG: Final = 1.0
 @click.option("--http-host")
 @click.option("--use-sim-time", is_flag=True)
 @click.option("--no-middleware-settings", is_flag=True)
+@click.option("--spares", type=int, default=0)
 @click.option("--no-diagnostics", is_flag=True)
+@click.option("--finish-interrupted", is_flag=True)
 def manager_command(
     file: Path,
     backend: str,
@@ -43,7 +45,9 @@ def manager_command(
     http_host: str | None,
     use_sim_time: bool,
     no_middleware_settings: bool,
+    spares: int,
     no_diagnostics: bool,
+    finish_interrupted: bool,
 ) -> int:
     """Manage the system of FILE until it is down or SIGTERM arrives."""
     requested = load(file)
@@ -54,7 +58,9 @@ def manager_command(
         shortening = asyncio.ensure_future(_shorten_log(workspace.manager_log))
         try:
             saved = await _still_running(workspace)
-            options = SystemOptions(use_sim_time, not no_middleware_settings, not no_diagnostics)
+            options = SystemOptions(
+                use_sim_time, not no_middleware_settings, spares, not no_diagnostics, finish_interrupted
+            )
             if saved is not None:
                 options = saved.options.with_(options)
             if not options.diagnostics:

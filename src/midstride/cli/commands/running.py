@@ -10,20 +10,28 @@ from typing import Any, Final
 import click
 
 from midstride.cli import completion
-from midstride.cli.client import Client, Event
+from midstride.cli.client import Client, Document, Event
 from midstride.cli.follow import last_event_number
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.systems import find, system_option
+from midstride.errors import PlanRefused
+from midstride.model.diagnostics import suggestion
 
 
 @click.command("status")
+@click.argument("nodes", nargs=-1, metavar="[NODE]...", shell_complete=completion.nodes)
 @click.option("--verbose", "-v", is_flag=True, help="Also what each port measures, and how each component runs.")
 @system_option
 @json_option
-def status_command(verbose: bool, system: str | None) -> int:
-    """Show nodes, modes and topics, as the components report them. Exit status 1 if the system is not valid."""
+def status_command(nodes: tuple[str, ...], verbose: bool, system: str | None) -> int:
+    """Show nodes, modes and topics, as the components report them. Exit status 1 if the system is not valid.
+
+    With names of nodes or instances, these and their topics, and the problems of the system.
+    """
     client, _ = find(system)
     document = client.get("/status")
+    if nodes:
+        document = _narrowed(document, nodes)
     if wants_json():
         print_json(document)
     else:
@@ -34,6 +42,20 @@ def status_command(verbose: bool, system: str | None) -> int:
             console().print(render.measured(document))
             console().print(render.platform(document))
     return 0 if document["valid"] else 1
+
+
+def _narrowed(document: Document, nodes: Sequence[str]) -> Document:
+    """The status with these nodes and their topics only. Raises PlanRefused for a node that does not run."""
+    crashed = [each for each in document["crashed"] if each["role"]]
+    known = {name for each in [*document["components"], *crashed] for name in (each["name"], each["role"])}
+    for node in nodes:
+        if node not in known:
+            hint = suggestion(node, known)
+            raise PlanRefused(f"no node {node} is running" + (f"; {hint}" if hint else ""))
+    components = [each for each in document["components"] if {each["name"], each["role"]} & {*nodes}]
+    attached = {attachment["connector"] for each in components for attachment in each["attachments"]}
+    topics = [topic for topic in document["topics"] if topic["name"] in attached]
+    return {**document, "components": components, "topics": topics}
 
 
 @click.command("why")
@@ -47,7 +69,9 @@ def why_command(functionality: str, system: str | None) -> int:
     if wants_json():
         print_json(document)
         return 0
-    click.echo(f"{document['functionality']} is in mode {document['mode']}")
+    role, _, _ = document["functionality"].rpartition(".")
+    instance = "" if document["instance"] == role else f" ({document['instance']})"
+    click.echo(f"{document['functionality']}{instance} is in mode {document['mode']}")
     if document.get("because"):
         click.echo(f"  because: {document['because']}")
     for reason in document["chain"]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -12,6 +13,7 @@ import click
 from midstride.cli.files import load
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.planned_change import planned_change, planned_change_options
+from midstride.plan.request_form import decode_request
 
 if TYPE_CHECKING:
     from midstride.simulation.campaign import Summary
@@ -62,7 +64,7 @@ def _scenario(file: Path | None, change: dict[str, Any]) -> Scenario | None:
         if any(change[name] for name in ("to", "replaced", "restarted", "added", "removed")):
             raise click.UsageError("pass the FILE of the system to change")
         return None
-    request = planned_change(**change)
+    request = replace(decode_request(planned_change(**change)), to=None if change["to"] is None else load(change["to"]))
     return rehearsed(load(file), request)
 
 

@@ -29,6 +29,7 @@ from midstride.runtime.workspace import Workspace
 # How long a manager may take to answer for the first time (s): a cold start on a busy machine.
 START_TIMEOUT = 30.0
 POLL = 0.02
+MOST_SPARES = 20
 
 
 def backend_option(help: str) -> Callable[[Callable[..., int]], Callable[..., int]]:
@@ -43,21 +44,60 @@ def backend_option(help: str) -> Callable[[Callable[..., int]], Callable[..., in
     )
 
 
+def platform_options(spares: int) -> Callable[[Callable[..., int]], Callable[..., int]]:
+    """What holds for every process of the system: the last arguments of :func:`manager_arguments`.
+
+    ``spares`` is how many spare processes there are by default.
+    """
+    sim_time = click.option(
+        "--use-sim-time",
+        is_flag=True,
+        help="Have /clock drive every node that does not set use_sim_time itself (ROS 2).",
+    )
+    no_settings = click.option(
+        "--no-middleware-settings",
+        is_flag=True,
+        help="Leave transports and discovery of the middleware as they are: see docs/how-to/middleware-settings.md.",
+    )
+    no_diagnostics = click.option(
+        "--no-diagnostics", is_flag=True, help="Do not publish on /diagnostics: see docs/how-to/diagnostics.md."
+    )
+    kept = click.option(
+        "--spares",
+        type=click.IntRange(0, MOST_SPARES),
+        default=spares,
+        show_default=True,
+        metavar="N",
+        help="Keep N processes ready, so that a component starts sooner: see docs/how-to/spares.md.",
+    )
+    return lambda function: sim_time(no_settings(no_diagnostics(kept(function))))
+
+
+def manager_arguments(
+    file: Path, backend: str, use_sim_time: bool, no_middleware_settings: bool, no_diagnostics: bool, spares: int
+) -> list[str]:
+    """The arguments of a manager for the system of ``file``. Raises UsageError for what the back end does not have."""
+    if use_sim_time and backend != "ros2":
+        raise click.UsageError(
+            "--use-sim-time is for ROS 2; on ROS 1, `rosparam set use_sim_time true` before `up` does it for every node"
+        )
+    options = ["--use-sim-time"] * use_sim_time + ["--no-middleware-settings"] * no_middleware_settings
+    options += [*["--no-diagnostics"] * no_diagnostics, "--spares", str(spares)]
+    return [str(file.resolve()), "--backend", backend, *options]
+
+
 @click.command("up")
 @click.argument("file", type=click.Path(path_type=Path))
 @backend_option("The platform.")
 @click.option("--detach", "-d", is_flag=True, help="Return as soon as the system is up.")
 @click.option("--http", type=click.IntRange(1, 65535), metavar="PORT", help="Serve the API on loopback TCP as well.")
 @click.option("--http-host", metavar="ADDRESS", help="With --http: listen on this address instead of loopback.")
+@platform_options(spares=0)
 @click.option(
-    "--use-sim-time", is_flag=True, help="Have /clock drive every node that does not set use_sim_time itself (ROS 2)."
-)
-@click.option(
-    "--no-middleware-settings",
+    "--finish-interrupted",
     is_flag=True,
-    help="Leave transports and discovery of the middleware as they are: see docs/how-to/middleware-settings.md.",
+    help="Finish a change that was interrupted because the manager was killed, instead of rolling it back.",
 )
-@click.option("--no-diagnostics", is_flag=True, help="Do not publish on /diagnostics: see docs/how-to/diagnostics.md.")
 @json_option
 def up_command(
     file: Path,
@@ -68,6 +108,8 @@ def up_command(
     use_sim_time: bool,
     no_middleware_settings: bool,
     no_diagnostics: bool,
+    finish_interrupted: bool,
+    spares: int,
 ) -> int:
     """Start the system of FILE and its manager, and watch them.
 
@@ -76,10 +118,7 @@ def up_command(
     """
     if http_host is not None and http is None:
         raise click.UsageError("--http-host needs --http PORT")
-    if use_sim_time and backend != "ros2":
-        raise click.UsageError(
-            "--use-sim-time is for ROS 2; on ROS 1, `rosparam set use_sim_time true` before `up` does it for every node"
-        )
+    arguments = manager_arguments(file, backend, use_sim_time, no_middleware_settings, no_diagnostics, spares)
     specification = load(file)
     workspace = Workspace.of(specification.name)
     client = Client(workspace.socket)
@@ -89,11 +128,9 @@ def up_command(
             "`midstride status` shows it, `midstride apply` changes it, `midstride down` stops it"
         )
     workspace.require_room()
-    arguments = [str(file.resolve()), "--backend", backend]
     if http is not None:
         arguments += ["--http", str(http), *(["--http-host", http_host] if http_host else [])]
-    arguments += ["--use-sim-time"] * use_sim_time + ["--no-middleware-settings"] * no_middleware_settings
-    arguments += ["--no-diagnostics"] * no_diagnostics
+    arguments += ["--finish-interrupted"] * finish_interrupted
     answer = bring_up(client, workspace, arguments)
     if client.get("/specification") != encode_specification(specification):
         click.echo(
@@ -101,19 +138,30 @@ def up_command(
             f"Run `midstride apply {file}` to change it.",
             err=True,
         )
-    status = int(any(not each["planned"] for each in answer["lowered"]))
+    status = int(answer["outcome"] != "done" or any(not each["planned"] for each in answer["lowered"]))
     if wants_json():
         print_json(answer)
         return status
-    click.echo(f"{workspace.name} is up ({', '.join(answer['components'])}).")
+    without = f" without {', '.join(answer['missing'])}" if answer["missing"] else ""
+    click.echo(f"{workspace.name} is up{without} ({', '.join(answer['components'])}).")
     for each in answer["lowered"]:
         click.echo(f"Degraded: {lowered_line(each)}")
+    for line in missing_lines(answer):
+        click.echo(line)
     if http is not None:
         click.echo(f"API: http://{http_host or '127.0.0.1'}:{http}/api/v1, token in {workspace.path / 'token'}")
     if detach:
         return status
 
     return watch(client, workspace.name) or status
+
+
+def missing_lines(report: Document) -> Iterator[str]:
+    """What could not be restored beside what runs, and what to do."""
+    for node, because in report["missing"].items():
+        yield f"Missing: {node} could not be restored: {because}"
+    if report["missing"]:
+        yield f"Fix the cause, then `midstride restart {' '.join(report['missing'])}`. The others go on meanwhile."
 
 
 def bring_up(client: Client, workspace: Workspace, arguments: list[str]) -> Document:

@@ -14,10 +14,14 @@ from midstride.errors import MidstrideError
 
 
 class Changes:
-    """Requests changes. A change that is being measured does not keep the next one waiting."""
+    """Requests changes. A change that is being measured does not keep the next one waiting.
 
-    def __init__(self, client: Client) -> None:
+    ``file`` is the one that specifications are read from.
+    """
+
+    def __init__(self, client: Client, file: str) -> None:
         self._client = client
+        self._file = file
         self._events: queue.Queue[Document] = queue.Queue()
         since = last_event_number(client)
         threading.Thread(target=self._follow, args=(since,), daemon=True).start()
@@ -40,7 +44,8 @@ class Changes:
 
         def send() -> None:
             try:
-                outcome = dict(self._client.post("/change", {"request": request, "brief": True, "id": id}))
+                change = {"request": request, "brief": True, "id": id, "file": self._file, "by": "midstride dev"}
+                outcome = dict(self._client.post("/change", change))
                 answer.append(outcome)
                 if outcome["outcome"] == "done":
                     finished(outcome)

@@ -2,7 +2,8 @@
 
 What to do follows from the state alone: the manager knows which programs have changed on disk since they started, and
 the specification of the files is compared with the one that runs. So no save is lost, whatever happens meanwhile. What
-was refused is tried again when a file that may have to do with it has another content.
+was refused is tried again when a file that may have to do with it has another content, and so is a node that has
+crashed: what ran before it exists no more, so there is nothing to hand back to.
 """
 
 from __future__ import annotations
@@ -77,10 +78,10 @@ class DevSession:
         now = self._contents.of(self._watched())
         if now == self._seen and time.monotonic() < self._ask_next:
             return
-        self._seen = now
+        before, self._seen = self._seen or now, now
         self._read_specification()
         self._ask_next = time.monotonic() + self.interval
-        self._programs = list(self.manager.get("/programs"))
+        self._ask_programs(before)
         changes = dict(self._changes())
         if not changes:
             return
@@ -89,19 +90,41 @@ class DevSession:
             for name in sorted(names):  # one of them may be faulty, and must not keep the others out
                 self._attempt(changes, {name})
         # New processes may have other files. What was saved meanwhile is still another content than what was seen.
-        self._programs = list(self.manager.get("/programs"))
+        self._ask_programs(now)
         self._seen = {**self._contents.of(self._watched()), **self._seen}
 
-    def _read_specification(self) -> None:
-        files = self._contents.of(self.specification.files)
-        if files == self._read:
+    def _ask_programs(self, seen: Contents) -> None:
+        """Ask the manager for the programs. That of a node that has crashed is kept: the next save restarts the node.
+
+        ``seen``: the contents of the files before the crash was known.
+        """
+        known, self._programs = self._programs, list(self.manager.get("/programs"))
+        running = {program["role"] for program in self._programs}
+        lost = [program for program in known if program["role"] not in running]
+        if not lost:
             return
-        try:
-            self.specification.read()
-            self._differs = True
-        except SpecificationError as error:
-            self.screen.faulty(error)
-        self._read = self._contents.of(self.specification.files)
+        nodes = decode_specification(self.manager.get("/specification")).nodes  # what was removed is not missing
+        self._programs += [{**program, "changed": program["files"]} for program in lost if program["role"] in nodes]
+        for role in (str(program["role"]) for program in lost):
+            if role not in self._refused:
+                self._refused.add(role)
+                related = self._related(role)
+                self._tried.setdefault(role, {path: seen.get(path, related[path]) for path in related})
+
+    def _read_specification(self) -> None:
+        faulty: SpecificationError | None = None
+        files = self._contents.of(self.specification.files)
+        while files != self._read:
+            self._read, faulty = files, None
+            try:
+                self.specification.read()
+                self._differs = True
+            except SpecificationError as error:
+                faulty = error
+            # It may include other files now, and one may have been saved while it was read.
+            files = self._contents.of(self.specification.files)
+        if faulty is not None:
+            self.screen.faulty(faulty)
 
     def _changes(self) -> Iterator[tuple[str, list[str]]]:
         """What differs from the files, but for what was refused: nodes, or the specification, each with its files."""

@@ -1,0 +1,140 @@
+"""The tables of the journal, and what is written to and read from them (:mod:`.journal`).
+
+Bounded: the latest 200 changes, 2,000 incidents and 2,000 durations. Where more than 16 MB are in use, the older half
+of the changes is removed when the next one begins.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import statistics
+import time
+from dataclasses import dataclass
+from typing import Final
+
+import msgspec
+
+from midstride.codec.specification import SpecificationForm, decode_specification
+from midstride.model.specification import Specification
+from midstride.runtime.disk import Database, Statement
+
+VERSION: Final = "1"
+CHANGES: Final = 200
+INCIDENTS: Final = 2_000
+DURATIONS: Final = 2_000
+LARGEST: Final = 16 * 1024 * 1024  # bytes in use
+# An estimate is the median of the latest durations of a step, this many at most.
+SAMPLES: Final = 9
+SCHEMA: Final = f"""
+CREATE TABLE IF NOT EXISTS about (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+INSERT OR IGNORE INTO about VALUES ('version', '{VERSION}');
+CREATE TABLE IF NOT EXISTS specifications (
+    version INTEGER PRIMARY KEY AUTOINCREMENT, digest TEXT UNIQUE NOT NULL, form TEXT NOT NULL
+);
+CREATE TABLE IF NOT EXISTS changes (
+    number INTEGER PRIMARY KEY AUTOINCREMENT, at REAL NOT NULL, command TEXT NOT NULL, by TEXT, total INTEGER NOT NULL,
+    before INTEGER NOT NULL, after INTEGER NOT NULL, outcome TEXT, because TEXT, seconds REAL, swaps TEXT
+);
+CREATE TABLE IF NOT EXISTS steps (
+    change INTEGER, number INTEGER, words TEXT NOT NULL, outcome TEXT, seconds REAL, PRIMARY KEY (change, number)
+) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS incidents (
+    number INTEGER PRIMARY KEY AUTOINCREMENT, at REAL NOT NULL, kind TEXT NOT NULL, words TEXT NOT NULL
+);
+CREATE TABLE IF NOT EXISTS durations (
+    number INTEGER PRIMARY KEY AUTOINCREMENT, backend TEXT NOT NULL, step TEXT NOT NULL, seconds REAL NOT NULL
+);
+"""
+# The version of the specification in force after a change.
+IN_FORCE: Final = "CASE outcome WHEN 'done' THEN after ELSE before END"
+_REFERENCED: Final = "SELECT before FROM changes UNION SELECT after FROM changes"
+
+
+@dataclass(frozen=True, slots=True)
+class NewChange:
+    """A change that is about to begin: ``steps`` is their number, ``before`` None where no system runs yet."""
+
+    command: str
+    by: str | None
+    before: Specification | None
+    after: Specification
+    steps: int
+
+
+@dataclass(frozen=True, slots=True)
+class Interrupted:
+    """A change that an earlier manager began, and did not end. ``step`` is the number of the last that was begun."""
+
+    number: int
+    command: str
+    steps: int
+    target: Specification
+    step: int | None
+
+    def __str__(self) -> str:
+        where = "before the first step" if self.step is None else f"during step {self.step} of {self.steps}"
+        return f"the manager ended {where}"
+
+
+def beginning(database: Database, change: NewChange) -> tuple[int, list[Statement]]:
+    """The number of a new change, and the statements that record it and remove what is too old."""
+    last = {name: int(number) for name, number in database.read("SELECT name, seq FROM sqlite_sequence")}
+    versions = {digest: int(version) for digest, version in database.read("SELECT digest, version FROM specifications")}
+    statements: list[Statement] = []
+
+    def version(specification: Specification) -> int:
+        form = msgspec.json.encode(SpecificationForm.of(specification)).decode()
+        digest = hashlib.sha256(form.encode()).hexdigest()
+        if digest not in versions:
+            versions[digest] = last["specifications"] = last.get("specifications", 0) + 1
+            statements.append(("INSERT INTO specifications VALUES (?, ?, ?)", (versions[digest], digest, form)))
+        return versions[digest]
+
+    number = last.get("changes", 0) + 1
+    if change.before is not None:
+        before, after = version(change.before), version(change.after)
+    else:
+        after = version(change.after)
+        found = database.read(f"SELECT {IN_FORCE} FROM changes ORDER BY number DESC LIMIT 1")
+        before = int(found[0][0]) if found else after  # what ran last, if anything did
+    row = (number, time.time(), change.command, change.by, change.steps, before, after)
+    insert = "INSERT INTO changes (number, at, command, by, total, before, after) VALUES (?, ?, ?, ?, ?, ?, ?)"
+    return number, [*statements, (insert, row), *_removals(database, number)]
+
+
+def _removals(database: Database, number: int) -> list[Statement]:
+    kept = CHANGES
+    pages, free, size = (
+        database.read(f"PRAGMA {name}")[0][0] for name in ("page_count", "freelist_count", "page_size")
+    )
+    if (pages - free) * size > LARGEST:
+        kept = min(kept, database.read("SELECT count(*) FROM changes")[0][0] // 2 + 1)
+    return [
+        ("DELETE FROM changes WHERE number <= ? AND outcome IS NOT NULL", (number - kept,)),
+        ("DELETE FROM steps WHERE change NOT IN (SELECT number FROM changes)", ()),
+        (f"DELETE FROM specifications WHERE version NOT IN ({_REFERENCED})", ()),
+        ("DELETE FROM incidents WHERE number <= (SELECT max(number) FROM incidents) - ?", (INCIDENTS,)),
+        ("DELETE FROM durations WHERE number <= (SELECT max(number) FROM durations) - ?", (DURATIONS,)),
+    ]
+
+
+def interrupted(database: Database) -> list[Interrupted]:
+    """The changes that were begun and have not ended, oldest first. Raises as :func:`decode_specification` does."""
+    query = """
+    SELECT changes.number, command, total, form, (SELECT max(number) FROM steps WHERE change = changes.number)
+    FROM changes JOIN specifications ON version = after WHERE outcome IS NULL ORDER BY changes.number
+    """
+    return [
+        Interrupted(number, command, steps, decode_specification(msgspec.json.decode(form)), step)
+        for number, command, steps, form, step in database.read(query)
+    ]
+
+
+def estimates(database: Database, backend: str) -> dict[str, float]:
+    """How long each kind of step takes (s)."""
+    found: dict[str, list[float]] = {}
+    query = "SELECT step, seconds FROM durations WHERE backend = ? ORDER BY number DESC"
+    for step, seconds in database.read(query, backend):
+        if len(samples := found.setdefault(step, [])) < SAMPLES:
+            samples.append(seconds)
+    return {step: round(statistics.median(samples), 3) for step, samples in found.items()}

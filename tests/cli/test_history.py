@@ -1,0 +1,74 @@
+"""``history`` and ``rollback`` on a running system, also over the death of its manager."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+from tests.cli.conftest import EXAMPLES, Midstride
+
+TALKER = str(EXAMPLES / "talker" / "talker.json")
+
+
+def up(midstride: Midstride, *options: str) -> None:
+    done = midstride("up", TALKER, "--backend", "sim", "--detach", *options)
+    assert done.status == 0, done.err
+
+
+def test_a_change_is_shown_and_rolled_back(midstride: Midstride) -> None:
+    up(midstride)
+    refused = midstride("rollback", "--yes")
+    assert refused.status == 1 and "the history has no earlier version of the specification" in refused.err
+    assert midstride("replace", "talker", "NewTalker", "--yes").status == 0
+    assert midstride("rollback").status == 2, "it asks first, and there is no terminal"
+    plan = midstride("rollback", "--dry-run")
+    assert plan.status == 0 and "rollback to version 1" in plan.out and "NewTalker" not in plan.out
+    assert midstride("rollback", "1", "--dry-run", "--json").json["steps"]
+    assert len(midstride("history", "--json").json["changes"]) == 2, "nothing was changed"
+
+    done = midstride("rollback", "--yes", "--json")
+    assert done.status == 0 and done.json["outcome"] == "done"
+    assert [(swap["missed"], swap["lost"]) for swap in done.json["swaps"]] == [(0, 0)]
+    nodes = {each["role"]: each["component"] for each in midstride("status", "--json").json["components"]}
+    assert nodes == {"talker": "Talker", "listener": "Listener"}
+
+    changes = midstride("history", "--json").json["changes"]
+    assert [(change["number"], change["outcome"], change["version"]) for change in changes] == [
+        (1, "done", 1),
+        (2, "done", 2),
+        (3, "done", 1),
+    ]
+    assert changes[2]["by"].endswith(": rollback to version 1") and changes[2]["missed"] == 0
+    assert [change["number"] for change in midstride("history", "--json", "-n", "1").json["changes"]] == [3]
+    shown = midstride("history")
+    assert shown.status == 0
+    replaced = next(line for line in shown.out.splitlines() if "replace talker with NewTalker" in line)
+    total = changes[1]["total"]
+    cells = replaced.split("NewTalker")[1].split()
+    assert cells[:4] == ["done", "v2", f"{total}/{total}", "0"] and replaced.startswith("2  20")
+    unknown = midstride("rollback", "9", "--yes")
+    assert unknown.status == 1 and "the history has no version 9 of the specification" in unknown.err
+
+
+def test_the_next_manager_has_the_history_of_the_one_that_was_killed(midstride: Midstride) -> None:
+    up(midstride)
+    os.kill(midstride.manager("talker"), signal.SIGKILL)
+    assert "exited" in midstride("history").err
+    up(midstride)  # the components of the simulator end with their manager
+    document = midstride("history", "--json").json
+    assert [change["command"] for change in document["changes"]] == ["up", "up"]
+    assert document["damaged"] is None
+
+
+def test_a_damaged_history_is_kept_aside(midstride: Midstride, tmp_path: Path) -> None:
+    up(midstride)
+    assert midstride("down").status == 0
+    journal = midstride.runtime / "midstride" / "talker" / "journal.db"
+    journal.write_bytes(b"\xff" * 9000)
+    up(midstride)
+    shown, status = midstride("history"), midstride("status")
+    for out in (shown.out, status.out):
+        assert f"the journal {journal} was damaged (file is not a database)" in out
+        assert f"it is kept as {journal.with_name('journal.damaged.db')}" in out
+    assert status.status == 0

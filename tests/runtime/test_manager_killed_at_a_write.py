@@ -1,0 +1,227 @@
+"""The manager killed at every durable write of a change in turn: the next one leaves a whole system, at one end."""
+
+from __future__ import annotations
+
+import asyncio
+import sqlite3
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from dataclasses import replace as changed
+from pathlib import Path
+from typing import Any, Literal, NoReturn
+
+import pytest
+
+from midstride.backends.simulator import Simulator
+from midstride.errors import MidstrideError, Unreachable
+from midstride.model.component import Connector
+from midstride.model.specification import Node, Specification, initial
+from midstride.plan.request import PlanRequest
+from midstride.runtime.disk import Database, Disk, Statement
+from midstride.runtime.manager import Manager
+from midstride.runtime.options import SystemOptions
+from midstride.runtime.state_store import SavedState, StateStore
+from midstride.runtime.workspace import Workspace
+from tests.runtime.systems import EXAMPLES, example
+
+When = Literal["before", "after"]
+
+
+class Killed(BaseException):
+    """The manager has been killed."""
+
+
+@dataclass
+class MortalDisk(Disk):
+    """Databases in memory. The manager is killed at write number ``dies_at``; nothing is written from then on."""
+
+    dies_at: int = 0
+    when: When = "before"
+    writes: int = 0
+    dead: bool = False
+    files: dict[Path, Database] = field(default_factory=dict)
+
+    def open(self, path: Path, schema: str) -> Database:
+        if path not in self.files:
+            connection = sqlite3.connect(":memory:", check_same_thread=False)
+            connection.executescript(schema)
+            self.files[path] = MortalDatabase(connection, self)
+        return self.files[path]
+
+    def read_only(self, path: Path) -> Database | None:
+        return self.files.get(path)
+
+    def saved(self, workspace: Workspace) -> SavedState:
+        """What the next manager finds."""
+        state = StateStore(workspace.state, disk=self).load()
+        assert state is not None
+        return state
+
+    def revive(self) -> None:
+        """The next manager has the same disk."""
+        self.dies_at, self.dead = 0, False
+
+
+class MortalDatabase(Database):
+    def __init__(self, connection: sqlite3.Connection, disk: MortalDisk) -> None:
+        super().__init__(connection)
+        self.disk = disk
+
+    def write(self, statements: Iterable[Statement], only_if: Statement | None = None) -> None:
+        disk = self.disk
+        if disk.dead:
+            raise Killed
+        disk.writes += 1
+        if disk.writes != disk.dies_at:
+            super().write(statements, only_if)
+            return
+        if disk.when == "after":
+            super().write(statements, only_if)
+        disk.dead = True
+        raise Killed
+
+    def close(self) -> None:
+        """The next manager finds it."""
+
+
+def kill(manager: Manager) -> None:
+    """From now on the manager does nothing, although its coroutines have not ended."""
+
+    async def dead(*_: object, **__: object) -> NoReturn:
+        raise Unreachable("the manager has been killed")
+
+    manager._client._send = manager._launcher.end = manager._launcher.abandon = dead  # type: ignore[method-assign]
+    manager._launcher.start = dead  # type: ignore[method-assign]
+
+
+async def change_until_killed(manager: Manager, request: PlanRequest, disk: MortalDisk) -> None:
+    """Carry out ``request`` until the disk kills the manager, or to the end."""
+    send = manager._client._send
+
+    async def mortal(*arguments: Any) -> Any:
+        if disk.dead:
+            raise Killed
+        return await send(*arguments)
+
+    manager._client._send = mortal  # type: ignore[method-assign, assignment]
+    change = asyncio.ensure_future(manager.change(request))
+    while not (disk.dead or change.done()):
+        await asyncio.sleep(0.001)
+    if disk.dead:
+        kill(manager)
+        change.cancel()
+    with suppress(MidstrideError, Killed, asyncio.CancelledError):
+        await change
+
+
+START = example("talker")
+REPLACED = START.with_node(changed(START.nodes["talker"], component="NewTalker"))
+
+
+def moved() -> Specification:
+    """The talker has been replaced, and there is another listener, on a topic that was not there before."""
+    chatter = START.connectors["/chatter"]
+    connectors = START.connectors.set("/news", Connector("/news", chatter.guarantee))
+    listener, talker = START.nodes["listener"], START.nodes["talker"]
+    (out,), (inlet,) = talker.attachments, listener.attachments
+    return (
+        changed(REPLACED, connectors=connectors)
+        .with_node(Node("newscaster", "Talker", changed_attachments(talker, out)))
+        .with_node(Node("reader", "Listener", changed_attachments(listener, inlet)))
+    )
+
+
+def changed_attachments(node: Node, port: str) -> Any:
+    return node.attachments.set(port, type(node.attachments[port])(("/news",)))
+
+
+CHANGES = {"replace": REPLACED, "more": moved(), "less": START.without_node("listener")}
+
+
+async def assert_whole(manager: Manager, simulator: Simulator, disk: MortalDisk, specification: Specification) -> None:
+    """Exactly the nodes of ``specification`` run, in their best modes, and the journal has no open end."""
+    assert manager.specification == disk.saved(manager._workspace).specification == specification
+    status = await manager.status()
+    assert status.valid and status.crashed == [] and status.unwritten is None and status.damaged is None
+    assert sorted(simulator.processes) == sorted(manager.configuration.instances), "an orphan"
+    wanted = initial(specification)
+    assert list(manager.configuration.instances_by_role) == list(wanted.instances_by_role)
+    assert set(manager.configuration.context.connectors) == set(specification.connectors)
+    attached = {
+        (found.instances[port.instance].role, port.port, found.topic(connector))
+        for found in [manager.configuration]
+        for name in found.instances
+        for port, connector in found.attached_ports(name)
+    }
+    assert attached == {
+        (role, port, topic)
+        for role, node in specification.nodes.items()
+        for port, topics in node.attachments.items()
+        for topic in topics
+    }
+    endpoints = await simulator.endpoints()
+    assert len(endpoints.publishers) + len(endpoints.subscribers) == len(attached), "an endpoint that nothing has"
+    assert all(change.outcome is not None for change in (await manager.history(99)).changes)
+
+
+def killed_at_each_write(target: Specification, folder: Path, *, finish: bool) -> set[str]:
+    """Kill the manager at each write of the change to ``target``; returns how the changes ended, by the journal."""
+    outcomes: set[str] = set()
+    number = 0
+    while True:
+        number += 1
+        for when in ("before", "after"):
+            workspace = Workspace(folder / f"{number}{when}")
+            workspace.path.mkdir()
+            outcome = killed_once(target, workspace, number, when, finish=finish)
+            if outcome is None:
+                assert number > 10, "a change has more writes than that"
+                return outcomes
+            outcomes.add(outcome)
+
+
+def killed_once(target: Specification, workspace: Workspace, number: int, when: When, *, finish: bool) -> str | None:
+    """How the change ended, by the journal; None if it has fewer writes than ``number``."""
+    simulator, disk = Simulator(), MortalDisk(when=when)
+    programs = EXAMPLES / "talker"
+
+    async def main() -> str | None:
+        first = Manager(START, simulator, workspace, programs, disk=disk)
+        await first.up()
+        disk.dies_at = disk.writes + number
+        await change_until_killed(first, PlanRequest(to=target), disk)
+        with suppress(Killed):
+            await first.close()
+        if not disk.dead:
+            return None
+        await asyncio.sleep(1)
+        options = SystemOptions(finish_interrupted=finish)
+        disk.revive()
+        specification = disk.saved(workspace).specification
+        second = Manager(specification, simulator, workspace, programs, options=options, disk=disk)
+        await second.up()
+        try:
+            end = second.specification
+            assert end in (START, target)
+            await asyncio.sleep(1)
+            await assert_whole(second, simulator, disk, end)
+            change = (await second.history(99)).changes[1:2]
+            if not change:  # it was killed before it had begun
+                assert end == START
+                return "not begun"
+            assert change[0].outcome == ("done" if end == target else "rolled_back"), "journal and world disagree"
+            if finish:
+                assert end == target
+            return str(change[0].outcome)
+        finally:
+            await second.close()
+
+    return simulator.run(main())
+
+
+@pytest.mark.parametrize("name", ["replace", "less", pytest.param("more", marks=pytest.mark.full)])
+@pytest.mark.parametrize("finish", [False, True], ids=["rolled back", "finished"])
+def test_the_next_manager_leaves_a_whole_system(name: str, finish: bool, tmp_path: Path) -> None:
+    outcomes = killed_at_each_write(CHANGES[name], tmp_path, finish=finish)
+    assert outcomes == ({"not begun", "done"} if finish else {"not begun", "done", "rolled_back"})
