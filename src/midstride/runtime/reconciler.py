@@ -38,6 +38,8 @@ from midstride.wire.state import ComponentState
 
 log = logging.getLogger(__name__)
 
+# After how long a component that has refused to degrade a functionality is asked again (s).
+REFUSED_INTERVAL: Final = 1.0
 _LOST_BEFORE: Final = "its input was lost before it could be degraded"
 
 
@@ -68,6 +70,7 @@ class Reconciler:
     on_crash_during_change: Callable[[], Coroutine[Any, Any, None]] | None = None
     _why_pending: str = _LOST_BEFORE
     _unanswered: set[str] = field(default_factory=set)  # instances of these that did not answer
+    _reconciled_at: float = 0.0  # when a functionality was last degraded, or refused to be (steady s)
     _reconciling: asyncio.Lock = field(default_factory=asyncio.Lock)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
 
@@ -109,8 +112,11 @@ class Reconciler:
 
     def _can_retry(self, state: ComponentState) -> bool:
         """Whether a functionality that refused to be degraded may accept it now: no call of its code is running."""
-        refused = [ref.functionality for ref in self.pending if ref.instance == state.instance]
-        return not self._reconciling.locked() and any(state.functionalities[name].busy is None for name in refused)
+        if self._reconciling.locked() or self.monitor.clock.steady() - self._reconciled_at < REFUSED_INTERVAL:
+            return False
+        pending = [ref for ref, error in self.pending.items() if isinstance(error, CommandRefused)]
+        refused = [ref.functionality for ref in pending if ref.instance == state.instance]
+        return any(state.functionalities[name].busy is None for name in refused)
 
     def save_values(self) -> None:
         """Save the parameter values that were set at run time, where they have changed, for the next manager."""
@@ -203,7 +209,7 @@ class Reconciler:
             after, to_lower = respond(configuration, crashed, degraded, [*self.pending, *touched])
             self.system.moved(after)
             failed = await self.executor().lower(to_lower, "; ".join(because) or self._why_pending)
-            self.pending = dict(failed)
+            self.pending, self._reconciled_at = dict(failed), self.monitor.clock.steady()
             self._unanswered = {ref.instance for ref, error in failed.items() if not isinstance(error, CommandRefused)}
 
     def _take_over_attachments(

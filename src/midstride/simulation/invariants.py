@@ -6,6 +6,7 @@ themselves, and at the messages that are published.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,8 +18,6 @@ from midstride.simulation.oracle import Oracle, Shown
 from midstride.simulation.platform import Platform
 from midstride.simulation.stand_in import StandIn
 
-# How long a functionality may stay in a mode whose assumption is broken, where the manager is free to react (s).
-REACTION: Final = 0.25
 # Two publishers that exchanged their topic this often within so many seconds were heard at once.
 EXCHANGES: Final = 3
 EXCHANGES_WITHIN: Final = 1.0
@@ -28,7 +27,7 @@ SAME_SLOT: Final = 0.25
 
 @dataclass
 class Invariants:
-    """``excused(instance)``: whether the manager cannot react now, or the component cannot be reached.
+    """``reaction()``: how long the manager may take to react now (s), infinite while it cannot.
 
     ``punctual()``: whether no fault has made a call of a component late.
     ``violated`` is called once for each violation, with words.
@@ -36,7 +35,7 @@ class Invariants:
 
     platform: Platform
     oracle: Oracle
-    excused: Callable[[str], bool]
+    reaction: Callable[[], float]
     punctual: Callable[[], bool]
     violated: Callable[[str], None]
     # Counted up with what is heard: part of the digest.
@@ -92,11 +91,11 @@ class Invariants:
             self._check_reaction()
 
     def _check_reaction(self) -> None:
-        now = self.platform.time.steady()
+        now, reaction = self.platform.time.steady(), self.reaction()
         for ref, since in self._broken.items():
-            if self.excused(ref.instance):
+            if reaction == math.inf:
                 self._broken[ref] = now
-            elif now - since > REACTION:
+            elif now - since > reaction:
                 mode = dict(self._shown[ref.instance].modes)[ref.functionality]
                 self._violation(f"{ref} stays in mode {mode} although what it assumes there is broken")
 

@@ -6,6 +6,7 @@ import asyncio
 import gc
 import hashlib
 import logging
+import math
 import random
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,6 +34,10 @@ from midstride.simulation.stand_in import StandIn
 
 # How long (s) a change may take that faults strike, and a system to converge once they are over.
 LONGEST_CHANGE: Final = 600.0
+# How long a functionality may stay in a mode whose assumption is broken, where the manager is free to react (s), and
+# where a component has refused what it was asked: it is asked again.
+REACTION: Final = 0.25
+REACTION_IF_REFUSED: Final = 2.0
 # How long to wait after the last command, for reports and messages to arrive (s).
 SETTLING: Final = 0.7
 # A topic with a rate counts as silent after this time (s).
@@ -81,7 +86,7 @@ class Simulation:
         self._lives: list[Life] = []
         self._platform = Platform(self._random.getrandbits(32), self._on_change)
         self._invariants = Invariants(
-            self._platform, Oracle(self._scenario.specifications()), self._excused, self._punctual, self._violated
+            self._platform, Oracle(self._scenario.specifications()), self._reaction, self._punctual, self._violated
         )
         self._platform.network.on_publish = self._invariants.on_publish
         self._platform.control.before_request = self._before_request
@@ -302,8 +307,10 @@ class Simulation:
     def _saved(self) -> SavedState | None:
         return StateStore(_WORKSPACE.state, disk=self._disk).load()
 
-    def _excused(self, instance: str) -> bool:
-        return self._busy or self._faulty or not self._lives[-1].alive
+    def _reaction(self) -> float:
+        if self._busy or self._faulty or not self._lives[-1].alive:
+            return math.inf
+        return REACTION_IF_REFUSED if any(each.fault == "refused request" for each in self._struck) else REACTION
 
     def _punctual(self) -> bool:
         return not any(each.fault in LATE for each in self._struck)
