@@ -160,15 +160,14 @@ class Simulation:
         manager = Manager(self._declared(), life.backend, _WORKSPACE, _WORKSPACE.path, disk=self._disk)
         self._lives.append(life)
         self._manager = manager
-        add = manager.events.add
+        record = manager.events.on_event
 
-        def added(kind: str, words: str, **details: Any) -> Event:
-            event = add(kind, words, **details)
+        def on_event(event: Event) -> None:
+            record(event)
             if life.alive:
                 self._on_event(event)
-            return event
 
-        manager.events.add = added  # type: ignore[method-assign]
+        manager.events.on_event = on_event
         try:
             await self._ended(life, manager.up())
         except MidstrideError:
@@ -232,6 +231,9 @@ class Simulation:
         await asyncio.sleep(SETTLING)
         for problem in self._differences(manager):
             self._violated(f"not converged: {problem}")
+        for change in (await manager.history(10)).changes:
+            if change.outcome is None:
+                self._violated(f"not converged: `{change.command}` has no outcome in the journal")
         for problem in self._uncaught():
             self._violated(problem)
 
