@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from midstride.node.modes import approximate
     from midstride.node.parameters import Parameter
     from midstride.node.ports import Input, Output, any_of
+    from midstride.wire.state import Measured
 
 __version__ = "0.1.0"
 
@@ -29,6 +30,7 @@ __all__ = [
     "Component",
     "Functionality",
     "Input",
+    "Measured",
     "MidstrideError",
     "NodeError",
     "Output",
@@ -47,6 +49,7 @@ _HOMES = {
     "Component": "midstride.node.component",
     "Functionality": "midstride.node.functionality",
     "Input": "midstride.node.ports",
+    "Measured": "midstride.wire.state",
     "MidstrideError": "midstride.errors",
     "NodeError": "midstride.errors",
     "Output": "midstride.node.ports",

@@ -279,6 +279,9 @@ class ScriptedBackend:
     async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
         return []
 
+    def is_stopped(self, instance: str) -> bool:
+        return False
+
     def keep_spares(self, number: int, token: str) -> None:
         pass
 

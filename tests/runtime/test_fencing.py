@@ -16,8 +16,10 @@ from midstride.model.contract import DEFAULT_QOS
 from midstride.model.rules import violations
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
+from midstride.runtime.backend import Handle, Launch
 from midstride.runtime.component_client import STOPPED
 from midstride.runtime.fencing import DEFAULT_WAIT
+from midstride.runtime.launcher import STOP_GRACE
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Outcome
 from midstride.runtime.workspace import Workspace
@@ -363,3 +365,54 @@ def test_a_manager_killed_after_the_fence_leaves_a_system_that_the_next_one_comp
         await other.close()
 
     simulator.run(main())
+
+
+# -- a new side that is stopped ------------------------------------------------------------------------
+
+
+class Stopping(Simulator):
+    """Stops the process of ``instance`` for good just before the request number ``at`` for it, or at its start (-1)."""
+
+    def __init__(self, instance: str, at: int) -> None:
+        super().__init__()
+        self.control.before_request = self.before
+        self.instance, self.at = instance, at
+        self.ops: list[str] = []
+
+    async def start(self, launch: Launch) -> Handle:
+        handle = await super().start(launch)
+        if launch.instance == self.instance and self.at < 0:
+            self.faults.freeze(self.instance, 1e6)
+        return handle
+
+    async def before(self, instance: str, op: str) -> None:
+        if instance == self.instance:
+            if len(self.ops) == self.at and instance in self.processes:
+                self.faults.freeze(instance, 1e6)
+            self.ops.append(op)
+
+
+@pytest.mark.parametrize("strategy", ["minimal", "paper"])
+def test_a_new_side_that_is_stopped_at_any_point_costs_a_few_seconds(strategy: str, tmp_path: Path) -> None:
+    def change(at: int) -> tuple[Outcome, float, list[str]]:
+        simulator = Stopping("talker_2", at)
+
+        async def body(manager: Manager, _: Simulator) -> tuple[Outcome, float]:
+            begun = simulator.clock.steady()
+            return await manager.change(replace("talker", "NewTalker", strategy)), simulator.clock.steady() - begun
+
+        folder = tmp_path / str(at)
+        folder.mkdir()
+        return *managed("talker", folder, body, simulator), simulator.ops
+
+    outcome, seconds, ops = change(1000)
+    assert outcome.outcome == "done"
+    for at in range(-1, len(ops)):
+        stopped, took, _ = change(at)
+        assert stopped.outcome in ("done", "rolled_back"), ops[at]
+        if stopped.outcome == "done":  # it had taken over
+            assert [fault.instance for fault in stopped.silences] == ["talker_2"] or at > len(ops) - 4, ops[at]
+            assert took < seconds + 3 * STOPPED, ops[at]
+        else:
+            assert took < seconds + STOPPED + STOP_GRACE + 1, ops[at]
+            assert "talker_2" in str(stopped.because)

@@ -15,6 +15,7 @@ from midstride.wire.commands import (
     AttachCommand,
     Attached,
     AwaitCutCommand,
+    AwaitIdleCommand,
     AwaitMatchCommand,
     AwaitWriteCommand,
     CancelCutCommand,
@@ -29,17 +30,21 @@ from midstride.wire.commands import (
     Done,
     ExportedState,
     ExportStateCommand,
+    FenceCommand,
+    FencedOutputs,
     FetchedState,
     FetchStateCommand,
     GateCommand,
     GatedWrites,
     Grid,
     GridCommand,
+    Idle,
     ImportingCommand,
     ImportStateCommand,
     LastWrite,
     MeetCommand,
     ModesCommand,
+    MuteCommand,
     ObserveCommand,
     OfferStateCommand,
     PingCommand,
@@ -102,7 +107,9 @@ STATE = ComponentState(
     declared={"speed": 1.0},
 )
 SWAPS = [CutSwap(port="out", topic="/chatter", latch=True)]
-TRANSFER = StateTransfer(id="t", cuts=2, at=10**18, clock="message", changes=True, required=False, timeout=0.5)
+TRANSFER = StateTransfer(
+    id="t", cuts=2, at=10**18, clock="message", changes=True, required=False, timeout=0.5, new="b", address="a"
+)
 ROW = Receipt(1, 2, 3, "p")
 WRITE = {"out /chatter": LastWrite(number=4, source=5), "log /log": None}
 
@@ -132,10 +139,21 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
         GatedWrites(gated=3, wrong_type="a String", failed=True),
     ),
     (AwaitMatchCommand(port="in", topic="/t", peers=2, timeout=1.5), Attached(matched=1)),
+    (AwaitIdleCommand(timeout=1.5), Idle(busy="talk for 2.0 s")),
     (AwaitCutCommand(cut="c", timeout=1.5), CutResult(outcome="resumed", last=WRITE, first=WRITE)),
     (WelcomeCommand(manager="m", timeout=1.5), STATE),
     (
-        AttachCommand(port="out", topic="/t", gate="closed", peers=1, everyone=2, patience=0.5, timeout=1.5),
+        AttachCommand(
+            port="out",
+            topic="/t",
+            gate="closed",
+            peers=1,
+            everyone=2,
+            patience=0.5,
+            timeout=1.5,
+            rate=50.0,
+            tolerates=3,
+        ),
         Attached(matched=2),
     ),
     (DetachCommand(port="out", topic="/t", timeout=1.5), Detached(acknowledged=None, last=7)),
@@ -151,6 +169,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
         PrepareStateCommand(peer="old", address="unix:/x", bulk=True, timeout=1.5),
         StateOffer(exports="changes"),
     ),
+    (MuteCommand(timeout=1.5), Done()),
     (
         CutOutCommand(cut="c", swaps=SWAPS, at=10**18, resume_after=0.5, clock="message", state=TRANSFER, timeout=1.5),
         Done(),
@@ -171,6 +190,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     ),
     (CancelCutCommand(cut="c", timeout=1.5), Done()),
     (GateCommand(port="out", topic="/t", gate="closed", latch=True, timeout=1.5), Done()),
+    (FenceCommand(attachments=[("out", "/t")], lift=True, timeout=1.5), FencedOutputs(last={"out /t": 3})),
     (AnswerCommand(peer="old", address="unix:/x", timeout=1.5), Done()),
     (ReleaseCommand(timeout=1.5), Done()),
     (StopCommand(timeout=1.5), Done()),
@@ -179,7 +199,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (OfferStateCommand(changes=True, timeout=1.5), StateOffer(exports="nothing")),
     (
         FetchStateCommand(transfer="t", timeout=1.5),
-        FetchedState(state=b"\x00\xff\n", handled={"p": 10**18}, since=1),
+        FetchedState(state=b"\x00\xff\n", handled={"p": 10**18}, since=1, requests=["r"]),
     ),
     (ImportingCommand(transfer="t", done=True, timeout=1.5), Relieved(resumed=False)),
 ]

@@ -18,7 +18,7 @@ from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.runtime.backend import Handle, Launch
 from midstride.runtime.clock import Clock, SystemClock
 from midstride.runtime.process import Process, end_orphans, find, spawn
-from midstride.runtime.reaper import Reaper
+from midstride.runtime.reaper import Reaper, process_info
 from midstride.wire import environment as variables
 from midstride.wire.sockets import SocketFolder
 from midstride.wire.transport import Transport
@@ -174,6 +174,11 @@ class ProcessBackend(abc.ABC):
 
     async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
         return await end_orphans(token, known, grace)
+
+    def is_stopped(self, instance: str) -> bool:
+        process = self._processes.get(instance)
+        info = None if process is None else process_info(process.pid)
+        return info is not None and info.stopped
 
     def _watch(self, instance: str, process: Process) -> None:
         self._processes[instance] = process

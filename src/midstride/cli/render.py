@@ -80,7 +80,10 @@ def plan(document: Document, title: str) -> RenderableType:
     steps.columns[0].justify = "right"
     for number, step in enumerate(document["steps"], 1):
         steps.add_row(Text(str(number), style="dim"), Text(step_text(step)), seconds(step.get("seconds")))
-    parts = [Text.from_markup(falls(document)), *_runtime_values(document), Text(cost(document), style="dim")]
+    parts = [Text.from_markup(falls(document)), *_runtime_values(document)]
+    for name, because in (document.get("own_state") or {}).items():
+        parts.append(Text(f"{name} starts with its own state: {because}.", style="yellow"))
+    parts.append(Text(cost(document), style="dim"))
     return Group(Text(title, style="bold"), steps, *parts)
 
 
@@ -184,6 +187,7 @@ def outcome(document: Document) -> RenderableType:
         for swap in document["swaps"]:
             swaps.add_row(swap["topic"], swap["subscriber"], *measurements(swap))
         lines.append(swaps)
+    lines += [Text(f"{words}.", style="yellow") for words in (document.get("own_state") or {}).values()]
     late = sorted((document.get("late") or {}).items())
     lines += [
         Text(f"The first slot of {name} was {seconds(spent)} late; its state moved before.") for name, spent in late

@@ -119,6 +119,10 @@ class _CursorContext:
             yield "port", inputs
         elif first in {"produces", "guarantee"} and last in {"produces", "guarantee", ","} and component is not None:
             yield "port", [output.text for output in component.outputs]
+        elif first == "input" and last == "tolerates":
+            return
+        elif first == "input" and self.statement[-2:-1] == ["tolerates"]:
+            yield "keyword", ("missed",)
         elif last == "holds":
             yield "resource", declarations.resources
         elif self.statement in (["keep"], ["limit"]) or (first == "order" and last in {"order", "before"}):
@@ -131,6 +135,8 @@ class _CursorContext:
             functionality = find(found.functionalities, self.statement[3]) if found else None
             yield "mode", [mode.name.text for mode in functionality.modes] if functionality else ()
         else:
+            if first == "input" and ":" in self.statement and "tolerates" not in self.statement:
+                yield "keyword", ("tolerates",)
             yield "keyword", _STATEMENTS.get(block, ())
             if block == "node":
                 found = self._declared(self._word_after(self.blocks[-1], 3))

@@ -66,6 +66,9 @@ class Attachments:
         port = self.port(command.port)
         if port.link(topic) is not None:
             raise CommandRefused(f"{port.name} is already attached to {topic}")
+        if isinstance(port, Input) and command.rate is not None:
+            port.rate = command.rate
+            port.tolerates = command.tolerates or port.tolerates
         link = await self.data.run(lambda: self._create(port, topic), timeout)
         try:
             matched = await self._match(link, command.peers, timeout)

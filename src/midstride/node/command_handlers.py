@@ -17,7 +17,6 @@ from typing import Any, Final, TypeVar
 
 from midstride.errors import BackendError, CommandRefused
 from midstride.model.component import ROS_PARAMETERS
-from midstride.node.answering import Answering
 from midstride.node.attachments import Attachments
 from midstride.node.declaration import DeclaredParts
 from midstride.node.fencing import Fencing
@@ -25,6 +24,7 @@ from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner, for
 from midstride.node.handover_commands import HandoverCommands
 from midstride.node.host import HeldParameter, Host
 from midstride.node.mode_switch import DataExecutor, ModeSwitch, within
+from midstride.node.reflex import Reflex
 from midstride.node.state_hooks import StateHooks
 from midstride.wire import commands
 from midstride.wire.commands import Command
@@ -57,7 +57,7 @@ class Revision:
 
 @dataclass
 class CommandHandlers:
-    """``degraded`` is called on the data thread when a functionality degrades by itself, ``changed`` after a cut.
+    """``degraded`` is called on either thread when a functionality degrades by itself, ``changed`` after a cut.
 
     ``token`` returns the token for connections to peers.
     """
@@ -71,6 +71,8 @@ class CommandHandlers:
 
     def __post_init__(self) -> None:
         self._runners: list[FunctionalityRunner] = []
+        self._under_way = 0
+        self.reflex = Reflex(self.host, self._runners, lambda: self._under_way > 0, self.degraded)
         self._data = DataExecutor(self.host, self._busy_words)
         self._attachments = Attachments(self.parts, self.host, self._data)
         self._hooks = StateHooks(self.parts.callbacks, self._data)
@@ -78,7 +80,6 @@ class CommandHandlers:
             self._attachments, self.host, self._data, self.changed, self.token, self._hooks, self._runners
         )
         self._fencing = Fencing(self._attachments, self.host, self._data, self._runners, self.changed)
-        answering = Answering(self.host.gate, self._handovers.call, self.changed)
         self._handlers: dict[type[Command[Any]], Handler] = {
             commands.AttachCommand: self._attachments.attach,
             commands.DetachCommand: self._attachments.detach,
@@ -87,6 +88,7 @@ class CommandHandlers:
             commands.AwaitWriteCommand: self._attachments.await_write,
             commands.GridCommand: self._handovers.grid,
             commands.MeetCommand: self._handovers.meet,
+            commands.MuteCommand: self._handovers.mute,
             commands.CutOutCommand: self._handovers.cut_out,
             commands.CutInCommand: self._handovers.cut_in,
             commands.CancelCutCommand: self._handovers.cancel_cut,
@@ -94,8 +96,8 @@ class CommandHandlers:
             commands.CutTakenCommand: self._handovers.taken,
             commands.AwaitIdleCommand: self._fencing.await_idle,
             commands.FenceCommand: self._fencing.fence,
-            commands.AnswerCommand: answering.answer,
-            commands.YieldCommand: answering.stop,
+            commands.AnswerCommand: self._handovers.answer,
+            commands.YieldCommand: self._handovers.answering.stop,
             commands.PrepareStateCommand: self._handovers.prepare_state,
             commands.OfferStateCommand: self._handovers.offer_state,
             commands.FetchStateCommand: self._handovers.fetch_state,
@@ -109,9 +111,13 @@ class CommandHandlers:
 
     async def carry_out(self, command: Command[Any], expected: int | None) -> WireValue:
         """Carry out one command. Raises CommandRefused, and then nothing has changed."""
-        if isinstance(command, commands.ModesCommand):
-            return await self._modes(command, expected)
-        return await self._handlers[type(command)](command)
+        self._under_way += 1
+        try:
+            if isinstance(command, commands.ModesCommand):
+                return await self._modes(command, expected)
+            return await self._handlers[type(command)](command)
+        finally:
+            self._under_way -= 1
 
     # -- start and end -----------------------------------------------------------------------------
 
@@ -197,6 +203,7 @@ class CommandHandlers:
             imported=imported,
             clock_speed=self.host.clock_history.speed(self.host.steady()) if self.host.simulated_time else 1.0,
             declared={each.name: each.declared for each in parameters if each.value != each.declared},
+            keeps_state=self.parts.callbacks.export_state is not None,
         )
 
     def _parameters(self) -> dict[str, HeldParameter]:

@@ -166,7 +166,7 @@ class CutInTask(_CutTask):
         if self.state is not None and self._going():
             await self.state.settled()
         waited_from = self.host.steady()
-        while self._going() and not self.side.written and not self._failed():
+        while self.side.links and self._going() and not self.side.written and not self._failed():
             # A message in transit at T may still make the new side write; nothing else will.
             waited = (self.host.steady() - waited_from) / 1e9
             if not latched and waited > (GRACE if self.side.driven_by_messages else 0.0):
@@ -187,12 +187,12 @@ class CutInTask(_CutTask):
     def _conclude(self) -> None:
         self.side.conclude()
         if self.state is not None:
-            self.state.end(self)
+            self.state.end(self, done=True)
 
     def _close(self) -> None:
         self.side.close()
         if self.state is not None:
-            self.state.end(self)
+            self.state.end(self, done=False)
 
     def _failed(self) -> bool:
         """Whether, before the first write, the author's code has raised, the clock jumped back, or no state came."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
 from midstride.errors import BackendError, CommandRefused, Unreachable
+from midstride.node.answering import Answering
 from midstride.node.attachments import Attachments
 from midstride.node.cut import IncomingCut, OutgoingCut, comparable, reading
 from midstride.node.cut_protocol import CutInTask, CutOutTask
@@ -16,7 +17,7 @@ from midstride.node.host import Host
 from midstride.node.mode_switch import DataExecutor, within
 from midstride.node.ports import OutputLink
 from midstride.node.state_hooks import StateHooks
-from midstride.node.state_transfer import StateExport, StateImport
+from midstride.node.state_transfer import StateExport, StateImport, mute, unmute
 from midstride.wire import commands
 from midstride.wire.channel import Channel, result_of
 from midstride.wire.commands import Command
@@ -49,6 +50,9 @@ class HandoverCommands:
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
     _channels: dict[str, Channel] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        self.answering = Answering(self.host.gate, self.call, self.changed)
+
     def close(self) -> None:
         """The component ends: stop all cuts."""
         for task in self._tasks:
@@ -62,6 +66,8 @@ class HandoverCommands:
         self._channels.clear()
 
     async def grid(self, command: commands.GridCommand) -> commands.Grid:
+        if command.port is None:
+            return commands.Grid(trigger="none", clock="message", now=reading(self.host, "message"))
         owner = self.attachments.output(command.port).owner
         rate, topic = owner.rate, command.topic
         clock: commands.CutClock = "ros" if rate is not None or comparable(self.host, "ros", "message") else "message"
@@ -97,7 +103,7 @@ class HandoverCommands:
                 await self.host.sleep(0.02)
 
     async def cut_out(self, command: commands.CutOutCommand) -> commands.Done:
-        links = self._links_of(command.cut, command.swaps, CutOutTask, gate="open")
+        links = self._links_of(command, CutOutTask, gate="open")
         export = None if command.state is None else self._export(command.state)
         in_order = export is not None and _in_order(links)
         side = OutgoingCut(links, command.at, self.host, in_order=in_order, clock=command.clock)
@@ -112,7 +118,7 @@ class HandoverCommands:
         return commands.Done()
 
     async def cut_in(self, command: commands.CutInCommand) -> commands.Done:
-        links = self._links_of(command.cut, command.swaps, CutInTask, gate="closed")
+        links = self._links_of(command, CutInTask, gate="closed")
         if failed := [str(link) for link in links if link.output.owner.failed]:
             raise CommandRefused(f"{', '.join(failed)} cannot take over: its functionality has failed")
         latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
@@ -163,6 +169,16 @@ class HandoverCommands:
 
     # -- state ---------------------------------------------------------------------------------------
 
+    async def mute(self, command: commands.MuteCommand) -> commands.Done:
+        await self.data.run(lambda: mute(self.runners), command.timeout)
+        return commands.Done()
+
+    async def answer(self, command: commands.AnswerCommand) -> commands.Done:
+        """The instance of its role that answers is the one that works, too."""
+        done = await self.answering.answer(command)
+        await self.data.run(lambda: unmute(self.runners), command.timeout)
+        return done
+
     async def prepare_state(self, command: commands.PrepareStateCommand) -> commands.StateOffer:
         if command.bulk:
             export = commands.ExportStateCommand(timeout=command.timeout)
@@ -191,7 +207,8 @@ class HandoverCommands:
 
     def _export(self, transfer: commands.StateTransfer) -> StateExport:
         if transfer.id not in self._exports:
-            self._exports = {transfer.id: StateExport(transfer, self.hooks, self.host, self.runners)}
+            export = StateExport(transfer, self.hooks, self.answering, self.host, self.runners, self._start)
+            self._exports = {transfer.id: export}
         return self._exports[transfer.id]
 
     def _import(self, transfer: commands.StateTransfer, peer: str, address: str) -> StateImport:
@@ -200,24 +217,26 @@ class HandoverCommands:
             def request(command: Command[Any], timeout: float) -> Awaitable[Reply]:
                 return self.call(address, command, timeout)
 
-            state = StateImport(transfer, self.hooks, self.host, self.runners, peer, request)
+            state = StateImport(transfer, self.hooks, self.answering, self.host, self.runners, peer, request)
             self._imports = {transfer.id: state}
         return self._imports[transfer.id]
 
-    def _links_of(self, cut: str, swaps: Sequence[commands.CutSwap], kind: type, gate: GateState) -> list[OutputLink]:
+    def _links_of(
+        self, command: commands.CutOutCommand | commands.CutInCommand, kind: type, gate: GateState
+    ) -> list[OutputLink]:
         """The attachments that take part in a cut. Raises CommandRefused where one cannot."""
-        if any(isinstance(side, kind) for side in self._sides.get(cut, [])):
-            raise CommandRefused(f"cut {cut} has been agreed already")
+        if any(isinstance(side, kind) for side in self._sides.get(command.cut, [])):
+            raise CommandRefused(f"cut {command.cut} has been agreed already")
         links = []
-        for swap in swaps:
+        for swap in command.swaps:
             link = self.attachments.link(swap.port, swap.topic)
             if link.cut is not None:
                 raise CommandRefused(f"{link} is part of another cut under way")
             if link.gate != gate:
                 raise CommandRefused(f"the gate of {link} is {link.gate}, and must be {gate} before this side of a cut")
             links.append(link)
-        if not links:
-            raise CommandRefused("a cut needs at least one swap")
+        if not links and command.state is None:
+            raise CommandRefused("a cut needs at least one swap, or state to move")
         return links
 
     async def _arm(self, side: OutgoingCut | IncomingCut, arm: Callable[[], None]) -> None:

@@ -2,7 +2,8 @@
 
 Every server of a service receives every request (on ROS 2, where the instances of a role have one node name). Of two
 instances one answers, and its gate is open. The other one holds what arrives until it is that one's turn: it is given
-the requests that its predecessor has handled, handles the rest, and so each request is handled exactly once.
+the requests that its predecessor has handled, handles the rest, and so each request is handled exactly once. While the
+state of the one that answers moves to the other, neither answers, and both hold what arrives.
 """
 
 from __future__ import annotations
@@ -21,7 +22,10 @@ REMEMBERED: Final = 10 * HELD
 
 
 class ServiceGate:
-    """``steady`` is the steady clock (ns). May be used on any thread: services run on two."""
+    """``steady`` is the steady clock (ns). May be used on any thread: services run on two.
+
+    ``yields`` counts how often another instance has asked to answer instead.
+    """
 
     def __init__(self, steady: Callable[[], int], *, is_open: bool = True) -> None:
         self.is_open = is_open
@@ -30,11 +34,15 @@ class ServiceGate:
         # By request, in order of arrival: when it was handled, or when it came and how to handle it.
         self._handled: OrderedDict[str, int] = OrderedDict()
         self._held: OrderedDict[str, tuple[int, Callable[[], object]]] = OrderedDict()
+        self._unfinished: set[str] = set()
+        self._paused = False
+        self.yields = 0
 
     def admit(self, request: str, later: Callable[[], object]) -> bool:
         """Whether to handle ``request`` now. Else ``later`` is called if the gate opens before a peer has handled it.
 
-        ``request`` identifies it: the same for every server that receives it, and unique among all requests.
+        ``request`` identifies it: the same for every server that receives it, and unique among all requests. Call
+        :meth:`finished` once it has been handled, now or later.
         """
         now = self._steady()
         with self._lock:
@@ -42,22 +50,47 @@ class ServiceGate:
                 return False
             if self.is_open:
                 self._handled[request] = now
+                self._unfinished.add(request)
             else:
                 self._held[request] = now, later
             self._forget_old(now)
             return self.is_open
 
+    def finished(self, request: str) -> None:
+        """``request`` has been handled to the end, or its code has raised."""
+        with self._lock:
+            self._unfinished.discard(request)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a request is being handled."""
+        return bool(self._unfinished)
+
+    @property
+    def handled(self) -> list[str]:
+        """The requests that were handled here lately."""
+        with self._lock:
+            return list(self._handled)
+
     def _forget_old(self, now: int) -> None:
         handled, held = self._handled, self._held
         while handled and (len(handled) > REMEMBERED or now - next(iter(handled.values())) > REMEMBER * 1e9):
             handled.popitem(last=False)
-        while held and (len(held) > HELD or now - next(iter(held.values()))[0] > HOLD * 1e9):
+        while held and (len(held) > HELD or (not self._paused and now - next(iter(held.values()))[0] > HOLD * 1e9)):
             held.popitem(last=False)
 
-    def close(self) -> list[str]:
-        """Handle no further request. Returns the requests that were handled here lately."""
+    def pause(self) -> bool:
+        """Handle no further request until :meth:`open`; what arrives is held, however long. Whether it was open."""
         with self._lock:
-            self.is_open = False
+            was_open, self.is_open = self.is_open, False
+            self._paused = self._paused or was_open
+            return was_open
+
+    def close(self) -> list[str]:
+        """Handle no further request: another instance will. Returns the requests that were handled here lately."""
+        with self._lock:
+            self.yields += 1
+            self.is_open = self._paused = False
             return list(self._handled)
 
     def open(self, handled: Iterable[str] | None) -> None:
@@ -76,7 +109,8 @@ class ServiceGate:
                 self._handled[request] = now
                 self._handled.move_to_end(request)
             self._handled.update(dict.fromkeys(due, now))
+            self._unfinished.update(due)
             self._forget_old(now)
-            self.is_open = True
+            self.is_open, self._paused = True, False
         for later in due.values():
             later()

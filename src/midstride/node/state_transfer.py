@@ -4,8 +4,9 @@ docs/semantics.md section 7, *State*. From T on, both components hold back calls
 those that belong to the new side, until it knows that they are not its own after all; the new one those that belong to
 it, until the state has arrived. A functionality without an output in a cut, which only receives, goes on at the old
 side until the export; the new one holds all its messages back, and drops those that the old one has received. The new
-side asks for the state, and reports that it is importing it, so the old side
-can tell a slow import from a dead peer. None of this needs the manager.
+side asks for the state, and reports that it is importing it, so the old side can tell a slow import from a dead peer.
+Requests to the node's services follow the state: the old side answers none from the export on, and the new one those
+that it is not known to have answered, once it has imported. None of this needs the manager.
 
 The methods ``arm``, ``admit`` and ``release`` run on the data thread, the others on the control thread.
 """
@@ -14,11 +15,12 @@ from __future__ import annotations
 
 import abc
 import asyncio
-from collections.abc import Awaitable, Callable, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 from midstride.errors import BackendError, CallTimeout, CommandRefused, Unreachable
+from midstride.node.answering import Answering
 from midstride.node.cut import IncomingCut, OutgoingCut, call_belongs_after, reading
 from midstride.node.functionality_runner import Admission, Call, FunctionalityRunner
 from midstride.node.host import Host
@@ -43,16 +45,39 @@ FETCH_INTERVAL: Final = 0.01
 # How often the new side reports that it is still importing (s): often enough for the shortest time before a resumption.
 REPORT_INTERVAL: Final = 0.03
 REPORT_TIMEOUT: Final = 0.25
+# How long the export waits for a request to a service that is being handled (s): what that changes later is not in the
+# state.
+REQUEST_PATIENCE: Final = 0.2
 # How long a state may take on its way (s per byte), besides the time in which the new side must report.
 TRANSIT_PER_BYTE: Final = 2e-8
 
 
+def mute(runners: Iterable[FunctionalityRunner]) -> None:
+    """On the data thread: make no call for a slot or a message. Another instance makes them."""
+    for runner in runners:
+        runner.admission = _drop
+
+
+def unmute(runners: Iterable[FunctionalityRunner]) -> None:
+    for runner in runners:
+        if runner.admission is _drop:
+            runner.admission = None
+
+
+def _drop(runner: FunctionalityRunner, call: Call) -> Admission:
+    return "drop"
+
+
 @dataclass(eq=False)
 class _Transfer(abc.ABC):
-    """What both sides share. ``_armed``: how many cuts the pair has agreed so far; ``_ended``: those that are over."""
+    """What both sides share. ``_armed``: how many cuts the pair has agreed so far; ``_ended``: those that are over.
+
+    Where no output is cut (``_moments`` is empty), a side that does not take part in the work makes no calls.
+    """
 
     transfer: commands.StateTransfer
     hooks: StateHooks
+    answering: Answering
     host: Host
     runners: Sequence[FunctionalityRunner]
     _moments: dict[OutputOwner, tuple[int, CutClock]] = field(default_factory=dict, init=False)
@@ -111,9 +136,15 @@ class _Transfer(abc.ABC):
 
 @dataclass(eq=False)
 class StateExport(_Transfer):
-    """The old side. Where it resumes, it makes the calls that it held back: one for all slots, one for each message."""
+    """The old side. Where it resumes, it makes the calls that it held back: one for all slots, one for each message.
 
+    ``start`` runs a coroutine in the background.
+    """
+
+    start: Callable[[Coroutine[Any, Any, None]], None]
     because: str | None = field(default=None, init=False)
+    # Whether its gate was open before the export.
+    _answered: bool = field(default=False, init=False)
     _passed: set[object] = field(default_factory=set, init=False)
     _all_passed: bool = field(default=False, init=False)
     _state: bytes | None = field(default=None, init=False)
@@ -161,11 +192,17 @@ class StateExport(_Transfer):
         try:
             if await within(self.host, self._quiet(), self.transfer.timeout) is None:
                 raise CommandRefused(f"user code did not return within {self.transfer.timeout:g} s")
+            self._answered = self.answering.pause()
+            await within(self.host, self._requests_answered(), REQUEST_PATIENCE)
             self._state = await self.hooks.export(self.transfer.timeout, self.transfer.changes)
         except CommandRefused as error:
             self.because = self.because or str(error)
         self._heard_at = self.host.steady() + int(len(self._state or b"") * TRANSIT_PER_BYTE * 1e9)
         self._settled.set()
+
+    async def _requests_answered(self) -> None:
+        while self.answering.gate.busy:
+            await self.host.sleep(TICK)
 
     @property
     def heard_at(self) -> int:
@@ -189,7 +226,8 @@ class StateExport(_Transfer):
         await self._settled.wait()
         if self.because is not None:
             raise CommandRefused(self.because)
-        return commands.FetchedState(state=self._state, handled=self._handled, since=self._since)
+        requests = self.answering.gate.handled if self._answered else None
+        return commands.FetchedState(state=self._state, handled=self._handled, since=self._since, requests=requests)
 
     def importing(self, done: bool) -> commands.Relieved:
         if not self._resumed:
@@ -203,6 +241,10 @@ class StateExport(_Transfer):
         self._resumed = self._resumed or resumed
         if self._resumed:
             self.because = self.because or "the old component has resumed"
+            if self._answered:
+                self._answered = False
+                new = self.transfer.new
+                self.start(self.answering.take_back(new, self.transfer.address, may_answer=self._imported))
         self._settled.set()
         if self.over:
             self._state = None
@@ -210,6 +252,8 @@ class StateExport(_Transfer):
     def release_if_over(self) -> None:
         if self.over:
             self.release(make=self._resumed)
+            if not self._moments and not self._resumed:
+                mute(self.runners)
 
 
 @dataclass(eq=False)
@@ -228,12 +272,15 @@ class StateImport(_Transfer):
     _since: int = field(default=0, init=False)
     _settled: asyncio.Event = field(default_factory=asyncio.Event, init=False)
 
+    def __post_init__(self) -> None:
+        self._yields = self.answering.gate.yields
+
     def admit(self, runner: FunctionalityRunner, call: Call) -> Admission:
         origin = self._origin(runner, call)
         if origin is None:
             included = not self._belongs_after(runner, call, slot=1)
             if included and not self._imported:
-                return "make"
+                return "make" if self._moments else "drop"
         else:
             publisher, source = origin
             included = self._imported and source <= self._handled.get(publisher, self._since)
@@ -247,11 +294,12 @@ class StateImport(_Transfer):
             fetched = await self._fetch()
             if fetched is not None and fetched.state is not None:
                 self._handled, self._since = fetched.handled, fetched.since
-                await self._import(fetched.state)
+                await self._import(fetched)
         except CommandRefused as error:
             await self._settle(str(error), self.transfer.required)
         except Unreachable:
-            await self._settle(f"{self.peer} has exited", False)
+            self.answering.take_over(None, self._yields)
+            await self._settle(f"{self.peer} exited before it had exported its state", False)
         else:
             await self._settle(None, False)
 
@@ -264,11 +312,13 @@ class StateImport(_Transfer):
             if await within(self.host, self._settled.wait(), self.transfer.timeout) is None:
                 await self._settle(_too_long(self.transfer), self.transfer.required)
 
-    def end(self, cut: object) -> None:
+    def end(self, cut: object, done: bool) -> None:
         """On the data thread: a cut has ended. Once all have, calls from before T are no longer dropped."""
         self._ended.add(cut)
         if self.over:
             self.release(make=False)
+            if not self._moments and not done:
+                mute(self.runners)
 
     async def cancel(self) -> None:
         await self._settle("the cut was cancelled", True)
@@ -309,27 +359,31 @@ class StateImport(_Transfer):
         while not self._settled.is_set() and (left := (self.transfer.at - self._now()) / 1e9 - lead) > 0:
             await self.host.sleep(min(max(left, 0.0001), LONGEST_WAIT))
 
-    async def _import(self, state: bytes) -> None:
+    async def _import(self, fetched: commands.FetchedState) -> None:
         """Raises CommandRefused where the import fails, or the old side has resumed."""
-        work = asyncio.ensure_future(self._import_quietly(state))
+        work = asyncio.ensure_future(self._import_quietly(fetched.state or b""))
         while (finished := await within(self.host, work, REPORT_INTERVAL)) is None:
             await self._report(done=False)
         finished.result()
-        await self._report(done=True)
+        # An old side that does not reply may still answer requests: then the manager has it asked once more.
+        if await self._report(done=True) and fetched.requests is not None:
+            self.answering.take_over(fetched.requests, self._yields)
 
     async def _import_quietly(self, state: bytes) -> None:
         await self._quiet()
         self._imported = True
         await self.hooks.import_(state, self.transfer.timeout, self.transfer.changes)
 
-    async def _report(self, done: bool) -> None:
+    async def _report(self, done: bool) -> bool:
+        """Whether the old side knows, or has exited. Raises CommandRefused where it has resumed."""
         importing = commands.ImportingCommand(transfer=self.transfer.id, done=done)
         try:
             reply = await self.request(importing, REPORT_TIMEOUT)
-        except BackendError:
-            return  # it has exited, or is stopped: it writes nothing
+        except BackendError as error:
+            return isinstance(error, Unreachable)  # it has exited, or is stopped: it writes nothing
         if not reply.ok or result_of(reply, importing).resumed:
             raise CommandRefused("the old component has resumed")
+        return True
 
 
 def _too_long(transfer: commands.StateTransfer) -> str:

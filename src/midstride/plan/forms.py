@@ -23,6 +23,7 @@ from midstride.plan.change_builder import change_between
 from midstride.plan.explain import Degradation, LevelShift
 from midstride.plan.plan import Plan
 from midstride.plan.runtime_values import RuntimeValue
+from midstride.plan.state import left_behind
 from midstride.plan.step_forms import AnyStep, CreateStep, PlanPart, SetStep, decode_step, mode_index, step_form
 
 Steps: TypeAlias = Annotated[list[AnyStep], field("a list of steps")]
@@ -32,6 +33,9 @@ Running: TypeAlias = Annotated[
 ]
 RuntimeValues: TypeAlias = Annotated[
     list[RuntimeValue], field("a list of values", "of parameters, set at run time, and what becomes of them")
+]
+OwnState: TypeAlias = Annotated[
+    dict[str, str], field("an object of reasons", "by new instance: why it starts with its own state")
 ]
 Standing: TypeAlias = Annotated[
     dict[str, str], field("an object of modes", "at the start: the modes that are not the best possible")
@@ -61,6 +65,7 @@ class PlanPreview(PlanCosts, frozen=True, kw_only=True):
     running: Running | UnsetType = UNSET
     standing: Standing | UnsetType = UNSET
     parameters: RuntimeValues | UnsetType = UNSET
+    own_state: OwnState | UnsetType = UNSET
 
     @classmethod
     def of(cls, plan: Plan) -> PlanPreview:
@@ -76,6 +81,7 @@ class PlanForm(PlanCosts, frozen=True, kw_only=True):
     running: Running | UnsetType = UNSET
     standing: Standing | UnsetType = UNSET
     parameters: RuntimeValues | UnsetType = UNSET
+    own_state: OwnState | UnsetType = UNSET
 
     @classmethod
     def of(cls, plan: Plan, **more: Any) -> PlanForm:
@@ -99,6 +105,7 @@ def _fields(plan: Plan) -> dict[str, Any]:
         "running": _running(plan.change) or UNSET,
         "standing": _standing(plan.change.origin) or UNSET,
         "parameters": list(plan.parameters) or UNSET,
+        "own_state": left_behind(plan.change, (step.action for step in plan.steps)) or UNSET,
     }
 
 

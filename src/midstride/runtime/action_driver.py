@@ -6,14 +6,27 @@ each component that can be reached.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Container, Mapping
+from collections.abc import Awaitable, Callable, Collection, Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
 from midstride.errors import CallTimeout, CommandRefused, MidstrideError, StepFailed, Unreachable
-from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
+from midstride.model.action import (
+    Action,
+    Attach,
+    Create,
+    Degrade,
+    Detach,
+    Handover,
+    Remove,
+    SetParameters,
+    Swap,
+    Upgrade,
+)
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
+from midstride.plan.plan import Plan
+from midstride.plan.state import left_behind, without_outputs
 from midstride.runtime.answering import have_answer
 from midstride.runtime.backend import Backend
 from midstride.runtime.component_client import ComponentClient
@@ -24,7 +37,8 @@ from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import own_degradations_in
 from midstride.runtime.parameter_transfer import ParameterTransfer
 from midstride.runtime.running_system import RunningSystem
-from midstride.runtime.state_transfers import StateTransfers
+from midstride.runtime.state_moves import StateMoves
+from midstride.runtime.state_transfers import StateTransfers, keeps_state, own_state
 from midstride.wire import commands
 from midstride.wire.commands import Command
 
@@ -54,8 +68,12 @@ class ActionDriver:
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
     late: dict[str, float] = field(default_factory=dict)
     parameters: ParameterTransfer | None = None
+    # By instance: what state of its predecessor it continues without, and why.
+    own_state: dict[str, str] = field(default_factory=dict)
+    moves: StateMoves | None = None
     leaving: Container[str] = ()  # the instances that the plan removes
     fences: Fences = field(init=False)
+    _keeping: set[str] = field(default_factory=set)  # instances that keep state, also where they have exited since
     _before_setting: dict[str, commands.PreviousParameters] = field(default_factory=dict)  # by instance
     _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
 
@@ -75,6 +93,9 @@ class ActionDriver:
         if any(self.fences.hangs_already(name) for name in action.instances()):
             await self._fence_leaving(action, begun)
         try:
+            if self.moves is not None:
+                gone = {name for name in self.configuration.instances if self._is_gone(name)} | {*self.fences.fenced}
+                await self.moves.before(action, self.configuration.instances, gone)
             try:
                 await self._perform(action, because)
             except (CommandRefused, CallTimeout):
@@ -177,6 +198,28 @@ class ActionDriver:
                 values = {name: reply.before[name] for name in reply.declared}
                 self.parameters.set_in_place(self.configuration.instances[instance], values)
 
+    def move_states_of(self, plan: Plan) -> None:
+        """From now on, move the states of the replacements in ``plan`` that have no outputs to hand over."""
+        change = plan.change
+        self._keeping.update(name for name in change.replaced if keeps_state(self.client, name))
+        self.moves = StateMoves(self.client, self._move_state, self._keeps_own_state, without_outputs(change))
+        predecessors = {new: old for old, new in change.replaced.items()}
+        for new, because in left_behind(change, (step.action for step in plan.steps)).items():
+            self._keeps_own_state(predecessors[new], new, because)
+
+    async def _move_state(self, old: str, new: str) -> None:
+        try:
+            await self._live_handover((), [(old, new)])
+        except MidstrideError as error:
+            if not self.rolling_back:
+                raise
+            self._keeps_own_state(old, new, str(error))
+
+    def _keeps_own_state(self, old: str, new: str, because: str) -> None:
+        if old in self._keeping:
+            self.own_state[new] = own_state(old, new, because)
+            self.events.add("note", f"{new} keeps its own state: {because}")
+
     def _is_gone(self, instance: str) -> bool:
         """Whether its process has exited, or is about to: the end of its connection is known first."""
         return instance in self.system.crashed or self.client.is_lost(instance)
@@ -240,19 +283,29 @@ class ActionDriver:
         output = configuration.is_output(port)
         others = (configuration.subscribers_on if output else configuration.publishers_on)(action.connector)
         peers = sum(not self._is_gone(other.instance) for other in others)
-        attach = commands.AttachCommand(port=port.port, topic=topic, peers=peers, timeout=ATTACH_TIMEOUT)
+        attach = commands.AttachCommand(
+            port=port.port, topic=topic, peers=peers, timeout=ATTACH_TIMEOUT, **self._relied_on(port)
+        )
         detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
         await self._or_undo(port.instance, attach, detach)
 
     async def _detach(self, action: Detach) -> None:
         port, topic = action.port, self.configuration.topic(action.connector)
         detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
-        attach = commands.AttachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
+        attach = commands.AttachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT, **self._relied_on(port))
         reply = await self._or_undo(port.instance, detach, attach)
         if reply.last:
             self.last_numbers[port] = reply.last
         if reply.acknowledged is None and self.configuration.is_output(port):
             self.events.add("note", f"{port}: unknown whether its last messages on {topic} arrived")
+
+    def _relied_on(self, port: PortRef) -> dict[str, Any]:
+        """What the specification states for an input; nothing for an output."""
+        component = self.configuration.component(port.instance)
+        assumption = component.inputs.get(port.port)
+        if assumption is None or assumption.rate is None:
+            return {}
+        return {"rate": assumption.rate, "tolerates": component.tolerates.get(port.port)}
 
     async def _or_undo(self, instance: str, command: Command[R], undo: Command[Any]) -> R:
         """The reply to ``command``; if it fails, send ``undo`` in case it was partly carried out."""
@@ -271,11 +324,21 @@ class ActionDriver:
                     continue
                 before = {ref: self.configuration.modes[ref] for ref in modes}
                 changed.append((instance, self._modes_command(before, "roll-back")))
-                await self.client.change(instance, self._modes_command(modes, because))
+                command = self._modes_command(modes, because)
+                try:
+                    await self.client.change(instance, command)
+                except CommandRefused:
+                    if isinstance(action, Upgrade) or not await self._has_degraded(instance):
+                        raise
+                    await self.client.change(instance, command)  # whatever mode it has fallen to
         except Exception:
             for instance, undo in reversed(changed):
                 await self.client.undo(instance, undo)
             raise
+
+    async def _has_degraded(self, instance: str) -> bool:
+        """Whether it has degraded by itself since the change began."""
+        return bool(own_degradations_in(self.configuration, await self.client.peek(instance)))
 
     async def lower(self, instance: str, modes: Mapping[FunctionalityRef, int], because: str) -> None:
         """Degrade functionalities of ``instance`` whose assumptions no longer hold. Raises MidstrideError.
@@ -299,10 +362,23 @@ class ActionDriver:
             await self.before_handover(configuration, action)
         # Where the outputs of other roles are swapped, nothing is replaced.
         replaced = [(old, new) for old, new in pairs if old != new and roles[old] == roles[new]]
-        states = StateTransfers(self.client, self.events, replaced, required=not self.rolling_back)
+        await self._live_handover(action.swaps, replaced)
+
+    async def _live_handover(self, swaps: Sequence[Swap], replaced: Collection[tuple[str, str]]) -> None:
+        """Hand over what is swapped, and the state of ``replaced``, pairs of old and new."""
+        states = StateTransfers(self.client, self.events, replaced, required=not self.rolling_back, lost=self.own_state)
+        self._keeping.update(old for old, _ in replaced if keeps_state(self.client, old))
+        states.keeping = self._keeping
         lingering_readers = self.backend.lingering_readers
         handover = LiveHandover(
-            self.client, self.events, configuration, action.swaps, lingering_readers, self._is_gone, states, self.fences
+            self.client,
+            self.events,
+            self.configuration,
+            swaps,
+            lingering_readers,
+            self._is_gone,
+            states,
+            self.fences,
         )
         handover.before_cut = self._carry_parameters
         self.last_numbers |= await handover.run()

@@ -76,6 +76,8 @@ class Cut:
 
     def _declared_period(self) -> float | None:
         """The longest of the periods that the cut's topics require; None if one states no rate."""
+        if not self.swaps:
+            return None
         connectors = self.configuration.context.connectors
         rates = [connectors[swap.connector].guarantee.rate or self.configuration.rate(swap.old) for swap in self.swaps]
         return None if None in rates else max(1 / rate for rate in rates if rate)
@@ -127,8 +129,9 @@ async def agree_cuts(
     """One cut for the outputs of each old functionality, all at the first slot after one common moment.
 
     There is one such moment on each clock, ``lead`` seconds of real time ahead. ``states`` says how state moves between
-    two components. There the slowest grid is cut first, and each faster one at its first slot after that, so the slots
-    that wait for the last cut do so for a short part of their period.
+    two components, which have a cut for it alone if they swap nothing. Else the slowest grid is cut first, and each
+    faster one at its first slot after that, so the slots that wait for the last cut do so for a short part of their
+    period.
     """
     cuts: dict[tuple[str, str, str], Cut] = {}
     grids: dict[tuple[str, str, str], Grid] = {}
@@ -146,11 +149,15 @@ async def agree_cuts(
         cuts[key].swaps.append(swap)
     for cut in cuts.values():
         cut.at = _first_slot(cut, moments[cut.clock])
+    for old, new in states:
+        if not any((cut.old, cut.new) == (old, new) for cut in cuts.values()):  # no output: only its state moves
+            grid = grids[old, new, ""] = await client.read(old, GridCommand())
+            cuts[old, new, ""] = Cut(configuration, old, new, clock=grid.clock, at=grid.now + int(lead * 1e9))
     for pair, state in states.items():
         own = sorted((cut for cut in cuts.values() if (cut.old, cut.new) == pair), key=lambda cut: -(cut.period or 0.0))
         latest = dict(moments)
         for cut in own:
-            latest[cut.clock] = cut.at = _first_slot(cut, latest[cut.clock])
+            latest[cut.clock] = cut.at = _first_slot(cut, latest.get(cut.clock, cut.at))
         last = own[-1]
         transfer = structs.replace(state, id=uuid.uuid4().hex, cuts=len(own), at=last.at, clock=last.clock)
         for cut in own:

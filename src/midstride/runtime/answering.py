@@ -5,6 +5,7 @@ The components do it among themselves (:mod:`midstride.node.answering`); the man
 
 from __future__ import annotations
 
+from midstride.errors import CallTimeout
 from midstride.runtime.component_client import ComponentClient
 from midstride.wire.commands import AnswerCommand
 
@@ -17,5 +18,7 @@ async def have_answer(client: ComponentClient, instance: str, instead_of: str | 
     latest = client.latest(instance)
     if latest is not None and latest.state.answers:
         return
+    if latest is not None and client.responsive(instance) is None:
+        raise CallTimeout(f"{instance} reports nothing")  # what waits for it would only be late
     address = None if instead_of is None else client.address(instead_of)
     await client.change(instance, AnswerCommand(peer=instead_of or "", address=address))

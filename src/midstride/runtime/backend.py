@@ -119,6 +119,9 @@ class Backend(Protocol):
         After ``grace`` seconds each is killed. Raises BackendError.
         """
 
+    def is_stopped(self, instance: str) -> bool:
+        """Whether the process of a started component is stopped (SIGSTOP), so that nothing in it runs."""
+
     def disconnected(self, instance: str) -> None:
         """A component that was started by hand has exited, as its control connection shows."""
 

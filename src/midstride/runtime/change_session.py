@@ -186,6 +186,7 @@ class ChangeSession:
         executor.entry = entry
         self.reconciler.on_failure = lambda instance: timer.moved(system.configuration, (instance,))
         executor.driver.parameters, executor.driver.fences.wait = transfer, wait
+        executor.driver.move_states_of(plan)
         executor.driver.before_handover = recording.record_driving_inputs
         executor.after_step = None if verifier is None else verifier.look
         response = CrashResponse(executor, self.reconciler, actions)
@@ -250,6 +251,11 @@ class ChangeSession:
             fallen=degraded_seconds,
             swaps=swaps,
             late=executor.driver.late,
+            own_state={
+                name: words
+                for name, words in executor.driver.own_state.items()
+                if name in system.configuration.instances
+            },
             fenced=[fenced[name] for name in sorted(fenced)],
             because=because,
             parameters=transfer.report(outcome == "done"),

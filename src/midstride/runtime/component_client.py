@@ -264,10 +264,10 @@ class ComponentClient:
             reply = await self._request(instance, command, revision)
         except CallTimeout:
             self.forget(instance)  # the command may or may not have been carried out
-            waited = command.timeout + ANSWER_TIMEOUT
-            silent = self._is_silent(instance)
-            how = ", and is silent" if silent else f" and, asked again, {ANSWER_TIMEOUT:g} s more"
-            raise CallTimeout(f"{instance} did not answer `{command.name}` within {waited:g} s{how}") from None
+            how = f"within {command.timeout + ANSWER_TIMEOUT:g} s and, asked again, {ANSWER_TIMEOUT:g} s more"
+            if (latest := self._latest.get(instance)) is not None and self._is_silent(instance):
+                how = f"and has reported nothing for {self.clock.steady() - latest.at:.1f} s"
+            raise CallTimeout(f"{instance} did not answer `{command.name}` {how}") from None
         except Unreachable as error:
             self.forget(instance)
             raise Unreachable(f"{instance} cannot be reached for `{command.name}`: {error}") from None

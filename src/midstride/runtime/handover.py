@@ -90,7 +90,7 @@ class LiveHandover:
 
     ``fences`` is for old sides that hang. ``lingering_readers`` says how many readers on a topic the middleware still
     counts although their processes have exited, ``is_gone`` whether a component has exited. ``states`` moves their
-    state. ``before_cut(old, new)`` is called when both are ready for it.
+    state; there may be state to move without any swap. ``before_cut(old, new)`` is called when both are ready for it.
     """
 
     client: ComponentClient
@@ -140,7 +140,7 @@ class LiveHandover:
         time ahead.
         """
         deadline = self.fences.now() + self.fences.wait
-        olds = sorted({swap.old.instance for swap in self.swaps})
+        olds = sorted({old for old, _ in self._pairs})
         attempt: Callable[[], Awaitable[dict[PortRef, int | None]]] = partial(self._agree, LEADS)
         while True:
             try:
@@ -169,12 +169,12 @@ class LiveHandover:
                 attempt = partial(self._agree, (max(LEADS[-1], min(LONGEST_LEAD, deadline - self.fences.now())),))
 
     async def _have_exited(self) -> bool:
-        return all([await self._has_exited(swap.old.instance) for swap in self.swaps])
+        return all([await self._has_exited(old) for old, _ in self._pairs])
 
     async def _change_answering(self) -> None:
         """Have each replacement answer the requests to its role's node."""
         instances = self.configuration.instances
-        for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps}):
+        for old, new in self._pairs:
             if old != new and instances[old].role == instances[new].role:
                 try:
                     await have_answer(self.client, new, instead_of=None if self.is_gone(old) else old)
@@ -186,7 +186,7 @@ class LiveHandover:
 
         Raises OldSideFailed where the old side may be to blame.
         """
-        pairs = sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps})
+        pairs = self._pairs
         for old, new in pairs:
             with _old_side_needed():
                 await require_same_clock(self.client, old, new)
@@ -213,7 +213,7 @@ class LiveHandover:
         return await self._await_cuts()
 
     async def _before_cut(self) -> None:
-        for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps}):
+        for old, new in self._pairs:
             if self.before_cut is not None:
                 await self.before_cut(old, new)
 
@@ -226,9 +226,9 @@ class LiveHandover:
         last: dict[PortRef, int | None] = {}
         if hung and self._cuts:  # the new ones are ready, and may publish already
             last = await self._fence(hung)
-        publishing = [swap for cut in self._cuts if await self._publishes(cut) for swap in cut.swaps]
-        waiting = [swap for swap in self.swaps if swap not in publishing]
-        await self._cancel(cut for cut in self._cuts if not any(swap in publishing for swap in cut.swaps))
+        published = [cut for cut in self._cuts if await self._publishes(cut)]
+        waiting = [swap for swap in self.swaps if not any(swap in cut.swaps for cut in published)]
+        await self._cancel(cut for cut in self._cuts if cut not in published)
         for swap in waiting:
             if swap not in self._attached:
                 await self._attach(swap, readers=0)
@@ -243,20 +243,17 @@ class LiveHandover:
             latch = grid.trigger == "none"
             opening = commands.GateCommand(port=swap.new.port, topic=self._topic(swap), gate="open", latch=latch)
             await self.client.change(swap.new.instance, opening)
-        for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps}):
+        for old, new in self._pairs:
             how = "was fenced" if old in hung else "exited during the hand-over"
             self.events.add("note", f"{old} {how}, and {new} took over at once")
-            moved = any(
-                (cut.old, cut.new) == (old, new) and swap in publishing for cut in self._cuts for swap in cut.swaps
-            )
-            if (old, new) in self.states.agreed and not moved:
-                self.states.note_own_state(new, f"{old} {'hangs' if old in hung else 'has exited'}")
+            if not any((cut.old, cut.new) == (old, new) for cut in published):
+                self.states.note_exit(old, new, hangs=old in hung)
         return last
 
     async def _fence(self, hung: Mapping[str, str]) -> dict[PortRef, int | None]:
         """Fence the old sides that hang. Raises StepFailed. Those that do not were asked to agree with them in vain."""
         last: dict[PortRef, int | None] = {}
-        for old in sorted({swap.old.instance for swap in self.swaps}):
+        for old in sorted({old for old, _ in self._pairs}):
             because = hung.get(old, f"{old} hands over together with {', '.join(sorted(hung))}")
             links = [(swap.old, self._topic(swap)) for swap in self.swaps if swap.old.instance == old]
             last |= await self.fences.fence(old, because, links)
@@ -288,6 +285,11 @@ class LiveHandover:
                 pass
             return False
         return self.is_gone(instance)
+
+    @property
+    def _pairs(self) -> list[tuple[str, str]]:
+        """Old and new components: those of the swaps, and those between which only state moves."""
+        return sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps} | {*self.states.pairs})
 
     def _topic(self, swap: Swap) -> str:
         return self.configuration.topic(swap.connector)
@@ -411,9 +413,10 @@ class LiveHandover:
             reason = "" if because is None else f": {because}"
             if incoming.outcome != "done" and not any(incoming.first.values()):
                 reason = reason or await self._waits_for(cut.new)
+                what = "publish after the cut" if cut.swaps else "take over"
                 # An old side that is busy with exporting its state does not hang.
                 failed = OldSideFailed if because is None else StepFailed
-                raise failed(f"{cut.new} did not publish after the cut; {cut.old} continues{reason}")
+                raise failed(f"{cut.new} did not {what}; {cut.old} continues{reason}")
             if incoming.outcome != "done" or outgoing.outcome != "done":
                 raise OldSideFailed(f"{cut.old} resumed before it learned that {cut.new} had published{reason}")
             self.states.ended(cut, incoming)
@@ -435,7 +438,7 @@ class LiveHandover:
 
     async def _undo(self) -> None:
         """Reopen the gates of the old publishers and detach the new ones, as far as they can be reached."""
-        await self.fences.lift({swap.old.instance for swap in self.swaps})
+        await self.fences.lift({old for old, _ in self._pairs})
         await self._cancel(self._cuts)
         for swap in self._begun:
             await self.client.undo(swap.new.instance, self._detachment(swap.new, swap))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import os
 import shlex
 from collections.abc import Callable, Container, Iterable
@@ -21,7 +22,7 @@ from midstride.errors import (
 )
 from midstride.model.configuration import Instance
 from midstride.runtime.backend import Backend, Exited, Handle, Launch
-from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.component_client import STOPPED, ComponentClient
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.registration import mismatches, unexpected_endpoints
 from midstride.runtime.timeouts import within
@@ -33,6 +34,8 @@ from midstride.wire.state import ComponentState
 REGISTRATION_TIMEOUT: Final = float(os.environ.get("MIDSTRIDE_REGISTRATION_TIMEOUT", "30"))
 # On a machine that is busy with the starts of others: how long it may take at most (s).
 REGISTRATION_LIMIT: Final = 10 * REGISTRATION_TIMEOUT
+# How often a process that starts is checked for having been stopped (s).
+CHECK_STOPPED: Final = 0.5
 # How long a component may take to terminate before it is killed (s), unless it asks for longer.
 STOP_GRACE: Final = 3.0
 # How long a running component may take to accept a connection of a new manager (s).
@@ -165,22 +168,32 @@ class Launcher:
     async def _registration(self, instance: Instance) -> tuple[Greeting, Registration]:
         name, run = instance.name, instance.component.run
         registering, exiting = self._starting[name], self._exits[name]
-        timeout = asyncio.ensure_future(self._patience())
-        first: set[asyncio.Future[Any]] = {registering, exiting, timeout}
+        timeout, stopped = asyncio.ensure_future(self._patience()), asyncio.ensure_future(self._stopped(name))
+        first: set[asyncio.Future[Any]] = {registering, exiting, timeout, stopped}
         try:
             await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
         finally:
             timeout.cancel()
+            stopped.cancel()
         if registering.done():
             return registering.result()
         if exiting.done():
             raise StartFailed(_describe_exit(exiting.result()))
+        if stopped.done():
+            raise StartFailed(f"{name} was stopped (SIGSTOP) before it registered, and not continued for {STOPPED:g} s")
         where = f"was started with `{run}`" if run else "is started elsewhere"
         log = f" Its log: {self.handles[name].log}" if name in self.handles and self.handles[name].log else ""
         raise StartFailed(
             f"{name} did not register within {timeout.result():g} s (it {where}); does its program "
             f"create a Component and call start()?{log}"
         )
+
+    async def _stopped(self, name: str) -> None:
+        """Return once the process has been stopped for ``STOPPED`` seconds: it is not just slow."""
+        clock, since = self._backend.clock, math.inf
+        while clock.steady() - since < STOPPED:
+            await clock.sleep(CHECK_STOPPED)
+            since = min(since, clock.steady()) if self._backend.is_stopped(name) else math.inf
 
     async def _patience(self) -> float:
         """Wait as long as a component may take to register; returns how long that was (s)."""

@@ -36,13 +36,14 @@ class ProcessInfo(NamedTuple):
     """One process as ``/proc`` shows it.
 
     ``started`` (s since boot) and ``pid`` together identify it: a later process with the same number has another start
-    time, and a step of the system clock does not change it.
+    time, and a step of the system clock does not change it. ``stopped``: by a signal, not by a debugger.
     """
 
     pid: int
     group: int
     started: float
     alive: bool
+    stopped: bool = False
 
 
 def process_info(pid: int) -> ProcessInfo | None:
@@ -53,7 +54,9 @@ def process_info(pid: int) -> ProcessInfo | None:
     except OSError:
         return None
     fields = text[text.rindex(b")") + 2 :].split()  # the command name, in parentheses, may contain anything
-    return ProcessInfo(pid, int(fields[2]), int(fields[19]) / _TICKS_PER_SECOND, fields[0] not in (b"Z", b"X"))
+    return ProcessInfo(
+        pid, int(fields[2]), int(fields[19]) / _TICKS_PER_SECOND, fields[0] not in (b"Z", b"X"), fields[0] == b"T"
+    )
 
 
 def processes() -> Iterator[ProcessInfo]:

@@ -89,6 +89,10 @@ class Outcome(Report, frozen=True, kw_only=True):
         dict[str, float],
         Meta(description="seconds by which a new component's first slot waited for its state, over a period"),
     ] = {}
+    own_state: Annotated[
+        dict[str, str],
+        Meta(description="new components that continue without the state of the old one: what is lost, and why"),
+    ] = {}
     because: str | None = None
     parameters: Annotated[list[RuntimeValue], Meta(description="what became of values that were set at run time")] = []
     ended: Annotated[list[str], Meta(description="instances that exited unexpectedly meanwhile")] = []

@@ -5,7 +5,8 @@ The transfer itself is between the two components (:mod:`midstride.node.state_tr
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import time
+from collections.abc import Collection, Container
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -23,6 +24,25 @@ STATE_TIMEOUT: Final = 2.0
 BULK_TIMEOUT: Final = 30.0
 
 
+def keeps_state(client: ComponentClient, instance: str) -> bool:
+    """Whether the component exports state, as it last reported."""
+    latest = client.latest(instance)
+    return latest is not None and latest.state.keeps_state
+
+
+def own_state(old: str, new: str, because: str, bulk: float | None = None) -> str:
+    """That ``new`` continues with its own state, and what of ``old`` is lost; ``bulk``: when its bulk had moved."""
+    if bulk is None:
+        lost = f"all that {old} had kept until {_time_of_day(time.time())}"
+    else:
+        lost = f"what changed in the state of {old} from {_time_of_day(bulk)} to {_time_of_day(time.time())}"
+    return f"{new} continues with its own state ({because}); lost is {lost}"
+
+
+def _time_of_day(at: float) -> str:
+    return time.strftime("%H:%M:%S", time.localtime(at))
+
+
 @dataclass(slots=True)
 class StateTransfers:
     """Those of one hand-over, for ``pairs`` of old and new components.
@@ -38,6 +58,10 @@ class StateTransfers:
     # How state moves at the cuts of a pair; and by how much the first slot of a new component was late (s).
     agreed: dict[tuple[str, str], StateTransfer] = field(default_factory=dict)
     late: dict[str, float] = field(default_factory=dict)
+    keeping: Container[str] = ()  # the components that keep state
+    # By new component: what state of the old one it continues without, and why.
+    lost: dict[str, str] = field(default_factory=dict)
+    _bulks: dict[str, float] = field(default_factory=dict)  # by new component: when the bulk had moved (Unix time, s)
 
     async def prepare(self) -> None:
         """Find out what is exported at the cuts, and move the bulks that can move before. Raises MidstrideError."""
@@ -47,26 +71,42 @@ class StateTransfers:
             except MidstrideError as error:
                 if self.required:
                     raise
-                self.note_own_state(new, str(error))
+                self.note_own_state(old, new, str(error))
 
     async def _prepare(self, old: str, new: str) -> None:
         prepare = PrepareStateCommand(peer=old, address=self.client.address(old))
         offer = await self.client.change(new, prepare)
         changes = offer.exports == "changes"
         if changes:
+            begun = time.time()  # what changes while it moves comes later
             await self.client.change(new, structs.replace(prepare, bulk=True, timeout=BULK_TIMEOUT))
+            self._bulks[new] = begun
         if offer.exports != "nothing":
             self.agreed[old, new] = StateTransfer(
-                id="", cuts=0, at=0, changes=changes, required=self.required, timeout=STATE_TIMEOUT
+                id="",
+                cuts=0,
+                at=0,
+                changes=changes,
+                required=self.required,
+                timeout=STATE_TIMEOUT,
+                new=new,
+                address=self.client.address(new),
             )
 
-    def note_own_state(self, new: str, because: str) -> None:
+    def note_own_state(self, old: str, new: str, because: str) -> None:
+        self.lost[new] = own_state(old, new, because, self._bulks.get(new))
         self.events.add("note", f"{new} keeps its own state: {because}")
+
+    def note_exit(self, old: str, new: str, *, hangs: bool) -> None:
+        """``old`` has exited, or ``hangs``, before its state moved, if it keeps any."""
+        if old in self.keeping or (old, new) in self.agreed:
+            how = "hangs" if hangs else "exited before it had exported its state"
+            self.note_own_state(old, new, f"{old} {how}")
 
     def ended(self, cut: Cut, incoming: CutResult) -> None:
         """A cut is done on its new side: note what is missing, and a first slot that was late by more than a period."""
         if incoming.because is not None:
-            self.note_own_state(cut.new, incoming.because)
+            self.note_own_state(cut.old, cut.new, incoming.because)
         written = [write.source for write in incoming.first.values() if write is not None and write.source is not None]
         if cut.state is None or cut.trigger != "rate" or not cut.period or not written:
             return

@@ -70,10 +70,10 @@ class Puppet:
         for name in self._declared.input_order:
             predicate = self._declared.inputs[name]
             where = dict(predicate.fields) or None
-            port = self.component.create_input(
-                name, self._type_of(predicate.type), predicate.rate, predicate.qos, where
+            missed = self._declared.tolerates.get(name)
+            self._inputs[name] = self.component.create_input(
+                name, self._type_of(predicate.type), predicate.rate, predicate.qos, where, missed
             )
-            self._inputs[name] = port
         for name in self._declared.outputs:
             endpoint = self._declared.output_endpoint(name)
             type_, qos = endpoint if endpoint is not None else ("std_msgs/msg/String", None)

@@ -85,12 +85,13 @@ class FetchedState(WireValue, frozen=True, kw_only=True):
     """The state at a cut. ``handled``: by publisher, the time of the newest message that it includes (ns).
 
     That is for functionalities without an output in the cut. Of other publishers, it includes what was published until
-    ``since``.
+    ``since``. ``requests``: those to the node's services that it includes; None where the old side did not answer them.
     """
 
     state: bytes | None
     handled: dict[str, int]
     since: int
+    requests: list[str] | None = None
 
 
 class StateOffer(WireValue, frozen=True, kw_only=True):
@@ -227,10 +228,10 @@ class ProgramCommand(Command[Program], frozen=True, kw_only=True, tag="program")
 
 
 class GridCommand(Command[Grid], frozen=True, kw_only=True, tag="grid"):
-    """The time grid of an output; with a topic, its readers there as well."""
+    """The time grid of an output; with a topic, its readers there as well. Without a port: the clock of messages."""
 
     kind = "reading"
-    port: str
+    port: str | None = None
     topic: str | None = None
 
 
@@ -294,7 +295,8 @@ class WelcomeCommand(Command[ComponentState], frozen=True, kw_only=True, tag="we
 class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
     """Create the endpoint and wait until ``peers`` compatible endpoints are matched; only then open the gate.
 
-    ``everyone`` is how many readers to wait for beyond that, at most ``patience`` seconds.
+    ``everyone`` is how many readers to wait for beyond that, at most ``patience`` seconds. An input relies on ``rate``
+    (Hz), and ``tolerates`` so many missed messages; None: what its code states.
     """
 
     port: str
@@ -304,6 +306,8 @@ class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
     everyone: int = 0
     patience: Seconds = 0.0
     timeout: Seconds = 5.0
+    rate: float | None = None
+    tolerates: int | None = None
 
 
 class DetachCommand(Command[Detached], frozen=True, kw_only=True, tag="detach"):
@@ -365,7 +369,7 @@ class StateTransfer(WireValue, frozen=True, kw_only=True):
 
     That is at ``at`` on ``clock``. ``changes``: a bulk has moved before, and only what has changed since follows. It
     may take ``timeout`` seconds. If it fails, the new side does not take over where the state is ``required``; else it
-    continues with its own.
+    continues with its own. ``new`` at ``address`` is the new side.
     """
 
     id: str
@@ -375,6 +379,8 @@ class StateTransfer(WireValue, frozen=True, kw_only=True):
     changes: bool = False
     required: bool = True
     timeout: Seconds = 2.0
+    new: str = ""
+    address: str = ""
 
 
 class PrepareStateCommand(Command[StateOffer], frozen=True, kw_only=True, tag="prepare_state"):
@@ -385,11 +391,19 @@ class PrepareStateCommand(Command[StateOffer], frozen=True, kw_only=True, tag="p
     bulk: bool = False
 
 
+class MuteCommand(Command[Done], frozen=True, kw_only=True, tag="mute"):
+    """Make no call for a slot or a message until state has moved to this component, or until it is to `answer`.
+
+    Its predecessor, which has no output to cut, makes them meanwhile.
+    """
+
+
 class CutOutCommand(Command[Done], frozen=True, kw_only=True, tag="cut_out"):
     """The old side: write up to ``at``, then close the gates.
 
     It writes again if the new side has not reported its first write within ``resume_after`` seconds after ``at``; where
-    messages drive the output, after the first input newer than ``at``. Both are on ``clock``.
+    messages drive the output, after the first input newer than ``at``. Both are on ``clock``. Without ``swaps``, only
+    ``state`` moves, and this side makes no call any more.
     """
 
     cut: str

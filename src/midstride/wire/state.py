@@ -96,7 +96,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     still, or that is not known yet). ``stopping`` is how long it may take to end in order (s).
     ``ports`` maps port -> topic -> attachment. ``imported`` counts the modules that its process has imported: where it
     has grown, so may have the files of its program. ``declared`` has the parameters that were set while it ran, each
-    with the value that it was started with.
+    with the value that it was started with. ``keeps_state``: it exports state for its replacement.
     """
 
     instance: str
@@ -114,6 +114,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     node: str | None = None
     answers: bool = True
     declared: dict[str, Any] = msgspec.field(default_factory=dict)
+    keeps_state: bool = False
 
     def set_values(self) -> dict[str, Any]:
         """The values of the parameters that were set while it ran."""

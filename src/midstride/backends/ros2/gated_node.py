@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from rclpy.action import ActionServer
@@ -49,20 +50,29 @@ def guard_service(service: Any, gate: ServiceGate, later: Callable[[Callable[[],
 
     def answer(pending: tuple[Any, Any], header: Any) -> None:
         request, response = pending
+        # The client's own time and count: the same at every server.
+        identity = f"{header.source_timestamp} {header.request_id.sequence_number}"
 
         def handle() -> None:
-            result = serve(request, response)
-            if not inspect.isawaitable(result):
-                send(result, header)
-                return
+            awaited = False
+            try:
+                result = serve(request, response)
+                awaited = inspect.isawaitable(result)
+                if not awaited:
+                    send(result, header)
+            finally:
+                if not awaited:
+                    gate.finished(identity)
+            if awaited:
+                later(partial(finish, result))
 
-            async def finish() -> None:
+        async def finish(result: Any) -> None:
+            try:
                 send(await result, header)
+            finally:
+                gate.finished(identity)
 
-            later(finish)
-
-        # The client's own time and count: the same at every server.
-        if gate.admit(f"{header.source_timestamp} {header.request_id.sequence_number}", lambda: later(handle)):
+        if gate.admit(identity, lambda: later(handle)):
             handle()
 
     service.callback = lambda request, response: (request, response)
@@ -73,19 +83,24 @@ def guard_action(server: Any, gate: ServiceGate, later: Callable[[Callable[[], A
     """Have rclpy's action ``server`` handle the requests that ``gate`` admits."""
     execute = server.execute
 
-    def admits(kind: str, entry: Any) -> bool:
-        if kind == "expired":  # goals of this server, not a request
-            return True
+    def identity(kind: str, entry: Any) -> str:
         header, request = entry
         goal = request.goal_info.goal_id if kind == "cancel" else request.goal_id
-        identity = f"{kind} {bytes(goal.uuid).hex()} {header.sequence_number}"
+        return f"{kind} {bytes(goal.uuid).hex()} {header.sequence_number}"
 
-        async def handle() -> None:
-            await execute({kind: entry})
+    def admits(kind: str, entry: Any) -> bool:
+        # Expired are goals of this server: that is no request.
+        return kind == "expired" or gate.admit(identity(kind, entry), lambda: later(partial(handle, {kind: entry})))
 
-        return gate.admit(identity, lambda: later(handle))
+    async def handle(taken: dict[str, Any]) -> None:
+        try:
+            await execute(taken)
+        finally:
+            for kind, entry in taken.items():
+                if kind != "expired":
+                    gate.finished(identity(kind, entry))
 
     async def execute_admitted(taken: dict[str, Any]) -> None:
-        await execute({kind: entry for kind, entry in taken.items() if admits(kind, entry)})
+        await handle({kind: entry for kind, entry in taken.items() if admits(kind, entry)})
 
     server.execute = execute_admitted

@@ -147,6 +147,10 @@ class Simulator:
             await self.end(name, grace)
         return orphans
 
+    def is_stopped(self, instance: str) -> bool:
+        process = self.processes.get(instance)
+        return process is not None and process.thawed_at > self.time.steady()
+
     def disconnected(self, instance: str) -> None:
         pass  # it has left the simulated graph
 

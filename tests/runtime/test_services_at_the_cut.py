@@ -1,0 +1,172 @@
+"""Requests to a component whose state moves: each is answered once, and what it changes is in the state that moves."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from midstride.errors import Unreachable
+from midstride.runtime.manager import Manager
+from tests.runtime.counting import EXPORT, IMPORT, at_rates, counting, exchanged, for_messages, settle, system
+from tests.runtime.services import SERVICE, SLOW_SERVICE, Caller, ServingSimulator
+
+Body = Callable[[Manager, ServingSimulator], Awaitable[None]]
+
+
+def serving(
+    folder: Path, body: Body, *, seed: int = 0, export: str = EXPORT, import_: str = IMPORT, more: str = SERVICE
+) -> None:
+    simulator = ServingSimulator(seed=seed, latency=0.0003, jitter=0.0003)
+    program = at_rates(export, import_, more, out=50)
+
+    async def run(manager: Manager, _: Any) -> None:
+        await body(manager, simulator)
+
+    counting(system(folder, program, out=50), run, simulator)
+
+
+def assert_each_once(caller: Caller, noted: list[str]) -> None:
+    assert sorted(noted) == sorted(caller.sent), "the state has each request once"
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_every_request_is_in_the_state_that_moves(seed: int, tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: ServingSimulator) -> None:
+        caller = Caller(simulator, seed=seed)
+        for _ in range(5):
+            await settle(0.1)
+            outcome = await exchanged(manager)
+            assert (outcome.outcome, outcome.because, outcome.late) == ("done", None, {})
+        assert_each_once(caller, await caller.stop())
+        assert set(caller.answered_by) == {"counter", "counter_2", "counter_3"}
+
+    serving(tmp_path, body, seed=seed)
+
+
+def test_the_new_one_answers_without_a_message_of_its_own(tmp_path: Path) -> None:
+    """Messages drive it, and there is none after the cut: it answers once its state has arrived all the same."""
+
+    async def body(manager: Manager, simulator: Any) -> None:
+        changing = asyncio.ensure_future(exchanged(manager))
+        while manager.log()[-1].kind != "step" or "hand over" not in manager.log()[-1].words:
+            await asyncio.sleep(0.001)
+        caller = Caller(simulator)
+        outcome = await changing
+        assert (outcome.outcome, outcome.because) == ("done", None)
+        assert_each_once(caller, await caller.stop())
+        assert caller.answered_by["counter_2"] > 50
+
+    program = for_messages(1, import_=f"time.sleep(0.05); {IMPORT}").replace("\ncomp.start", SERVICE + "\ncomp.start")
+    counting(system(tmp_path, program, source=1), body, ServingSimulator())
+
+
+# The first call after the import raises: by then the new one may have answered.
+_RAISES_LATER = f"{IMPORT}; count['out'] = None"
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        {"export": "raise ValueError('lost')"},
+        {"import_": "raise ValueError('lost')"},
+        {"import_": f"time.sleep(9); {IMPORT}"},
+        {"import_": _RAISES_LATER},
+    ],
+)
+def test_where_the_hand_over_is_rolled_back_the_old_one_answers_again(parts: dict[str, str], tmp_path: Path) -> None:
+    """What came meanwhile waits, and is answered once: by the old one, or by the new one before it failed."""
+
+    async def body(manager: Manager, simulator: ServingSimulator) -> None:
+        await settle(0.1)
+        caller = Caller(simulator, interval=0.005)
+        outcome = await exchanged(manager)
+        assert outcome.outcome == "rolled_back"
+        await settle(10 if "sleep" in parts.get("import_", "") else 0.2)
+        before = caller.answered_by["counter"]
+        await settle(0.1)
+        assert caller.answered_by["counter"] >= before + 10
+        assert await caller.stop() == [name for name in caller.sent if caller.answers[name][0][0] == "counter"]
+        assert (caller.answered_by["counter_2"] > 0) == (parts.get("import_") == _RAISES_LATER)
+
+    serving(tmp_path, body, export=parts.get("export", EXPORT), import_=parts.get("import_", IMPORT))
+
+
+@pytest.mark.parametrize(
+    "op", ["answer", "await_cut", *(pytest.param(op, marks=pytest.mark.full) for op in ("cut_out", "cut_in", "detach"))]
+)
+def test_requests_are_answered_whenever_the_manager_dies(op: str, tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: ServingSimulator) -> None:
+        send, dead = manager._client._send, asyncio.Event()
+
+        async def until_then(instance: str, command: Any, revision: Any) -> Any:
+            if command.name == op or dead.is_set():
+                dead.set()
+                await asyncio.sleep(20)
+                raise Unreachable("the manager is dead")
+            return await send(instance, command, revision)
+
+        manager._client._send = until_then  # type: ignore[method-assign]
+        await settle(0.1)
+        caller = Caller(simulator, interval=0.005)
+        changing = asyncio.ensure_future(exchanged(manager))
+        if op == "answer":  # there is none: the components have done it themselves
+            assert (await changing).outcome == "done" and not dead.is_set()
+        else:
+            await dead.wait()
+        await settle(3)
+        assert_each_once(caller, await caller.stop())
+        states = {name: state for name in simulator.processes if (state := simulator.state(name)) is not None}
+        assert sum(state.answers for name, state in states.items() if name.startswith("counter")) == 1
+        changing.cancel()
+        await asyncio.wait({changing})
+        manager._client._send = send  # type: ignore[method-assign]
+
+    serving(tmp_path, body)
+
+
+@pytest.mark.parametrize(("op", "kept"), [("fetch_state", True), ("importing", False)])
+def test_a_new_one_that_dies_in_the_transfer_leaves_the_old_one_answering(op: str, kept: bool, tmp_path: Path) -> None:
+    """What waits is answered by the old one, unless the new one may have answered it already."""
+
+    async def body(manager: Manager, simulator: ServingSimulator) -> None:
+        caller = Caller(simulator, interval=0.005)
+
+        async def look(to: str, sent: str) -> None:
+            if sent == op:
+                simulator.faults.kill("counter_2")
+
+        simulator.control.before_request = look
+        await settle(0.1)
+        outcome = await exchanged(manager)
+        assert outcome.outcome == "rolled_back"
+        await settle(0.2)
+        caller._task.cancel()
+        await settle(0.2)
+        unanswered = len(caller.sent) - len(caller.answers)
+        assert unanswered == 0 if kept else unanswered < 200
+        late = Caller(simulator, interval=0.005, name="late")
+        await settle(0.1)
+        assert late.answered_by["counter"] > 10
+
+    serving(tmp_path, body)
+
+
+@pytest.mark.parametrize(("seconds", "waited_for"), [(0.1, True), (0.5, False)])
+def test_a_request_under_way_is_waited_for_before_the_export(seconds: float, waited_for: bool, tmp_path: Path) -> None:
+    """For a bounded time: what a longer one changes after the export is not in the state."""
+
+    async def body(manager: Manager, simulator: ServingSimulator) -> None:
+        await settle(0.1)
+        caller = Caller(simulator, interval=0.01)
+        outcome = await exchanged(manager)
+        assert (outcome.outcome, outcome.because) == ("done", None)
+        if waited_for:
+            assert_each_once(caller, await caller.stop())
+        else:
+            assert set(caller.answers) < set(caller.sent), "the old one has ended before it had answered them"
+
+    serving(tmp_path, body, more=SLOW_SERVICE.format(seconds=seconds))
