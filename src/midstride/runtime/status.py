@@ -75,7 +75,7 @@ def status(
         damaged=damaged,
         middleware=backend.middleware(),
         file=file,
-        spares=reports.Spares(
+        spares=reports.SpareStatus(
             kept=spares,
             ready=backend.spares(),
             unused_by=[name for name, each in sorted(configuration.instances.items()) if not launcher.takes_spare(each)]

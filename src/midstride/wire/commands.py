@@ -40,7 +40,8 @@ class Grid(WireValue, frozen=True, kw_only=True):
     """The time grid of the mode that drives an output: slot n is at ``epoch + n * period``.
 
     ``now`` is on the clock on which a cut of that output is agreed: ``clock``, which gains ``speed`` seconds in each
-    second. ``readers`` is the number of matched subscriptions on the topic asked about.
+    second. ``readers`` is the number of matched subscriptions on the topic asked about, and
+    ``reader_ids`` identifies those that the process has discovered, where the middleware does.
     """
 
     trigger: Trigger
@@ -50,6 +51,7 @@ class Grid(WireValue, frozen=True, kw_only=True):
     epoch: int | None = None
     period: float | None = None
     readers: int | None = None
+    reader_ids: list[str] = []
 
 
 class Receipt(msgspec.Struct, frozen=True, array_like=True):
@@ -295,8 +297,8 @@ class WelcomeCommand(Command[ComponentState], frozen=True, kw_only=True, tag="we
 class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
     """Create the endpoint and wait until ``peers`` compatible endpoints are matched; only then open the gate.
 
-    ``everyone`` is how many readers to wait for beyond that, at most ``patience`` seconds. An input relies on ``rate``
-    (Hz), and ``tolerates`` so many missed messages; None: what its code states.
+    ``everyone`` is how many readers to wait for beyond that, and ``reader_ids`` which, at most ``patience`` seconds. An
+    input relies on ``rate`` (Hz), and ``tolerates`` so many missed messages; None: what its code states.
     """
 
     port: str
@@ -304,6 +306,7 @@ class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
     gate: GateState = "open"
     peers: int = 0
     everyone: int = 0
+    reader_ids: list[str] = []
     patience: Seconds = 0.0
     timeout: Seconds = 5.0
     rate: float | None = None

@@ -41,6 +41,9 @@ class SimulatedWriter:
     def matched(self) -> int:
         return len(self._network.readers_of(self))
 
+    def reader_ids(self) -> frozenset[str]:
+        return frozenset()
+
     async def acknowledged(self, timeout: float) -> bool | None:
         if not self.qos.is_reliable:
             return None
