@@ -232,7 +232,8 @@ class Simulation:
         for problem in self._differences(manager):
             self._violated(f"not converged: {problem}")
         for change in (await manager.history(10)).changes:
-            if change.outcome is None:
+            # A manager that cannot write to the journal when it takes over does not know what was interrupted.
+            if change.outcome is None and not self._has_struck("full disk"):
                 self._violated(f"not converged: `{change.command}` has no outcome in the journal")
         for problem in self._uncaught():
             self._violated(problem)
@@ -312,10 +313,13 @@ class Simulation:
     def _reaction(self) -> float:
         if self._busy or self._faulty or not self._lives[-1].alive:
             return math.inf
-        return REACTION_IF_REFUSED if any(each.fault == "refused request" for each in self._struck) else REACTION
+        return REACTION_IF_REFUSED if self._has_struck("refused request") else REACTION
 
     def _punctual(self) -> bool:
-        return not any(each.fault in LATE for each in self._struck)
+        return not self._has_struck(*LATE)
+
+    def _has_struck(self, *faults: str) -> bool:
+        return any(each.fault in faults for each in self._struck)
 
     def _on_change(self, process: StandIn) -> None:
         self._invariants.on_change(process)
