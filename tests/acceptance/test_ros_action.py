@@ -79,7 +79,7 @@ def test_a_ros_action_is_answered_by_one_instance_and_goals_in_progress_are_abor
         name: replace(
             component,
             run=f"{sys.executable} {tmp_path / 'action.py'}",
-            allows=(NodeEndpoint("ROS action", "~/count"),),
+            allows=(NodeEndpoint("action", "~/count"),),
         )
         for name, component in system.components.items()
     }
