@@ -56,6 +56,7 @@ class PlanCosts(PlanPart, frozen=True, kw_only=True):
     fallen: Annotated[list[str], field("a list of functionalities", "of roles, ever below their baseline")]
     falls: Annotated[list[Degradation], field("a list", "why each functionality falls")] = []
     afterwards: Annotated[list[LevelShift], field("a list", "what is in another mode for good")] = []
+    remarks: Annotated[list[str], field("a list of texts", "what is done besides, and why")] = []
 
 
 class PlanPreview(PlanCosts, frozen=True, kw_only=True):
@@ -101,6 +102,7 @@ def _fields(plan: Plan) -> dict[str, Any]:
         "fallen": [str(ref) for ref in plan.fallen],
         "falls": list(plan.degradations),
         "afterwards": list(plan.level_shifts),
+        "remarks": list(plan.remarks),
         "steps": [step_form(step) for step in plan.steps],
         "running": _running(plan.change) or UNSET,
         "standing": _standing(plan.change.origin) or UNSET,
@@ -151,6 +153,7 @@ def decode_plan(document: object) -> Plan:
         seconds=form.seconds,
         fallen=tuple(FunctionalityRef.parse(text) for text in form.fallen),
         parameters=() if form.parameters is UNSET else tuple(form.parameters),
+        remarks=tuple(form.remarks),
     )
 
 
