@@ -94,8 +94,8 @@ class DiscoveryWatch:
         if all_at_once and not self._own:
             self.events.add(
                 "note",
-                "no component discovers what the manager creates: the manager's own middleware may stand still; end its "
-                "process, then run `midstride up` again",
+                "no component discovers what the manager creates: the manager's own middleware may stand still; end "
+                "its process, then run `midstride up` again",
             )
         self._own = all_at_once
         if not all_at_once:
