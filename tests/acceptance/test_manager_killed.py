@@ -16,6 +16,7 @@ import pytest
 
 from midstride.runtime.agreed_cut import RESUME_PERIODS
 from midstride.wire.commands import Receipt
+from tests.acceptance.managing import FINISH
 from tests.acceptance.support import PERIOD, ROOT, Recorder, ended
 
 pytestmark = pytest.mark.ros2
@@ -26,9 +27,11 @@ WRITES = int(os.environ.get("MIDSTRIDE_TEST_KILLED_WRITES", "200"))
 CRITICAL = {"meet", "cut_out", "cut_in", "await_cut"}
 
 
-def manage(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+def manage(folder: Path, *words: str, **environment: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "tests.acceptance.managing", str(folder), *words]
-    return subprocess.run(command, cwd=ROOT, env=dict(os.environ), capture_output=True, text=True, timeout=90)
+    return subprocess.run(
+        command, cwd=ROOT, env={**os.environ, **environment}, capture_output=True, text=True, timeout=90
+    )
 
 
 def calls_of_a_swap(system: Path) -> Counter[str]:
@@ -86,7 +89,8 @@ def test_the_topic_is_never_silent_for_longer_than_is_stated_at_any_point(tmp_pa
 def killed_at_writes(folder: Path, times: int, longest: float) -> None:
     """Kill the manager ``times`` times, at writes all over a change; what the next one finds is whole each time.
 
-    ``longest``: how long the topic may be silent (s).
+    Every other manager finishes what was interrupted, the others roll it back. ``longest``: how long the topic may be
+    silent (s).
     """
     system = folder / "system"
     system.mkdir()
@@ -97,8 +101,9 @@ def killed_at_writes(folder: Path, times: int, longest: float) -> None:
         recorder = Recorder(folder)
         recorder.wait_until_it_hears()
         for index in range(times):
-            number, when = points[index * max(1, len(points) // times) % len(points)]
-            killed = manage(system, "swap", "write", number, when)
+            number, when = points[index * (len(points) // times | 1) % len(points)]
+            policy = {FINISH: "1"} if (index + index // len(points)) % 2 else {}
+            killed = manage(system, "swap", "write", number, when, **policy)
             assert killed.returncode == -signal.SIGKILL, f"{number} {when}: {killed.stdout}{killed.stderr}"
             assert_found_whole(killed.stdout)
         assert_found_whole(manage(system, "swap").stdout)

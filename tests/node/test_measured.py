@@ -39,7 +39,7 @@ from midstride import Component, at_least
 from sensor_msgs.msg import Range
 
 comp = Component("listener")
-in_ = comp.create_input("in", Range, rate=10, where={"range": at_least(1.5)})
+in_ = comp.create_input("in", Range, rate=10, where={"range": at_least(1.5)}, tolerates=200)
 listen = comp.create_functionality("listen", inputs=[in_])
 listen.set_normal_mode(lambda message: print(in_.measured["/depth"].rate), inputs=[in_])
 listen.set_degraded_mode(lambda: None)

@@ -91,7 +91,8 @@ def test_a_port_is_attached_once_it_is_matched_with_the_other_side(tmp_path: Pat
 
     async def body(b: Bench) -> None:
         await perform(b, Attach(IN, "/chatter"))
-        assert b.client.commands() == [AttachCommand(port="in", topic="/chatter", peers=2, timeout=ATTACH_TIMEOUT)]
+        attach = AttachCommand(port="in", topic="/chatter", peers=2, timeout=ATTACH_TIMEOUT, rate=5.0)
+        assert b.client.commands() == [attach]
         await perform(b, Attach(build.port("second.out"), "/chatter"))
         [attach] = b.client.of(AttachCommand, "second")
         assert attach.peers == 0, "an output waits for subscribers, and there is none"
@@ -478,6 +479,28 @@ def test_a_hand_over_that_fails_keeps_no_number(tmp_path: Path) -> None:
 
 
 # -- what degrades by itself ---------------------------------------------------------------------------
+
+
+def test_a_functionality_that_has_fallen_already_is_degraded_all_the_same(tmp_path: Path) -> None:
+    """It has refused, since its fall has changed its revision; one that refuses for another reason fails the step."""
+    degrade = Degrade(Map({work("listener"): 1}))
+
+    async def fallen(b: Bench) -> None:
+        def falls(_: object) -> CommandRefused:
+            b.client.report(reported(b.configuration.instances["listener"], modes={"work": "degraded"}))
+            return REFUSED
+
+        b.client.reply("listener", ModesCommand, falls, PreviousModes(before={"work": "degraded"}))
+        await perform(b, degrade)
+        assert len(b.client.of(ModesCommand, "listener")) == 2
+
+    async def other(b: Bench) -> None:
+        b.client.reply("listener", ModesCommand, REFUSED)
+        with pytest.raises(CommandRefused):
+            await perform(b, degrade)
+
+    bench(talking(), tmp_path / "fallen", fallen)
+    bench(talking(), tmp_path / "other", other)
 
 
 @pytest.mark.parametrize("command", [PrepareStateCommand, AttachCommand, AwaitWriteCommand, GridCommand, CutInCommand])

@@ -3,7 +3,7 @@
     {"run": "python3 -m demo.talker", "takes_seconds": 2, "holds": {"gpu_memory": 2048},
      "parameters": {"threshold": {"value": 0.4, "changeable": true}},
      "allows": [{"kind": "service", "name": "~/reset"}],
-     "inputs": {"in": {"type": …, "rate": 5}}, "outputs": ["out"],
+     "inputs": {"in": {"type": …, "rate": 5, "tolerates": 3}}, "outputs": ["out"],
      "functionalities": {"talk": {"weight": 3, "uses": ["in"], "produces": ["out"], "modes": {
          "normal":   {"assumes": ["in", {"any_of": ["left", "right"]}, {"type": …}],
                       "guarantees": {"out": {"type": …, "rate": 10}}},
@@ -63,6 +63,14 @@ class EndpointForm(Form, frozen=True):
 
     kind: Literal["topic", "service", "action"]
     name: Annotated[str, field("the name of an endpoint", min_length=1)]
+
+
+class InputForm(PredicateForm, frozen=True):
+    """What an input assumes of its topics, and how many missed messages in succession it tolerates."""
+
+    what: ClassVar[str] = "an input"
+
+    tolerates: Annotated[int, field("a number of messages", "missed in succession", ge=1)] | UnsetType = UNSET
 
 
 class AssumptionForm(ShapedForm, frozen=True):
@@ -165,7 +173,7 @@ class ComponentForm(Form, frozen=True):
     ] = {}
     parameters: Annotated[dict[str, ParameterForm], field("an object of parameters", "its parameters")] = {}
     allows: Annotated[list[EndpointForm], field("a list of endpoints", "endpoints that are not ports")] = []
-    inputs: Annotated[dict[str, PredicateForm], by_name("an object of inputs", "its assumption on each input")] = {}
+    inputs: Annotated[dict[str, InputForm], by_name("an object of inputs", "its assumption on each input")] = {}
     outputs: Annotated[
         list[Annotated[str, Meta(min_length=1, extra_json_schema=named())]],
         field("a list of names of outputs", "the names of its outputs"),
@@ -182,7 +190,12 @@ class ComponentForm(Form, frozen=True):
             holds={name: plain(amount) for name, amount in sorted(component.resource_usage.items())},
             parameters={name: ParameterForm.of(parameter) for name, parameter in sorted(component.parameters.items())},
             allows=[msgspec.convert(endpoint, EndpointForm, from_attributes=True) for endpoint in component.allows],
-            inputs={name: PredicateForm.of(component.inputs[name]) for name in component.input_order},
+            inputs={
+                name: InputForm(
+                    **predicate_keys(component.inputs[name]), tolerates=component.tolerates.get(name, UNSET)
+                )
+                for name in component.input_order
+            },
             outputs=list(component.outputs),
             functionalities={form.name: FunctionalityForm.of(form) for form in component},
         )
@@ -199,6 +212,7 @@ class ComponentForm(Form, frozen=True):
             allows=tuple(NodeEndpoint(endpoint.kind, endpoint.name) for endpoint in self.allows),
             run=given(self.run),
             takes=given(self.takes_seconds),
+            tolerates={port: form.tolerates for port, form in self.inputs.items() if form.tolerates is not UNSET},
         )
 
 

@@ -67,6 +67,8 @@ class _Builder:
         for name in component.input_order:
             self.ports[name] = self.names.take(name, "input")
             arguments = [repr(name), *self._stated(component.inputs[name])]
+            if name in component.tolerates:
+                arguments.append(f"tolerates={component.tolerates[name]}")
             result.declarations.append(f"{self.ports[name]} = self.component.create_input({', '.join(arguments)})")
         for name in component.outputs:
             self.ports[name] = self.names.take(name, "output")

@@ -73,7 +73,7 @@ MODEL: Final = (
         "E004: number out of range",
         """The number is not finite or is out of range: rates and capacities must be greater than 0; times and
         weights cannot be negative. Numbers are at most 1e18, in Hz and seconds; integer parameters have at most
-        64 bits.""",
+        64 bits. A number of tolerated messages needs a rate, since without one no message is ever missed.""",
         "write a finite number within the range that the message names",
         TALKING + "resource memory = -1\n",
         TALKING + "limit talker.talk below baseline -1 s\n",
@@ -81,6 +81,7 @@ MODEL: Final = (
         TALKING.replace("  output", "  holds memory -1\n  output") + "resource memory = 4\n",
         TALKING + "timing { create -1 s }\n",
         "system s\ntopic /chatter : std_msgs/msg/String qos(deadline = 0 s)\n",
+        _component("  input a : std_msgs/msg/String tolerates 3 missed\n"),
         _json('{"system": "s", "topics": {"/chatter": {"type": "std_msgs/msg/String", "rate": -1}}}\n'),
         _json('{"system": "s", "topics": {"/chatter": {"type": "std_msgs/msg/String", "rate": 1e308}}}\n'),
     ),

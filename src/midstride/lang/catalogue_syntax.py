@@ -155,12 +155,13 @@ SYNTAX: Final = (
     ),
     entry(
         "E126: number out of range",
-        """Rates must be greater than 0, and the number of publishers must be whole. Numbers are at most 1e18, in
-        Hz and seconds.""",
+        """Rates must be greater than 0, and the numbers of publishers and of missed messages must be whole. Numbers are
+        at most 1e18, in Hz and seconds.""",
         "system s\ntopic /chatter : std_msgs/msg/String @ 0 Hz\n" + TALKER + NODE,
         TALKING + "resource memory = 1e999\n",
         "system s\ntopic /chatter : std_msgs/msg/String @ 1e18 kHz\n" + TALKER + NODE,
         "system s\ntopic /chatter : std_msgs/msg/String { publishers <= 1.5 }\n" + TALKER + NODE,
+        CHATTER.replace("  output", "  input a : std_msgs/msg/String @ 1 Hz tolerates 0 missed\n  output") + NODE,
         CHATTER.replace("  output", "  parameters { seed = 9999999999999999999 }\n  output") + NODE,
     ),
     entry(

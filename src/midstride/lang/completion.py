@@ -13,7 +13,7 @@ from midstride.lang.lexer import Tokens, tokenize
 from midstride.lang.source import Source
 from midstride.lang.syntax import ComponentDeclaration, find
 from midstride.lang.token_stream import KEYWORD_PLACES, RESPAWN_WORDS
-from midstride.model.specification import DEFAULT_SECONDS
+from midstride.model.specification import TIMING
 
 # What comes before a keyword that is used as a name.
 _BEFORE_NAMES: Final = frozenset({".", "<-", "->", ":"})
@@ -27,7 +27,7 @@ _STATEMENTS: Final = {
     "mode": ("assume", "guarantee"),
     "node": ("parameters", *RESPAWN_WORDS),
     "environment": ("guarantee",),
-    "timing": tuple(DEFAULT_SECONDS),
+    "timing": TIMING,
     "topic": ("publishers",),
     "parameters": ("changeable",),
 }
@@ -119,6 +119,10 @@ class _CursorContext:
             yield "port", inputs
         elif first in {"produces", "guarantee"} and last in {"produces", "guarantee", ","} and component is not None:
             yield "port", [output.text for output in component.outputs]
+        elif first == "input" and last == "tolerates":
+            return
+        elif first == "input" and self.statement[-2:-1] == ["tolerates"]:
+            yield "keyword", ("missed",)
         elif last == "holds":
             yield "resource", declarations.resources
         elif self.statement in (["keep"], ["limit"]) or (first == "order" and last in {"order", "before"}):
@@ -131,6 +135,8 @@ class _CursorContext:
             functionality = find(found.functionalities, self.statement[3]) if found else None
             yield "mode", [mode.name.text for mode in functionality.modes] if functionality else ()
         else:
+            if first == "input" and ":" in self.statement and "tolerates" not in self.statement:
+                yield "keyword", ("tolerates",)
             yield "keyword", _STATEMENTS.get(block, ())
             if block == "node":
                 found = self._declared(self._word_after(self.blocks[-1], 3))

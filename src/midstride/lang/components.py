@@ -188,6 +188,7 @@ class ComponentBuilder:
             allows=tuple(dict.fromkeys(NodeEndpoint(ENDPOINT_KINDS[a.kind], a.name.text) for a in declaration.allows)),
             run=None if run is None else run.command.text,
             takes=None if run is None or run.startup is None else run.startup.value,
+            tolerates={each.name.text: int(each.tolerates.value) for each in declaration.inputs if each.tolerates},
         )
 
     def _functionality(

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from midstride.lang.index import Symbol
-from midstride.model.component import FunctionalityRef, FunctionalitySpec, InputAlternatives
+from midstride.model.component import ComponentSpec, FunctionalityRef, FunctionalitySpec, InputAlternatives
 from midstride.model.configuration import Configuration
 from midstride.model.contract import NOTHING, format_number
 from midstride.model.diagnosis import reasons_against
@@ -52,7 +52,7 @@ class _Hover:
         if component.run is not None:
             yield f"`{component.run}`"
         for name in component.input_order:
-            yield f"input `{name} : {component.inputs[name]}`"
+            yield f"input `{name} : {component.inputs[name]}`{_tolerance(component, name)}"
         for name in component.outputs:
             owner = component.find_owner(name)
             yield f"output `{name} : {owner.modes[0].guarantee(name) if owner and owner.modes else NOTHING}`"
@@ -79,7 +79,7 @@ class _Hover:
     def port(self, symbol: Symbol) -> Iterator[str]:
         component = self.specification.components.get(symbol.owner)
         if component is not None and symbol.name in component.inputs:
-            yield f"assumes `{component.inputs[symbol.name]}`"
+            yield f"assumes `{component.inputs[symbol.name]}`{_tolerance(component, symbol.name)}"
         elif component is not None and (owner := component.find_owner(symbol.name)) is not None:
             for mode in owner.modes:
                 yield f"{mode.name}: `{mode.guarantee(symbol.name)}`"
@@ -124,3 +124,8 @@ class _Hover:
     def _declared(self, component: str, functionality: str) -> FunctionalitySpec | None:
         found = self.specification.components.get(component)
         return None if found is None else found.functionalities.get(functionality)
+
+
+def _tolerance(component: ComponentSpec, name: str) -> str:
+    missed = component.tolerates.get(name)
+    return "" if missed is None else f", tolerates {missed} missed"

@@ -77,7 +77,17 @@ class ComponentParser(ContractParser):
         name = self.name("an input name", (":",))
         self.layout.marks[self.i] = "input :"
         self.expect(":", f"after input `{name.text}`", ("name", "path"))
-        return syntax.InputDeclaration(name, self.contract(f"for input `{name.text}`"))
+        contract = self.contract(f"for input `{name.text}`")
+        return syntax.InputDeclaration(name, contract, self._tolerated() if self.accept_word("tolerates") else None)
+
+    def _tolerated(self) -> syntax.Number:
+        number = self.number("a number of messages after `tolerates`")
+        self.expect_word("missed", f"after `tolerates {number.span.text}`")
+        if number.value >= 1 and number.value.is_integer():
+            return number
+        message = "the number of missed messages that an input tolerates must be a whole number of at least 1"
+        self.reporter.report("E126", number.span, message, help="write for example `tolerates 3 missed`")
+        return syntax.Number(1.0, number.span)
 
     def _output(self) -> syntax.Name:
         self.layout.marks[self.i] = "port"

@@ -99,6 +99,8 @@ def _component(declaration: syntax.ComponentDeclaration, rest: Subject) -> Span:
             return next((resource.span for resource in held if resource.text == name), declaration.name.span)
         case ["parameters", name, *_] if (entry := find(declaration.parameters, name)) is not None:
             return entry.name.span
+        case ["inputs", name, "tolerates"] if (port := find(declaration.inputs, name)) is not None and port.tolerates:
+            return port.tolerates.span
         case ["inputs", name, *inner] if (port := find(declaration.inputs, name)) is not None:
             return _contract(port.contract, inner, port.name.span)
         case ["outputs", *inner]:

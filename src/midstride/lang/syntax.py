@@ -115,6 +115,7 @@ class ParameterEntry(NamedTuple):
 class InputDeclaration(NamedTuple):
     name: Name
     contract: ContractExpression
+    tolerates: Number | None
 
 
 class AllowedEndpoint(NamedTuple):

@@ -156,7 +156,7 @@ class ComponentSpec:
     """A component type. Two are the same implementation iff their *bodies* are equal, whatever the names.
 
     ``run`` is the command that starts it (None: it is started elsewhere), ``startup_seconds`` how long that takes
-    (s), where known.
+    (s), where known. ``tolerates``: how many missed messages in succession an input tolerates, where stated.
     """
 
     name: str
@@ -170,6 +170,7 @@ class ComponentSpec:
     allows: tuple[NodeEndpoint, ...] = ()
     run: str | None = None
     startup_seconds: float | None = None
+    tolerates: Map[str, int] = field(default_factory=Map)
     _owners: dict[str, FunctionalitySpec] = field(init=False, compare=False, repr=False)
     _users: dict[str, list[FunctionalitySpec]] = field(init=False, compare=False, repr=False)
     _outputs: frozenset[str] = field(init=False, compare=False, repr=False)
@@ -199,6 +200,7 @@ class ComponentSpec:
         allows: tuple[NodeEndpoint, ...] = (),
         run: str | None = None,
         takes: float | None = None,
+        tolerates: Mapping[str, int] | None = None,
     ) -> ComponentSpec:
         """Build one from plain values, keeping the order of declaration."""
         inputs = inputs or {}
@@ -214,6 +216,7 @@ class ComponentSpec:
             allows=tuple(allows),
             run=run,
             startup_seconds=takes,
+            tolerates=Map(tolerates or {}),
         )
 
     def __iter__(self) -> Iterator[FunctionalitySpec]:
@@ -265,6 +268,7 @@ class ComponentSpec:
     def _body(self) -> tuple[object, ...]:
         return (
             self.inputs,
+            self.tolerates,
             frozenset(self.outputs),
             {functionality.name: functionality.meaning() for functionality in self},
             self.resource_usage,

@@ -68,6 +68,7 @@ def component_rules(component: ComponentSpec, path: Path) -> Iterator[Problem]:
     """Ownership of outputs, M1, M2, M3, and the predicates and numbers of one component."""
     for name in component.input_order:
         yield from predicate_problems(component.inputs[name], (*path, "inputs", name))
+        yield from _tolerance(component, name, (*path, "inputs", name, "tolerates"))
     for resource, amount in component.resource_usage.items():
         yield from number_problems(amount, f"the amount held of {resource}", (*path, "holds", resource))
     yield from number_problems(component.startup_seconds, "a start-up time", (*path, "takes_seconds"), zero=True)
@@ -76,6 +77,14 @@ def component_rules(component: ComponentSpec, path: Path) -> Iterator[Problem]:
     yield from _ownership(component, path)
     for functionality in component:
         yield from _functionality_rules(functionality, (*path, "functionalities", functionality.name))
+
+
+def _tolerance(component: ComponentSpec, name: str, path: Path) -> Iterator[Problem]:
+    missed, assumption = component.tolerates.get(name), component.inputs[name]
+    yield from number_problems(missed, f"the number of missed messages that {name} tolerates", path, most=MAX_DEPTH)
+    if missed is not None and assumption.type and assumption.rate is None and assumption.qos.deadline is None:
+        message = f"input {name} tolerates {missed} missed messages, but assumes no rate, so none is ever missed"
+        yield Problem("E004", path, message, "state the rate that it assumes (`@ 10 Hz`), or leave out `tolerates`")
 
 
 def _ownership(component: ComponentSpec, path: Path) -> Iterator[Problem]:

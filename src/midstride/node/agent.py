@@ -88,7 +88,7 @@ class Agent:
         handlers, host = self._handlers, self.host
         if host.transport is not None and self.standalone is None:
             await self._server.open(host.transport)
-        heartbeat = asyncio.ensure_future(self._heartbeat())
+        tasks = [asyncio.ensure_future(self._heartbeat())]
         try:
             await host.on_data(handlers.set_up)
             host.parameters.on_changed(self._parameter_changed)
@@ -96,6 +96,8 @@ class Agent:
                 await host.on_data(handlers.begin)
                 if self.standalone is not None:
                     await self._run_alone(self.standalone)
+                else:  # without a manager, nothing would restore what has degraded
+                    tasks.append(asyncio.ensure_future(handlers.reflex.run()))
                 self._register()
                 await self._stopping.wait()
             except asyncio.CancelledError:
@@ -103,7 +105,8 @@ class Agent:
             self._stopping.set()
             await handlers.end()
         finally:
-            heartbeat.cancel()
+            for task in tasks:
+                task.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 # Requests that wait for a set-up that has failed are never answered.
                 await self._server.close(CLOSE_TIMEOUT if self._ready.is_set() else 0.0)
@@ -130,7 +133,14 @@ class Agent:
                 state = self._report()
                 # Of several instances of a role, one answers, and shows the diagnostics of the role's node.
                 if self.diagnostics and state.answers and beat % DIAGNOSTICS_BEATS == 0:
-                    self.host.publish_diagnostics(partial(diagnostics, state, self.declaration))
+                    self._publish_diagnostics(state)
+
+    def _publish_diagnostics(self, state: ComponentState) -> None:
+        try:
+            self.host.publish_diagnostics(partial(diagnostics, state, self.declaration))
+        except Exception as error:  # the platform's: the reports to the manager go on without them
+            self.diagnostics = False
+            self.host.logger.error(f"nothing is published on /diagnostics any more: {type(error).__name__}: {error}")
 
     async def _run_alone(self, attachments: Attachments) -> None:
         for port, topics in attachments.items():
@@ -274,8 +284,9 @@ class Agent:
         return state
 
     def _degraded(self, runner: FunctionalityRunner) -> None:
-        """On the data thread: a functionality has degraded by itself. The revision changes at once."""
-        words = f"{runner.name} is in mode {runner.mode.name}: {runner.because}"
+        """On either thread: a functionality has degraded by itself. The revision changes at once."""
+        state = runner.state()
+        words = f"{runner.name} is in mode {state.mode}: {state.because}"
         self._revision.bump(words)
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._report_degraded, words)

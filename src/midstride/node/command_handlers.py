@@ -25,6 +25,7 @@ from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner, for
 from midstride.node.handover_commands import HandoverCommands
 from midstride.node.host import HeldParameter, Host
 from midstride.node.mode_switch import DataExecutor, ModeSwitch, within
+from midstride.node.reflex import Reflex
 from midstride.node.state_hooks import StateHooks
 from midstride.wire import commands
 from midstride.wire.commands import Command
@@ -57,7 +58,7 @@ class Revision:
 
 @dataclass
 class CommandHandlers:
-    """``degraded`` is called on the data thread when a functionality degrades by itself, ``changed`` after a cut.
+    """``degraded`` is called on either thread when a functionality degrades by itself, ``changed`` after a cut.
 
     ``token`` returns the token for connections to peers.
     """
@@ -71,6 +72,8 @@ class CommandHandlers:
 
     def __post_init__(self) -> None:
         self._runners: list[FunctionalityRunner] = []
+        self._under_way = 0
+        self.reflex = Reflex(self.host, self._runners, lambda: self._under_way > 0, self.degraded)
         self._data = DataExecutor(self.host, self._busy_words)
         self._attachments = Attachments(self.parts, self.host, self._data)
         self._hooks = StateHooks(self.parts.callbacks, self._data)
@@ -83,6 +86,7 @@ class CommandHandlers:
             commands.DetachCommand: self._attachments.detach,
             commands.GateCommand: self._attachments.gate,
             commands.AwaitMatchCommand: self._attachments.await_match,
+            commands.AwaitRateCommand: self._attachments.await_rate,
             commands.AwaitWriteCommand: self._attachments.await_write,
             commands.GridCommand: self._handovers.grid,
             commands.MeetCommand: self._handovers.meet,
@@ -110,9 +114,13 @@ class CommandHandlers:
 
     async def carry_out(self, command: Command[Any], expected: int | None) -> WireValue:
         """Carry out one command. Raises CommandRefused, and then nothing has changed."""
-        if isinstance(command, commands.ModesCommand):
-            return await self._modes(command, expected)
-        return await self._handlers[type(command)](command)
+        self._under_way += 1
+        try:
+            if isinstance(command, commands.ModesCommand):
+                return await self._modes(command, expected)
+            return await self._handlers[type(command)](command)
+        finally:
+            self._under_way -= 1
 
     # -- start and end -----------------------------------------------------------------------------
 

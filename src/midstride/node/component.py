@@ -59,7 +59,13 @@ class Component:
     # -- declaring ---------------------------------------------------------------------------------
 
     def create_input(
-        self, name: str, type: type, rate: float | None = None, qos: QoS | int | None = None, where: Where | None = None
+        self,
+        name: str,
+        type: type,
+        rate: float | None = None,
+        qos: QoS | int | None = None,
+        where: Where | None = None,
+        tolerates: int | None = None,
     ) -> Input:
         """An input port, with what it assumes about any topic that it is attached to (docs/semantics.md section 1).
 
@@ -69,6 +75,9 @@ class Component:
           defaults.
         - ``where`` constrains fields: ``{"width": at_least(640), "encoding": {"rgb8", "bgr8"}}``. A value is a set of
           values, a single value, ``at_least(…)``, ``at_most(…)`` or ``between(…, …)``.
+        - ``tolerates`` is how many messages in succession may be missed before a mode that assumes this input is left
+          (docs/semantics.md section 7, Local reflex); None: 10, and silence of at least 1 s. It needs a rate. What the
+          specification states takes precedence.
 
         Raises NodeError.
         """
@@ -77,7 +86,8 @@ class Component:
         fields = contracts.field_constraints(where, message_type, where_)
         hertz, profile = contracts.check_rate(rate, where_), contracts.check_qos(qos, where_)
         assumption = Predicate(contracts.type_name(message_type), hertz, profile, fields)
-        self._parts.inputs[name] = Input(name, message_type, assumption)
+        missed = contracts.check_missed(tolerates, assumption, where_)
+        self._parts.inputs[name] = Input(name, message_type, assumption, missed)
         return self._parts.inputs[name]
 
     def create_output(self, name: str, type: type, qos: QoS | int | None = None) -> Output:

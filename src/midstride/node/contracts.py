@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final, TypeAlias, TypeGuard, get_args
 
 from midstride.errors import NodeError
-from midstride.model.contract import DEFAULT_QOS, Interval, OneOf, QoS, ValueSet
+from midstride.model.contract import DEFAULT_QOS, Interval, OneOf, Predicate, QoS, ValueSet
 
 # What may be written for a set of values: the set itself, its members, or its only member.
 Where: TypeAlias = Mapping[str, Any]
@@ -78,6 +78,16 @@ def check_seconds(seconds: object, where: str) -> float:
     if not _is_positive(seconds):
         raise NodeError(f"{where}: {seconds!r} is not a duration; write a number of seconds greater than 0")
     return float(seconds)
+
+
+def check_missed(missed: object, assumption: Predicate, where: str) -> int | None:
+    if missed is None:
+        return None
+    if not isinstance(missed, int) or isinstance(missed, bool) or missed < 1:
+        raise NodeError(f"{where}: tolerates={missed!r}; write a whole number of missed messages, at least 1")
+    if assumption.rate is None and assumption.qos.deadline is None:
+        raise NodeError(f"{where}: tolerates={missed} needs a rate, else no message is ever missed; write rate=")
+    return missed
 
 
 def check_weight(weight: object, where: str) -> float:

@@ -65,6 +65,7 @@ def declare(name: str, parts: DeclaredParts) -> model.ComponentSpec:
     return model.ComponentSpec.of(
         name,
         inputs={name: port.assumption for name, port in parts.inputs.items()},
+        tolerates={name: port.tolerates for name, port in parts.inputs.items() if port.tolerates is not None},
         outputs=tuple(parts.outputs),
         functionalities=tuple(map(_functionality, parts.functionalities.values())),
         parameters={

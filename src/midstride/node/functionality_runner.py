@@ -46,10 +46,15 @@ class FunctionalityRunner(OutputOwner):
     def __init__(self, functionality: Functionality, host: Host, report: Callable[[FunctionalityRunner], None]) -> None:
         self.name = functionality.name
         self.chain: tuple[DeclaredMode, ...] = functionality.chain()
+        self.inputs = functionality.inputs
         self.outputs = functionality.outputs
         self.index = len(self.chain) - 1
         self.because = "started: nothing has been attached yet"
         self.since = host.steady()
+        # How many modes it has entered.
+        self.entered = 0
+        # The mode that it is to enter as soon as the call under way returns, and why: its state shows that already.
+        self.falling: tuple[int, str] | None = None
         # Whether a call may start. Only an async call, or a switch that waits for one, makes it False.
         self.ready = True
         self._host = host
@@ -77,10 +82,11 @@ class FunctionalityRunner(OutputOwner):
 
     def state(self) -> FunctionalityState:
         now, busy = self._steady(), self.busy
+        index, because = self.falling or (self.index, self.because)
         return FunctionalityState(
-            mode=self.mode.name,
+            mode=self.chain[index].name,
             since=(now - self.since) / 1e9,
-            because=self.because,
+            because=because,
             busy=None if busy is None else (now - busy) / 1e9,
         )
 
@@ -91,6 +97,11 @@ class FunctionalityRunner(OutputOwner):
     @property
     def driving(self) -> tuple[Input, ...]:
         return self.mode.synchronised or tuple(port for port, _ in self.mode.handlers)
+
+    @property
+    def switching(self) -> bool:
+        """Whether a mode change waits for an async call to end."""
+        return self._switch is not None
 
     @property
     def last(self) -> int:
@@ -116,6 +127,8 @@ class FunctionalityRunner(OutputOwner):
         self.since = self._steady()
         self.calls = 0
         self.failed = failed
+        self.falling = None
+        self.entered += 1
         self._promise()
 
     def _promise(self) -> None:

@@ -45,6 +45,12 @@ class Publisher(Protocol):
     def matched(self) -> int:
         """How many *compatible* subscriptions are matched; -1 before the platform knows it. On the control thread."""
 
+    def reader_ids(self) -> frozenset[str]:
+        """The identities of the subscriptions that its process has discovered on the topic; empty where unknown.
+
+        On the control thread.
+        """
+
     async def acknowledged(self, timeout: float) -> bool | None:
         """Whether every matched reliable reader has received everything; None where that is unknown.
 

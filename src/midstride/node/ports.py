@@ -284,18 +284,30 @@ class Output(_Port[OutputLink]):
         if links and self.fields.active:
             self.fields.sample(message, now)
 
+    @property
+    def count(self) -> int:
+        """How many messages the author has written, published or not."""
+        return self.unattached + sum(link.count + link.gated for link in self.links)
+
     def __repr__(self) -> str:
         return f"<output {self.name}: {type_name(self.type)}>"
 
 
 class Input(_Port[InputLink]):
-    """An input port. Created by ``Component.create_input``."""
+    """An input port. Created by ``Component.create_input``.
 
-    def __init__(self, name: str, type_: type, assumption: Predicate) -> None:
+    ``rate`` (Hz) is what it relies on, and ``tolerates`` how many missed messages in succession it tolerates; None if
+    nothing is stated. The manager attaches it with those of the specification (docs/semantics.md section 7, Local
+    reflex).
+    """
+
+    def __init__(self, name: str, type_: type, assumption: Predicate, tolerates: int | None = None) -> None:
         self.name = name
         self.type = type_
         self.assumption = assumption
-        self.rate = assumption.rate
+        deadline = assumption.qos.deadline
+        self.rate = 1 / deadline if assumption.rate is None and deadline else assumption.rate
+        self.tolerates = tolerates
         #: The newest message since the input was attached; None if there is none.
         self.latest: Any = None
         self.listeners: tuple[Listener, ...] = ()
@@ -331,6 +343,16 @@ class Input(_Port[InputLink]):
         super().remove(link)
         if not self.links:
             self.latest = self._received_at = None
+
+    @property
+    def count(self) -> int:
+        """How many messages it has received since it was attached."""
+        return sum(link.count for link in self.links)
+
+    @property
+    def recording(self) -> bool:
+        """Whether it records, as while a plan exchanges publishers of its topic."""
+        return self.receipts.maxlen == RECORDED
 
     def record(self, on: bool) -> None:
         """Keep every receipt from now on, or only the last few; earlier ones are kept."""

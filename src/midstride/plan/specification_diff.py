@@ -126,6 +126,7 @@ def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterat
         if old != new:
             yield _became(what, old, new)
     yield from _named("input", before.inputs, after.inputs)
+    yield from _named("tolerates", before.tolerates, after.tolerates)
     yield from _named("output", dict.fromkeys(before.outputs, ""), dict.fromkeys(after.outputs, ""))
     yield from _named("holds", before.resource_usage, after.resource_usage)
     yield from _named("parameter", _parameters(before), _parameters(after))

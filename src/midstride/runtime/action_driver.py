@@ -36,7 +36,9 @@ from midstride.runtime.handover import ATTACH_TIMEOUT, DETACH_TIMEOUT, LiveHando
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import own_degradations_in
 from midstride.runtime.parameter_transfer import ParameterTransfer
+from midstride.runtime.probation import watch_after
 from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.simulated_time import stretch
 from midstride.runtime.state_moves import StateMoves
 from midstride.runtime.state_transfers import StateTransfers, keeps_state, own_state
 from midstride.wire import commands
@@ -71,6 +73,7 @@ class ActionDriver:
     # By instance: what state of its predecessor it continues without, and why.
     own_state: dict[str, str] = field(default_factory=dict)
     moves: StateMoves | None = None
+    timing: Mapping[str, float] = field(default_factory=dict)  # of the specification
     leaving: Container[str] = ()  # the instances that the plan removes
     fences: Fences = field(init=False)
     _keeping: set[str] = field(default_factory=set)  # instances that keep state, also where they have exited since
@@ -283,19 +286,29 @@ class ActionDriver:
         output = configuration.is_output(port)
         others = (configuration.subscribers_on if output else configuration.publishers_on)(action.connector)
         peers = sum(not self._is_gone(other.instance) for other in others)
-        attach = commands.AttachCommand(port=port.port, topic=topic, peers=peers, timeout=ATTACH_TIMEOUT)
+        attach = commands.AttachCommand(
+            port=port.port, topic=topic, peers=peers, timeout=ATTACH_TIMEOUT, **self._relied_on(port)
+        )
         detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
         await self._or_undo(port.instance, attach, detach)
 
     async def _detach(self, action: Detach) -> None:
         port, topic = action.port, self.configuration.topic(action.connector)
         detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
-        attach = commands.AttachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
+        attach = commands.AttachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT, **self._relied_on(port))
         reply = await self._or_undo(port.instance, detach, attach)
         if reply.last:
             self.last_numbers[port] = reply.last
         if reply.acknowledged is None and self.configuration.is_output(port):
             self.events.add("note", f"{port}: unknown whether its last messages on {topic} arrived")
+
+    def _relied_on(self, port: PortRef) -> dict[str, Any]:
+        """What the specification states for an input; nothing for an output."""
+        component = self.configuration.component(port.instance)
+        assumption = component.inputs.get(port.port)
+        if assumption is None or assumption.rate is None:
+            return {}
+        return {"rate": assumption.rate, "tolerates": component.tolerates.get(port.port)}
 
     async def _or_undo(self, instance: str, command: Command[R], undo: Command[Any]) -> R:
         """The reply to ``command``; if it fails, send ``undo`` in case it was partly carried out."""
@@ -314,11 +327,21 @@ class ActionDriver:
                     continue
                 before = {ref: self.configuration.modes[ref] for ref in modes}
                 changed.append((instance, self._modes_command(before, "roll-back")))
-                await self.client.change(instance, self._modes_command(modes, because))
+                command = self._modes_command(modes, because)
+                try:
+                    await self.client.change(instance, command)
+                except CommandRefused:
+                    if isinstance(action, Upgrade) or not await self._has_degraded(instance):
+                        raise
+                    await self.client.change(instance, command)  # whatever mode it has fallen to
         except Exception:
             for instance, undo in reversed(changed):
                 await self.client.undo(instance, undo)
             raise
+
+    async def _has_degraded(self, instance: str) -> bool:
+        """Whether it has degraded by itself since the change began."""
+        return bool(own_degradations_in(self.configuration, await self.client.peek(instance)))
 
     async def lower(self, instance: str, modes: Mapping[FunctionalityRef, int], because: str) -> None:
         """Degrade functionalities of ``instance`` whose assumptions no longer hold. Raises MidstrideError.
@@ -361,8 +384,30 @@ class ActionDriver:
             self.fences,
         )
         handover.before_cut = self._carry_parameters
+        if not self.rolling_back:
+            handover.timing = self.timing
         self.last_numbers |= await handover.run()
         self.late |= states.late
+
+    async def watch(self, action: Action) -> None:
+        """After a hand-over, watch the new publishers for as long as the specification says; the old ones stay warm.
+
+        Raises StepFailed if one breaks what it guarantees.
+        """
+        seconds = self.timing.get("watch_after", 0.0)
+        if not isinstance(action, Handover) or not seconds:
+            return
+        ports = sorted({(swap.new, self.configuration.topic(swap.connector)) for swap in action.swaps})
+        self.events.add("watching", f"watching {', '.join(str(port) for port, _ in ports)} for {seconds:g} s")
+        outputs = [(port, topic, self.configuration.rate(port) or 0.0) for port, topic in ports]
+        latest = [self.client.latest(port.instance) for port, _ in ports]
+        slowest = max(stretch(None if each is None else each.state) for each in latest)
+        try:
+            await watch_after(self.client, outputs, seconds, slowest)
+        except StepFailed as error:
+            if degradations := await self._own_degradations(action):
+                raise StepFailed("; ".join(degradations)) from error
+            raise
 
     async def _carry_parameters(self, old: str, new: str) -> None:
         if self.parameters is not None and not self.rolling_back:

@@ -92,6 +92,7 @@ class Executor:
                         await self._stop_starting()
                         self._ahead = asyncio.ensure_future(self._start_ahead(actions[index + 1 :]))
                 await self._timed_step(action, done, actions)
+                await self.driver.watch(action)
                 if self.after_step is not None:
                     await self.after_step(self.system.configuration)
             except (Exception, asyncio.CancelledError) as raised:
@@ -225,6 +226,8 @@ class Executor:
         what = undoing.describe(self.system.configuration)
         while True:
             try:
+                if isinstance(undoing, Create):
+                    await self._start(undoing)  # the next manager must find what was removed and is there again
                 await self.perform(undoing)
                 return None
             except Exception as error:

@@ -8,7 +8,7 @@ from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, TypeAlias
 
-from midstride.errors import MidstrideError
+from midstride.errors import CommandRefused, MidstrideError
 from midstride.model.action import Action, Attach, Create, Detach, Handover, Remove
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
@@ -125,7 +125,11 @@ class Recording:
         """Start recording at ``port`` unless it does; returns since when it records (ns)."""
         begun = self._begun.setdefault(port, None)
         if begun is None:
-            recording = await self.client.change(port.instance, RecordCommand(inputs=[port.port], on=True))
+            record = RecordCommand(inputs=[port.port], on=True)
+            try:
+                recording = await self.client.change(port.instance, record)
+            except CommandRefused:  # it has degraded by itself meanwhile, which makes no difference here
+                recording = await self.client.change(port.instance, record)
             begun = self._begun[port] = recording.now
         return begun
 

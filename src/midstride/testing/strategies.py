@@ -179,6 +179,7 @@ def components(draw: st.DrawFn, name: str = "C") -> ComponentSpec:
         functionalities=tuple(draw(_functionalities(f"f{n}", inputs, tuple(owned[n]))) for n in range(count)),
         holds=draw(st.sampled_from(({}, {}, {"gpu": 0.1}, {"gpu": 0.2, "/dev/video0": 1.0}))),
         parameters=draw(st.sampled_from(({}, _PARAMETERS))),
+        tolerates={port: 3 for port in draw(st.sampled_from(((), ("in0",)))) if port in inputs and inputs[port].rate},
     )
 
 
@@ -248,7 +249,7 @@ def specifications(draw: st.DrawFn, *, most: int = 6) -> Specification:
     spare = draw(st.sampled_from((0.0, 0.3, 2.0)))
     resources = {name: Resource(name, float(configuration.held.get(name, 0)) + spare or 1.0) for name in RESOURCES}
     whole = replace(bare, connectors=Map(connectors), resources=Map(resources))
-    timing = draw(st.sampled_from(({}, {"create": 0.25, "handover": 0.0})))
+    timing = draw(st.sampled_from(({}, {"create": 0.25, "handover": 0.0}, {"probation": 1.0, "watch_after": 2.5})))
     return replace(whole, constraints=draw(_constraints(whole)), timing=Map(timing))
 
 

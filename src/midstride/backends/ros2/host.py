@@ -113,7 +113,12 @@ class Ros2Host:
     def create_publisher(self, topic: str, type_: type, qos: QoS) -> endpoints.RosPublisher:
         publisher = self.ros_node.create_publisher(type_, topic, endpoints.profile_of(qos), callback_group=self._group)
         self._ports.add(id(publisher))
-        return endpoints.RosPublisher(publisher, qos, self._destroy(self.ros_node.destroy_publisher))
+        return endpoints.RosPublisher(
+            publisher,
+            qos,
+            self._destroy(self.ros_node.destroy_publisher),
+            self.ros_node.get_subscriptions_info_by_topic,
+        )
 
     def create_subscription(
         self, topic: str, type_: type, qos: QoS, callback: Callable[[Any, Any], None]

@@ -1,0 +1,268 @@
+"""The local reflex: a functionality whose assumption breaks, or whose call hangs, degrades by itself.
+
+It needs neither the manager nor the network (docs/semantics.md section 7, *Local reflex*; the rule is in
+:mod:`.shortfall`). The control thread counts what has arrived and what was written, so a call that never returns does
+not disable it. The mode itself changes on the data thread, between two calls; where a call of user code prevents that,
+the state shows the worse mode at once, and the change follows when the call returns.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+from midstride.node.functionality_runner import FunctionalityRunner
+from midstride.node.host import Host
+from midstride.node.mode_switch import ModeSwitch
+from midstride.node.ports import Input, Output
+from midstride.node.shortfall import FLOOR, LONG_FLOOR, Shortfall, Stopwatch, tolerated_periods
+
+# How often it looks (s): a fraction of the shortest silence that is tolerated, within these; or while nothing is due.
+PART: Final = 0.2
+SHORTEST: Final = 0.01
+LONGEST: Final = 0.1
+IDLE: Final = 0.5
+# A data thread that takes longer than that for a change has had no time for messages either (s).
+LATE: Final = 0.2
+
+
+@dataclass(eq=False)
+class Fall:
+    """A degradation under way; ``attempt`` is for the data thread.
+
+    ``late``: given up, since the data thread was busy. ``shown``: the state shows it.
+    """
+
+    switch: ModeSwitch
+    attempt: Callable[[], None]
+    posted: int
+    attempted: bool = False
+    late: bool = False
+    shown: bool = False
+
+
+class Watch:
+    """What the current mode of a functionality relies on and promises, counted since it was entered."""
+
+    def __init__(self, runner: FunctionalityRunner) -> None:
+        self.runner = runner
+        self.entered = runner.entered
+        self.inputs = {port: Shortfall(port.count) for port in runner.inputs}
+        self.outputs = {port: Shortfall(port.count) for port in runner.mode.outputs}
+        self.fall: Fall | None = None
+        # Runs on the data thread as soon as that is free; for how long it has waited (s).
+        self.probe: asyncio.Future[None] | None = None
+        self.probed = 0.0
+
+    def restart(self) -> None:
+        for port, shortfall in self.inputs.items():
+            shortfall.restart(port.count)
+        for output, shortfall in self.outputs.items():
+            shortfall.restart(output.count)
+
+    def advance(self, seconds: float) -> None:
+        for port, shortfall in self.inputs.items():
+            if port.count == 0 or port.rate is None:  # it has not been received since it was attached: nothing is lost
+                shortfall.restart(port.count)
+            else:
+                shortfall.advance(seconds * port.rate, port.count)
+        for output, shortfall in self.outputs.items():
+            if output.rate is None or not any(link.lets_pass for link in output.links):
+                shortfall.restart(output.count)
+            else:
+                shortfall.advance(seconds * output.rate, output.count)
+        if self.probe is not None:
+            self.probed += seconds
+
+    def tolerated(self, port: Input, speed: float) -> float:
+        """For how many periods ``port`` may be silent; infinite where it has no rate."""
+        if port.rate is None:
+            return float("inf")
+        floor = LONG_FLOOR if port.recording else FLOOR if port.tolerates is None or self.inputs[port].fresh else 0.0
+        return tolerated_periods(port.rate, port.tolerates, floor * speed)
+
+    def due(self, output: Output, speed: float) -> float:
+        """For how many periods ``output`` may be silent; infinite where nothing is promised."""
+        floor = FLOOR if self.runner.calls else LONG_FLOOR
+        return float("inf") if output.rate is None else tolerated_periods(output.rate, None, floor * speed)
+
+    def shortest(self, speed: float) -> float | None:
+        """The shortest silence that is tolerated (s of the steady clock); None where nothing is due."""
+        if self.runner.index == self.runner.last:
+            return None
+        found = [self.tolerated(port, speed) / port.rate for port in self.inputs if port.rate is not None]
+        found += [self.due(output, speed) / output.rate for output in self.outputs if output.rate is not None]
+        return min(found) / speed if found else None
+
+    # -- assumptions -------------------------------------------------------------------------------------
+
+    def broken_assumption(self, speed: float) -> str | None:
+        """Which assumption of the mode does not hold any more, in words."""
+        for group in self.runner.mode.assumptions:
+            broken = [port for port in group if self.inputs[port].exceeds(self.tolerated(port, speed))]
+            if broken and all(port in broken or not port.count for port in group):
+                return "; ".join(self._why(port, speed) for port in broken)
+        return None
+
+    def _why(self, port: Input, speed: float) -> str:
+        rate, topics = port.rate, ", ".join(link.topic for link in port.links)
+        assert rate is not None
+        came, seconds = self.inputs[port].words(rate)
+        tolerated = f"silence is tolerated for {self.tolerated(port, speed) / rate:.2g} s"
+        gone = "" if any(link.endpoint.matched() for link in port.links) else ", and its publisher is gone"
+        received = f"input {port.name} received {came} on {topics} for {seconds:.2f} s{gone}"
+        return f"{received} ({rate:g} Hz is assumed; {tolerated})"
+
+    def next_mode(self, speed: float) -> int:
+        """The best mode below the current one whose inputs are known to be in order, at last the degraded mode.
+
+        An input without a rate is as good as it was, where the current mode relies on it too.
+        """
+        relied = {port for group in self.runner.mode.assumptions for port in group}
+
+        def in_order(port: Input) -> bool:
+            if port.rate is None:
+                return port in relied and port.attached
+            return port.count > 0 and not self.inputs[port].exceeds(self.tolerated(port, speed) / 2)
+
+        for index in range(self.runner.index + 1, self.runner.last):
+            if all(any(map(in_order, group)) for group in self.runner.chain[index].assumptions):
+                return index
+        return self.runner.last
+
+    def silent_output(self, speed: float, share: float) -> Output | None:
+        """An output on which more than that share of what is tolerated is missing."""
+        late = (port for port in self.outputs if self.outputs[port].exceeds(share * self.due(port, speed)))
+        return next(late, None)
+
+
+@dataclass
+class Reflex:
+    """Watches the functionalities of a component, on the control thread.
+
+    ``commanded``: whether a command of the manager is being carried out, which may keep the data thread busy.
+    ``degraded`` is called once a functionality has degraded, or its state shows so; on either thread.
+    """
+
+    host: Host
+    runners: Sequence[FunctionalityRunner]
+    commanded: Callable[[], bool]
+    degraded: Callable[[FunctionalityRunner], None]
+    _watches: dict[FunctionalityRunner, Watch] = field(default_factory=dict)
+
+    async def run(self) -> None:
+        stopwatch, pause = Stopwatch(self.host), IDLE
+        while True:
+            await self.host.sleep(pause)
+            seconds, speed = stopwatch.lap(pause), stopwatch.speed
+            watches = self._look(None if stopwatch.grace else seconds, speed)
+            shortest = [found for watch in watches if (found := watch.shortest(speed)) is not None]
+            pause = min(LONGEST, max(SHORTEST, PART * min(shortest))) if shortest else IDLE
+
+    def _look(self, seconds: float | None, speed: float) -> Iterator[Watch]:
+        """``seconds`` have gone by; None: the process has been stopped, and what is lacking now says nothing."""
+        for runner in self.runners:
+            watch = self._watches.get(runner)
+            if watch is None or watch.entered != runner.entered:
+                watch = self._watches[runner] = Watch(runner)
+            elif watch.fall is not None:
+                self._follow(watch, watch.fall)
+            elif seconds is None:
+                watch.restart()
+            else:
+                watch.advance(seconds)
+                if runner.index < runner.last and not runner.switching:
+                    self._judge(watch, speed)
+            yield watch
+
+    def _judge(self, watch: Watch, speed: float) -> None:
+        if (reason := watch.broken_assumption(speed)) is not None:
+            words = f"the assumption of mode {watch.runner.mode.name} broke: {reason}"
+            self._fall(watch, watch.next_mode(speed), words)
+        elif (reason := self._hang(watch, speed)) is not None:
+            fall = self._fall(watch, watch.runner.last, reason, hangs=True)
+            self._show(watch.runner, fall)
+
+    def _hang(self, watch: Watch, speed: float) -> str | None:
+        """Why a promised output is silent, where a call of user code is the cause.
+
+        A mode whose calls return without a write is no hang: the manager's status shows it, and the readers notice.
+        """
+        runner = watch.runner
+        if self.commanded() or watch.silent_output(speed, 0.5) is None:
+            watch.probe = None
+            return None
+        if watch.probe is None:
+            watch.probe, watch.probed = asyncio.ensure_future(self.host.on_data(lambda: None)), 0.0
+        output = watch.silent_output(speed, 1.0)
+        if output is None:
+            return None
+        if watch.probe.done():
+            watch.probe = None
+            if not runner.asynchronous:
+                watch.outputs[output].restart(output.count)
+                return None
+        elif watch.probed < 0.4 * FLOOR * speed:
+            return None
+        rate, busy = output.rate, self._busy_words(runner)
+        assert rate is not None
+        wrote, seconds = watch.outputs[output].words(rate)
+        mode = f"mode {runner.mode.name} wrote {wrote} on output {output.name}"
+        return f"{mode} for {seconds:.2f} s instead of {rate:g} Hz: {busy}"
+
+    def _busy_words(self, runner: FunctionalityRunner) -> str:
+        for other in (runner, *self.runners):
+            if other.busy is not None and (other is runner or not other.asynchronous):
+                seconds = (self.host.steady() - other.busy) / 1e9
+                return f"a call of {other.name} has not returned for {seconds:.2f} s"
+        return "user code occupies its thread"
+
+    def _fall(self, watch: Watch, index: int, because: str, hangs: bool = False) -> Fall:
+        """Have the data thread change the mode, unless it has been entered anew by then."""
+        runner, steady = watch.runner, self.host.steady
+
+        def guard() -> str | None:
+            return None if runner.entered == watch.entered else "its mode has changed meanwhile"
+
+        def settled() -> None:
+            if runner.index == index and runner.because == because and not fall.shown:
+                fall.shown = True
+                self.degraded(runner)
+
+        def attempt() -> None:
+            fall.late = not hangs and steady() - fall.posted > LATE * 1e9
+            if not fall.late:
+                fall.switch.attempt()
+            fall.attempted = True
+
+        fall = watch.fall = Fall(ModeSwitch({runner: index}, because, guard, settled), attempt, steady())
+        self._post(fall)
+        return fall
+
+    def _post(self, fall: Fall) -> None:
+        fall.attempted = False
+        asyncio.ensure_future(self.host.on_data(fall.attempt)).add_done_callback(self._log_failure)
+
+    def _follow(self, watch: Watch, fall: Fall) -> None:
+        if fall.late:  # messages may be waiting behind the call that kept the data thread
+            watch.fall = None
+            for shortfall in watch.inputs.values():
+                shortfall.halve()
+        elif fall.switch.claim.taken():
+            watch.fall = None
+        elif fall.attempted:  # an asynchronous call is under way
+            if not fall.shown:
+                self._show(watch.runner, fall)
+            if not watch.runner.switching:  # the manager has requested another mode, and withdrawn that
+                self._post(fall)
+
+    def _show(self, runner: FunctionalityRunner, fall: Fall) -> None:
+        fall.shown = True
+        runner.falling = (fall.switch.targets[runner], fall.switch.because)
+        self.degraded(runner)
+
+    def _log_failure(self, work: asyncio.Future[None]) -> None:
+        if not work.cancelled() and (error := work.exception()) is not None:
+            self.host.logger.error(f"degrading failed: {type(error).__name__}: {error}")
