@@ -146,6 +146,8 @@ class Executor:
                 done.append((action, before))
             raise
         done.append((action, before))
+        if self.on_performed is not None:
+            await self.on_performed(action)
 
     async def perform(self, action: Action) -> None:
         """Check the precondition of one action, carry it out, and update the model. Raises MidstrideError."""
@@ -160,8 +162,6 @@ class Executor:
                 self.store.remove_instance(instance)
             case SetParameters(instance):
                 self.store.write_instance(after.instances[instance], self.driver.launcher.handles.get(instance))
-        if self.on_performed is not None:
-            await self.on_performed(action)
 
     def _moved(self, configuration: Configuration, instances: Collection[str]) -> None:
         self.system.moved(configuration)
@@ -229,6 +229,8 @@ class Executor:
                 if isinstance(undoing, Create):
                     await self._start(undoing)  # the next manager must find what was removed and is there again
                 await self.perform(undoing)
+                if self.on_performed is not None:
+                    await self.on_performed(undoing)
                 return None
             except Exception as error:
                 problem = f"{what}: {_words(error)}"
