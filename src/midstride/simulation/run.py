@@ -148,7 +148,7 @@ class Simulation:
         await asyncio.sleep(0.3)
         self._note("faults", "on: " + "; ".join(map(str, self._faults)))
         self._waiting, self._faulty = list(self._faults), True
-        self._since["change"] = 0
+        self._since, self._step = {"change": 0}, "none"
         for request in self._scenario.changes:
             await self._change(request)
         self._note("faults", "off")
