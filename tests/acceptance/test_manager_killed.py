@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -100,9 +101,11 @@ def killed_at_writes(folder: Path, times: int, longest: float) -> None:
         points = [(str(number + 1), when) for number in range(writes) for when in ("before", "after")]
         recorder = Recorder(folder)
         recorder.wait_until_it_hears()
+        begun: list[tuple[int, str]] = []
         for index in range(times):
             number, when = points[index * (len(points) // times | 1) % len(points)]
             policy = {FINISH: "1"} if (index + index // len(points)) % 2 else {}
+            begun.append((time.time_ns(), f"killed {when} write {number}{', to be finished' if policy else ''}"))
             killed = manage(system, "swap", "write", number, when, **policy)
             assert killed.returncode == -signal.SIGKILL, f"{number} {when}: {killed.stdout}{killed.stderr}"
             assert_found_whole(killed.stdout)
@@ -110,7 +113,9 @@ def killed_at_writes(folder: Path, times: int, longest: float) -> None:
         rows = recorder.stop()
         end = manage(system, "down")
         assert end.returncode == 0, end.stdout + end.stderr
-    assert max(silences(rows)) <= longest
+    silent, since = max(zip(silences(rows), sorted(row.source or row.received for row in rows), strict=False))
+    during = [f"{(since - at) / 1e9:.3f} s before: {words}" for at, words in begun if at <= since + silent * 1e9]
+    assert silent <= longest, f"silent for {silent:.3f} s; {'; '.join(during[-3:])}"
 
 
 def assert_found_whole(printed: str) -> None:

@@ -17,6 +17,7 @@ from midstride.wire.commands import (
     AwaitCutCommand,
     AwaitIdleCommand,
     AwaitMatchCommand,
+    AwaitRateCommand,
     AwaitWriteCommand,
     CancelCutCommand,
     Command,
@@ -52,6 +53,7 @@ from midstride.wire.commands import (
     PreviousModes,
     PreviousParameters,
     ProgramCommand,
+    RateVerdict,
     Receipt,
     RecordCommand,
     RecordingSwitched,
@@ -137,6 +139,10 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (
         AwaitWriteCommand(port="out", topic="/t", calls=3, patience=0.5, timeout=1.5),
         GatedWrites(gated=3, wrong_type="a String", failed=True),
+    ),
+    (
+        AwaitRateCommand(port="out", topic="/t", rate=10.0, window=1.0, until="met", timeout=1.5),
+        RateVerdict(reached=True, rate=9.5, pause=0.2, failed=True),
     ),
     (AwaitMatchCommand(port="in", topic="/t", peers=2, timeout=1.5), Attached(matched=1)),
     (AwaitIdleCommand(timeout=1.5), Idle(busy="talk for 2.0 s")),

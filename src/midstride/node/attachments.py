@@ -20,6 +20,7 @@ from midstride.node.host import Host
 from midstride.node.message_times import MessageTimes
 from midstride.node.mode_switch import DataExecutor, within
 from midstride.node.ports import Input, InputLink, Output, OutputLink
+from midstride.node.rate_watch import RateWatch
 from midstride.wire import commands
 
 # A best-effort message right after the match is often lost, one a moment later is not (s).
@@ -132,6 +133,19 @@ class Attachments:
             with contextlib.suppress(CommandRefused):
                 await self.data.run(lambda: None, command.timeout)  # until the call that wrote it has degraded
         return commands.GatedWrites(gated=link.gated, wrong_type=link.output.wrong_type, failed=owner.failed)
+
+    async def await_rate(self, command: commands.AwaitRateCommand) -> commands.RateVerdict:
+        link = self.link(command.port, command.topic)
+        owner, until = link.output.owner, command.until
+        begun, deadline = link.count + link.gated, self.host.steady() + int(command.timeout * 1e9)
+        watch = RateWatch(command.rate, command.window, self.host.now())
+        while True:
+            watch.see(link.count + link.gated - begun, self.host.now())
+            reached = watch.kept if until == "met" else watch.broken or owner.failed
+            if reached or owner.failed or self.host.steady() >= deadline:
+                rate, pause = round(watch.rate, 3), round(watch.pause, 3)
+                return commands.RateVerdict(reached=reached, rate=rate, pause=pause, failed=owner.failed)
+            await self.host.sleep(TICK)
 
     async def await_match(self, command: commands.AwaitMatchCommand) -> commands.Attached:
         link = self._attached(command.port, command.topic)

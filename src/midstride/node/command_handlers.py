@@ -85,6 +85,7 @@ class CommandHandlers:
             commands.DetachCommand: self._attachments.detach,
             commands.GateCommand: self._attachments.gate,
             commands.AwaitMatchCommand: self._attachments.await_match,
+            commands.AwaitRateCommand: self._attachments.await_rate,
             commands.AwaitWriteCommand: self._attachments.await_write,
             commands.GridCommand: self._handovers.grid,
             commands.MeetCommand: self._handovers.meet,

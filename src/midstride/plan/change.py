@@ -69,7 +69,16 @@ class Change:
         return self.component_of(port.instance).has_output(port.port)
 
     def seconds(self, kind: str, component: ComponentSpec | None = None) -> float:
-        """How long a step takes (s): declared in the target, else measured earlier, else the stated default."""
+        """How long a step takes (s): declared in the target, else measured earlier, else the stated default.
+
+        A hand-over also takes the time in which the target has the new publisher tried before, and watched after.
+        """
+        if kind == "handover":
+            extra = self.target.timing.get("probation", 0.0) + self.target.timing.get("watch_after", 0.0)
+            return extra + self._seconds(kind, component)
+        return self._seconds(kind, component)
+
+    def _seconds(self, kind: str, component: ComponentSpec | None) -> float:
         if kind == "create" and component is not None and component.startup_seconds is not None:
             return component.startup_seconds
         if kind in self.target.timing:

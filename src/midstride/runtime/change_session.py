@@ -187,6 +187,7 @@ class ChangeSession:
         self.reconciler.on_failure = lambda instance: timer.moved(system.configuration, (instance,))
         executor.driver.parameters, executor.driver.fences.wait = transfer, wait
         executor.driver.move_states_of(plan)
+        executor.driver.timing = target.timing
         executor.driver.before_handover = recording.record_driving_inputs
         executor.after_step = None if verifier is None else verifier.look
         response = CrashResponse(executor, self.reconciler, actions)

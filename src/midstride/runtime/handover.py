@@ -32,6 +32,7 @@ from midstride.runtime.answering import have_answer
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
 from midstride.runtime.fencing import Fences
+from midstride.runtime.probation import require_rate
 from midstride.runtime.simulated_time import stretch
 from midstride.runtime.state_transfers import StateTransfers
 from midstride.wire import commands
@@ -102,6 +103,7 @@ class LiveHandover:
     states: StateTransfers
     fences: Fences
     before_cut: Callable[[str, str], Awaitable[None]] | None = None
+    timing: Mapping[str, float] = field(default_factory=Map)  # of the specification
     _begun: list[Swap] = field(default_factory=list)
     _attached: list[Swap] = field(default_factory=list)
     _cuts: list[Cut] = field(default_factory=list)
@@ -353,6 +355,8 @@ class LiveHandover:
         if not seen.gated:
             because = await self._waits_for(swap.new.instance)
             raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over{because}")
+        if rate:
+            await require_rate(self.client, swap.new, self._topic(swap), rate, self.timing, duration)
 
     def _stretch(self, instance: str) -> float:
         latest = self.client.latest(instance)

@@ -305,9 +305,9 @@ class Manager:
 
     async def down(self) -> None:
         """Terminate every component and delete the saved state. Raises ManagerError naming those that still run."""
+        self._respawner.stop()  # also a restart in progress: it is rolled back
         async with self._command("down"):
             self._spares = 0
-            self._respawner.stop()
             names = sorted({*self._launcher.handles, *self.configuration.instances})
             ended = await asyncio.gather(*(self._end(name) for name in names))
             if faults := [fault for fault in ended if fault is not None]:

@@ -113,6 +113,18 @@ class GatedWrites(WireValue, frozen=True, kw_only=True):
     failed: bool = False
 
 
+class RateVerdict(WireValue, frozen=True, kw_only=True):
+    """``reached``: what was waited for has happened. ``rate`` (Hz) and the longest ``pause`` (s) of the last window.
+
+    ``failed``: user code has raised.
+    """
+
+    reached: bool
+    rate: float
+    pause: float
+    failed: bool = False
+
+
 class LastWrite(WireValue, frozen=True, kw_only=True):
     """An output's last number, and when it was written (None: not since the cut was agreed)."""
 
@@ -261,6 +273,21 @@ class AwaitWriteCommand(Command[GatedWrites], frozen=True, kw_only=True, tag="aw
     topic: str
     calls: int = 1
     patience: Seconds = 0.0
+    timeout: Seconds = 5.0
+
+
+class AwaitRateCommand(Command[RateVerdict], frozen=True, kw_only=True, tag="await_rate"):
+    """Wait until an output has kept ``rate`` (Hz) over ``window`` seconds of its clock, or ``until`` it has not.
+
+    Messages behind the gate count as well. A ``rate`` of 0 is broken by an exception only.
+    """
+
+    kind = "reading"
+    port: str
+    topic: str
+    rate: float
+    window: Seconds
+    until: Literal["met", "broken"]
     timeout: Seconds = 5.0
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from midstride.backends.simulator.clock import SimulatedClock
-from midstride.backends.simulator.process import SimulatedProcess
+from midstride.backends.simulator.process import THAW_INTERVAL, SimulatedProcess
 from midstride.model.contract import QoS
 
 
@@ -201,7 +201,8 @@ class Network:
     def _arrive(self, writer: SimulatedWriter, reader: SimulatedReader) -> None:
         left = reader.owner.thawed_at - self.clock.steady()
         if left > 0 and not reader.gone:
-            self.clock.loop.call_later(left, self._arrive, writer, reader)  # a frozen process acknowledges nothing
+            # A frozen process acknowledges nothing.
+            self.clock.loop.call_later(min(left, THAW_INTERVAL), self._arrive, writer, reader)
             return
         waiting = self._in_flight[writer, reader]
         _, message, info = waiting.popleft()
