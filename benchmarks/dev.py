@@ -1,7 +1,8 @@
-"""`midstride dev` on ROS 2: how long from a save to the first message of the new code, and whether a number is missing.
+"""`midstride dev` on ROS 2: how long from a save to the first message of the new code, or to the reason on the screen.
 
 A bare rclpy subscriber records a talker that counts and hands its count on. Each save writes another version of it; it
-says its version in each message. The folder is watched by a `midstride dev` as a user starts it.
+says its version in each message, and no number may be missing. Then faulty versions are saved, which are not let in.
+The folder is watched by a `midstride dev` as a user starts it.
 """
 
 from __future__ import annotations
@@ -93,6 +94,19 @@ listen.set_normal_mode(lambda message: None, inputs=[heard])
 listen.set_degraded_mode(lambda: None)
 comp.start()
 """
+# What is written into the talker's program, and what is then on the screen.
+FAULTS = {
+    "a syntax error": ("def normal()", "def normal(", "SyntaxError"),
+    "an import error": ("from midstride", "import no_such_module\nfrom midstride", "No module named 'no_such_module'"),
+    "an exception on the third call": (
+        "    count += 1\n",
+        "    count += 1\n    calls.append(1)\n    if len(calls) == 3:\n        raise ValueError('the third call')\n",
+        "ValueError: the third call",
+    ),
+    "no message at all": ("    out.write(", "    str(", "has written nothing within"),
+}
+# Those with a traceback: for the last one, the new code has its time to write something.
+RAISING = tuple(FAULTS)[:3]
 # How long anything may take (s), on a busy machine.
 PATIENCE = 60.0
 
@@ -124,6 +138,21 @@ class Bench:
 
     def talker(self, version: str) -> str:
         return TALKER.format(version=version, rate=self.rate)
+
+    def faulty(self, fault: str) -> str:
+        """The talker with one of ``FAULTS``."""
+        old, new, _ = FAULTS[fault]
+        text = self.talker("faulty").replace("count = 0\n", "count = 0\ncalls = []\n")
+        if text.count(old) != 1:
+            raise ValueError(f"{fault} does not fit the talker: {old!r}")
+        return text.replace(old, new)
+
+    def refused(self, fault: str, number: int) -> float:
+        """Save faulty code, another text for each number. The seconds until its traceback is on the screen."""
+        seen, words = len(self.screen()), FAULTS[fault][2]
+        saved = self.save(f"{self.faulty(fault)}# {number}\n")
+        self.until(lambda: words in self.screen()[seen:], f"{fault}: {words}")
+        return time.time() - saved
 
     def save(self, text: str) -> float:
         """Save the talker's program as many editors do, by a rename. When (unix s)."""
@@ -234,19 +263,40 @@ def measure(rate: float, saves: int) -> tuple[list[float], list[str]]:
         return latencies, bench.gaps()
 
 
+def measure_faults(rate: float, saves: int) -> tuple[dict[str, list[float]], list[str]]:
+    """The seconds from each save of faulty code to its traceback on the screen, and what was out of order."""
+    with tempfile.TemporaryDirectory(prefix="ms") as folder:
+        bench, latencies = Bench(Path(folder), rate), {fault: list[float]() for fault in RAISING}
+        with bench.running():
+            for number in range(saves):
+                for fault in RAISING:
+                    time.sleep(1.0)
+                    latencies[fault].append(bench.refused(fault, number))
+            time.sleep(1.0)
+        return latencies, bench.gaps()
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--saves", type=int, default=50)
+    parser.add_argument("--faulty-saves", type=int, default=20, help="of each kind of fault")
     parser.add_argument("--rates", type=float, nargs="+", default=[10.0, 50.0], metavar="HZ")
     parser.add_argument("--json", type=Path, metavar="FILE")
     arguments = parser.parse_args()
-    figures = []
+    figures: list[dict[str, Any]] = []
     print(f"{'rate':>6} {'saves':>6} {'median':>8} {'longest':>8} {'out of order':>13}")
     for rate in arguments.rates:
         latencies, gaps = measure(rate, arguments.saves)
         median, longest = statistics.median(latencies), max(latencies)
         print(f"{rate:>3g} Hz {len(latencies):>6} {median:>6.2f} s {longest:>6.2f} s {len(gaps):>13}", flush=True)
         figures.append({"rate": rate, "latencies": latencies, "out_of_order": gaps})
+    print(f"\n{'rate':>6} {'faulty saves':>31} {'median':>8} {'longest':>8} {'out of order':>13}")
+    for rate in arguments.rates:
+        refused, gaps = measure_faults(rate, arguments.faulty_saves)
+        for fault, latencies in refused.items():
+            median, longest, many = statistics.median(latencies), max(latencies), f"{len(latencies)} of {fault}"
+            print(f"{rate:>3g} Hz {many:>34} {median:>6.2f} s {longest:>6.2f} s {len(gaps):>13}", flush=True)
+        figures.append({"rate": rate, "refused": refused, "out_of_order": gaps})
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(figures, indent=2))
     return 0

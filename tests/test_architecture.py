@@ -18,7 +18,9 @@ from midstride.plan.strongly_connected import strongly_connected
 ROOT = Path(__file__).parent.parent / "src"
 PACKAGE = "midstride"
 
-EVERY = frozenset("model codec wire lang plan verify generate runtime backends node server cli testing".split())
+EVERY = frozenset(
+    "model codec wire lang plan verify generate runtime backends node server cli testing simulation".split()
+)
 
 # What each room may import of the package, besides itself and `errors`. "" is the package's own __init__.
 MAY_IMPORT: dict[str, frozenset[str]] = {
@@ -33,10 +35,11 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "verify": frozenset({"model", "codec", "plan"}),
     "runtime": frozenset({"model", "codec", "wire", "plan", "verify"}),
     "backends": frozenset({"model", "wire", "node", "runtime"}),
-    "server": EVERY - {"node", "cli", "testing"} | {""},
+    "server": EVERY - {"node", "cli", "testing", "simulation"} | {""},
     "cli": EVERY - {"testing"} | {""},
-    "testing": EVERY - {"server", "cli"},
-    "": EVERY - {"server", "cli", "testing"},
+    "testing": EVERY - {"server", "cli", "simulation"},
+    "simulation": EVERY - {"server", "cli"},
+    "": EVERY - {"server", "cli", "testing", "simulation"},
     "__main__": frozenset({"cli"}),
 }
 

@@ -26,11 +26,15 @@ from midstride.plan.request import PlanRequest
 from midstride.runtime import reaper
 from midstride.runtime.disk import Database, Disk, Statement
 from midstride.runtime.manager import Manager
+from midstride.runtime.options import SystemOptions
 from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import Command
 from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 from tests.acceptance.support import BENCHMARKS, swap_specification
+
+# In the environment: a change that was interrupted is finished, not rolled back.
+FINISH = "MIDSTRIDE_TEST_FINISH"
 
 
 def killed_at(manager: Manager, op: str, number: int, when: str) -> None:
@@ -115,7 +119,8 @@ async def main(folder: Path, task: str, op: str = "", number: str = "0", when: s
     specification = swap_specification() if saved is None else saved.specification
     backend = backends.make("ros2", workspace)
     disk = MortalDisk()
-    manager = Manager(specification, backend, workspace, BENCHMARKS, disk=disk)
+    options = SystemOptions(finish_interrupted=FINISH in os.environ)
+    manager = Manager(specification, backend, workspace, BENCHMARKS, options=options, disk=disk)
     await manager.up()
     try:
         status = await manager.status()

@@ -20,17 +20,6 @@ from tests.acceptance.support import benchmark, ended
 pytestmark = [pytest.mark.ros2]
 
 RATE = 50.0
-# What is written into the talker's program, and what is then on the screen.
-FAULTS = {
-    "a syntax error": ("def normal()", "def normal(", "SyntaxError"),
-    "an import error": ("from midstride", "import no_such_module\nfrom midstride", "No module named 'no_such_module'"),
-    "an exception on the third call": (
-        "    count += 1\n",
-        "    count += 1\n    calls.append(1)\n    if len(calls) == 3:\n        raise ValueError('the third call')\n",
-        "ValueError: the third call",
-    ),
-    "no message at all": ("    out.write(", "    str(", "has written nothing within"),
-}
 
 
 @pytest.fixture
@@ -40,13 +29,6 @@ def bench() -> Iterator[Any]:
         made = benchmark("dev").Bench(Path(folder), RATE)
         with made.running():
             yield made
-
-
-def faulty(bench: Any, fault: str) -> str:
-    old, new, _ = FAULTS[fault]
-    text: str = bench.talker("faulty").replace("count = 0\n", "count = 0\ncalls = []\n")
-    assert text.count(old) == 1, old
-    return text.replace(old, new)
 
 
 def saved_often(bench: Any, saves: int) -> list[float]:
@@ -63,12 +45,9 @@ def saved_often(bench: Any, saves: int) -> list[float]:
 def refused_often(bench: Any, saves: int) -> None:
     """Each fault so often: its reason is on the screen, and soon; the old code goes on."""
     for number in range(saves):
-        for fault, (_, _, words) in FAULTS.items():
+        for fault in benchmark("dev").FAULTS:
             seen = len(bench.screen())
-            text = faulty(bench, fault) + f"# {number}\n"
-            saved = bench.save(text)
-            bench.until(lambda seen=seen, words=words: words in bench.screen()[seen:], f"{fault}: {words}")
-            took = time.time() - saved
+            took = bench.refused(fault, number)
             assert fault == "no message at all" or took < 10, f"{fault} is on the screen after {took:.1f} s"
             assert "not let in, the old code goes on" in bench.screen()[seen:]
             heard = len(bench.heard)

@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import pytest
 
 from midstride.runtime.agreed_cut import RESUME_PERIODS
 from midstride.wire.commands import Receipt
+from tests.acceptance.managing import FINISH
 from tests.acceptance.support import PERIOD, ROOT, Recorder, ended
 
 pytestmark = pytest.mark.ros2
@@ -26,9 +28,11 @@ WRITES = int(os.environ.get("MIDSTRIDE_TEST_KILLED_WRITES", "200"))
 CRITICAL = {"meet", "cut_out", "cut_in", "await_cut"}
 
 
-def manage(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+def manage(folder: Path, *words: str, **environment: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "tests.acceptance.managing", str(folder), *words]
-    return subprocess.run(command, cwd=ROOT, env=dict(os.environ), capture_output=True, text=True, timeout=90)
+    return subprocess.run(
+        command, cwd=ROOT, env={**os.environ, **environment}, capture_output=True, text=True, timeout=90
+    )
 
 
 def calls_of_a_swap(system: Path) -> Counter[str]:
@@ -86,7 +90,8 @@ def test_the_topic_is_never_silent_for_longer_than_is_stated_at_any_point(tmp_pa
 def killed_at_writes(folder: Path, times: int, longest: float) -> None:
     """Kill the manager ``times`` times, at writes all over a change; what the next one finds is whole each time.
 
-    ``longest``: how long the topic may be silent (s).
+    Every other manager finishes what was interrupted, the others roll it back. ``longest``: how long the topic may be
+    silent (s).
     """
     system = folder / "system"
     system.mkdir()
@@ -96,16 +101,21 @@ def killed_at_writes(folder: Path, times: int, longest: float) -> None:
         points = [(str(number + 1), when) for number in range(writes) for when in ("before", "after")]
         recorder = Recorder(folder)
         recorder.wait_until_it_hears()
+        begun: list[tuple[int, str]] = []
         for index in range(times):
-            number, when = points[index * max(1, len(points) // times) % len(points)]
-            killed = manage(system, "swap", "write", number, when)
+            number, when = points[index * (len(points) // times | 1) % len(points)]
+            policy = {FINISH: "1"} if (index + index // len(points)) % 2 else {}
+            begun.append((time.time_ns(), f"killed {when} write {number}{', to be finished' if policy else ''}"))
+            killed = manage(system, "swap", "write", number, when, **policy)
             assert killed.returncode == -signal.SIGKILL, f"{number} {when}: {killed.stdout}{killed.stderr}"
             assert_found_whole(killed.stdout)
         assert_found_whole(manage(system, "swap").stdout)
         rows = recorder.stop()
         end = manage(system, "down")
         assert end.returncode == 0, end.stdout + end.stderr
-    assert max(silences(rows)) <= longest
+    silent, since = max(zip(silences(rows), sorted(row.source or row.received for row in rows), strict=False))
+    during = [f"{(since - at) / 1e9:.3f} s before: {words}" for at, words in begun if at <= since + silent * 1e9]
+    assert silent <= longest, f"silent for {silent:.3f} s; {'; '.join(during[-3:])}"
 
 
 def assert_found_whole(printed: str) -> None:

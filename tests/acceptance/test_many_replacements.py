@@ -128,9 +128,10 @@ def test_the_status_is_true_while_readers_come_and_go(tmp_path: Path, monkeypatc
         heard = {source for source in outside if min(own) <= source <= max(own)}
         if own.keys() != heard:
             missed, extra = sorted(own.keys() - heard), sorted(heard - own.keys())
-            at = [round((source - observed.begun) / 1e9, 3) for source in (*missed, *extra)]
+            # Of its publisher's messages, the number of each: the first ones, where a reader was found late.
+            at = [row.number for row in (*map(own.get, missed), *map(outside.get, extra)) if row is not None]
             disagreeing.append(
-                f"{number}: {len(missed)} only inside, {len(extra)} only outside, at {at} s; {notes[number]}"
+                f"{number}: {len(missed)} only inside, {len(extra)} only outside, numbers {at}; {notes[number]}"
             )
     assert not disagreeing, "\n".join(disagreeing)
 

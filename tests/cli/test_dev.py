@@ -33,6 +33,7 @@ class Robot:
     requests: list[Document] = field(default_factory=list)
     shown: list[str] = field(default_factory=list)
     more_files: dict[str, list[str]] = field(default_factory=dict)
+    rolling_back: bool = False  # the new instance of the talker still runs
 
     def __post_init__(self) -> None:
         for file in ("talker.py", "new_talker.py", "listener.py", "talker.stride"):
@@ -61,7 +62,7 @@ class Robot:
         if path == "/specification":
             return encode_specification(self.runs)
         assert path == "/programs"
-        return [
+        programs = [
             {
                 "name": role,
                 "role": role,
@@ -72,6 +73,9 @@ class Robot:
             }
             for role in self.code
         ]
+        if self.rolling_back:
+            programs.append({**programs[0], "name": "talker_2", "changed": []})
+        return programs
 
     def carry_out(self, request: Document, finished: Callable[[Document], None]) -> str | None:
         self.requests.append({**request, "to": "to" in request})
@@ -163,6 +167,16 @@ def test_what_was_refused_is_tried_again_when_its_files_change_and_not_before(ro
     robot.edit("talker.py", "bad", "good")
     assert robot.asked() == [restart("talker")]
     assert robot.shown[-1] == "swapped talker (talker.py)"
+
+
+def test_what_was_refused_is_not_tried_again_for_its_instance_that_is_rolled_back(robot: Robot) -> None:
+    """That one runs the code of the file: where this is looked at, there is no change."""
+    robot.edit("talker.py", "hello", "bad")
+    robot.rolling_back = True
+    robot.session.look()
+    robot.rolling_back = False
+    robot.session.look()
+    assert robot.asked() == [restart("talker")]
 
 
 def test_a_node_that_has_crashed_is_restarted_with_the_next_save_and_not_before(robot: Robot) -> None:

@@ -85,6 +85,13 @@ def test_parameters_are_shown_set_and_kept(tuned: Midstride, folder: Path) -> No
     assert tuned("param", "get", "talker", "gain").out == "gain = -2.5, set at run time (started with 1.5)\n"
     assert tuned("--json", "param", "list", "talker_2").json["talker_2"][0]["value"] == -2.5
 
+    for asked in ("talker.talk", "talker_2.talk"):
+        assert tuned("why", asked).out.splitlines()[0] == "talker.talk (talker_2) is in mode normal"
+        document = tuned("why", asked, "--json").json
+        assert (document["functionality"], document["instance"]) == ("talker.talk", "talker_2")
+    unknown = tuned("why", "talker.talc").err
+    assert "there is no functionality talker.talc; there are talker.talk\n" in unknown
+
     kept = tuned("plan", "--restart", "talker_2")
     assert (kept.status, "talker: gain = -2.5, set at run time: kept\n" in kept.out) == (0, True)
     assert kept.out.startswith("tuned: restart talker_2")

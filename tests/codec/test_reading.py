@@ -18,7 +18,7 @@ from midstride.codec.form import Form, encode, field
 from midstride.codec.reading import decode_form, parse_json
 from midstride.codec.specification import SpecificationForm, TimingForm, encode_specification
 from midstride.errors import SpecificationError
-from midstride.model.specification import DEFAULT_SECONDS, Specification, initial
+from midstride.model.specification import TIMING, Specification, initial
 from midstride.testing.strategies import components, specifications
 from tests.codec.test_schema import places
 
@@ -124,7 +124,7 @@ def test_a_key_written_twice_is_found_at_any_depth_and_nowhere_else() -> None:
 
 
 def test_the_timing_form_has_every_kind_of_step() -> None:
-    assert set(TimingForm.__struct_fields__) == set(DEFAULT_SECONDS)
+    assert set(TimingForm.__struct_fields__) == set(TIMING)
 
 
 @given(components())

@@ -9,6 +9,7 @@ import pytest
 from immutables import Map
 from msgspec import structs
 
+from midstride.backends.simulator.host import SimulatedHost
 from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import Interval, Predicate
 from midstride.node.diagnostics import DiagnosticEntry, Level, diagnostics
@@ -79,6 +80,13 @@ def test_a_component_in_its_normal_mode_is_ok_and_one_that_is_lowered_a_warning_
     assert entry.message == "watch is in mode degraded: nothing to see"
 
 
+def test_a_mode_without_a_reason_is_shown() -> None:
+    unsaid = state(mode="degraded")
+    because = {"watch": structs.replace(unsaid.functionalities["watch"], because="")}
+    (entry,) = diagnostics(structs.replace(unsaid, functionalities=because), WATCHER)
+    assert entry.message == "watch is in mode degraded: "
+
+
 def test_what_keeps_its_contract_is_ok() -> None:
     for links in ({"in_": received(GOOD)}, {"out": written(GOOD)}):
         entry = shown(**links)
@@ -147,6 +155,25 @@ def test_a_component_without_a_manager_is_a_warning() -> None:
 
 def entries(bench: Bench, instance: str) -> dict[str, DiagnosticEntry]:
     return {entry.name: entry for entry in bench.simulator.diagnostics(instance)}
+
+
+def test_diagnostics_that_cannot_be_published_do_not_end_the_reports(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(host: SimulatedHost, entries: Any) -> None:
+        raise RuntimeError("no such topic")
+
+    async def main(bench: Bench) -> None:
+        monkeypatch.setattr(SimulatedHost, "publish_diagnostics", fails)
+        await started(bench)
+        before = bench.lab.reports
+        await bench.sleep(5.0)
+        assert bench.lab.reports - before >= 2 * 9
+        said = [line for line in bench.simulator.log("talker").splitlines() if "/diagnostics" in line]
+        assert len(said) == 1
+        assert "RuntimeError: no such topic" in said[0]
+
+    simulate(tmp_path, main)
 
 
 def test_a_running_component_publishes_once_a_second_what_it_measures(tmp_path: Path) -> None:

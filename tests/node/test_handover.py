@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from midstride.backends.simulator import Simulator
+from midstride.backends.simulator.network import SimulatedWriter
 from midstride.testing.conformance import puppets
 from midstride.testing.conformance.lab import Lab
 
@@ -60,6 +61,31 @@ async def outcomes(lab: Lab, timeout: float = 5.0) -> tuple[str, str]:
 
 def sides(words: list[str]) -> list[str]:
     return [word.split(" ")[0] for word in words]
+
+
+def test_as_many_readers_as_before_are_not_the_same_readers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reader that has just come may be found before one that the old publisher has."""
+
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        begun = lab.backend.clock.steady()
+        found = {"sink": 0.5, "recorder": 1.5, "new": 0.0}
+
+        def ids(_: SimulatedWriter) -> frozenset[str]:
+            return frozenset(name for name, after in found.items() if lab.backend.clock.steady() >= begun + after)
+
+        monkeypatch.setattr(SimulatedWriter, "reader_ids", ids)
+        await lab.start("sink", puppets.sink())
+        await lab.attach("sink", "in", TOPIC)
+        await lab.start("node", puppets.talker())
+        request = {"port": "out", "topic": TOPIC, "gate": "closed", "peers": 1, "everyone": 1, "timeout": 10.0}
+        attached = await lab.change("node", "attach", **request, reader_ids=["sink", "recorder"], patience=4.0)
+        assert attached["matched"] == 1
+        assert lab.backend.clock.steady() - begun >= 1.5
+        await lab.change("node", "detach", port="out", topic=TOPIC)
+        attached = await lab.change("node", "attach", **request, reader_ids=["sink", "dead"], patience=0.5)
+        assert attached["matched"] == 0  # one of the two is missing
+
+    in_lab(tmp_path, main)
 
 
 def test_an_async_call_from_before_the_cut_still_writes(tmp_path: Path) -> None:

@@ -389,6 +389,9 @@ def test_what_the_next_manager_finds_follows_the_steps(tmp_path: Path) -> None:
         [saved] = b.saved_instances()
         assert saved == changed(added, parameters=Map(gain=2)) == b.system.configuration.instances["tuned"]
         assert b.client.of(SetParametersCommand, "tuned") == [SetParametersCommand(parameters={"gain": 2})]
+        with pytest.raises(StepFailed):
+            await b.executor.run([Remove("tuned"), Remove("talker")])  # which is attached, so it fails
+        assert b.saved_instances() == [saved], "the roll-back has started it again"
         await b.executor.run([Remove("tuned")])
         assert b.saved() == []
 

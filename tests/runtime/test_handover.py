@@ -133,13 +133,18 @@ def test_the_two_sides_are_asked_in_the_order_that_loses_nothing(tmp_path: Path)
     bench(CONFIGURATION, tmp_path, body)
 
 
-@pytest.mark.parametrize(("readers", "lingering", "expected"), [(3, 0, 3), (3, 2, 1), (None, 0, 0)])
+@pytest.mark.parametrize(
+    ("readers", "lingering", "expected", "ids"),
+    [(3, 0, 3, ["a", "b", "c"]), (3, 2, 1, []), (None, 0, 0, [])],
+)
 def test_the_new_publisher_waits_behind_its_gate_for_every_living_reader_of_the_old(
-    readers: int | None, lingering: int, expected: int, tmp_path: Path
+    readers: int | None, lingering: int, expected: int, ids: list[str], tmp_path: Path
 ) -> None:
     async def body(b: Bench) -> None:
         b.backend.lingering["/chatter"] = lingering
-        b.client.reply("talker", GridCommand, Grid(trigger="rate", now=0, epoch=0, period=0.1, readers=readers))
+        known = ["a", "b", "c"] if readers else []
+        grid = Grid(trigger="rate", now=0, epoch=0, period=0.1, readers=readers, reader_ids=known)
+        b.client.reply("talker", GridCommand, grid)
         b.client.reply("talker_2", AttachCommand, Attached(matched=expected))
         await swapped(b)
         assert b.words("note") == []
@@ -149,6 +154,7 @@ def test_the_new_publisher_waits_behind_its_gate_for_every_living_reader_of_the_
             gate="closed",
             peers=1,
             everyone=expected,
+            reader_ids=ids,
             patience=OUTSIDE_READERS_TIMEOUT,
             timeout=ATTACH_TIMEOUT + OUTSIDE_READERS_TIMEOUT,
         )

@@ -588,3 +588,32 @@ def test_a_new_one_that_breaks_while_it_is_watched_is_in_the_outcome(tmp_path: P
     outcome = managed("talker", tmp_path, body, directory=rewritten("talker", tmp_path / "programs", breaking))
     assert (outcome.outcome, outcome.because, outcome.ended) == ("done", None, [])
     assert outcome.degraded == ["talker_2.talk"]
+
+
+def test_what_could_not_be_undone_is_taken_over_as_the_component_reports_it(tmp_path: Path) -> None:
+    """The talker detaches its output, but its replies get lost, and the manager cannot reach it to undo that."""
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        simulator.faults.fail_next("talker", "detach", "lost_reply", times=2)
+        simulator.faults.fail_next("talker", "attach", "unreachable")
+        outcome = await manager.change(replace("talker", "NewTalker", "paper"))
+        assert outcome.outcome == "rolled_back"
+        assert "talker.out is not attached to /chatter any more, by its own report" in [
+            event.words for event in manager.log()
+        ]
+        assert (await manager.why("listener.listen")).mode == "degraded"
+        assert all(row.as_modelled for row in (await manager.status()).components)
+        assert (await manager.change(PlanRequest(to=manager.specification))).outcome == "done"
+        assert (await manager.why("listener.listen")).mode == "normal"
+
+    managed("talker", tmp_path, body)
+
+
+def test_a_component_that_refuses_to_be_degraded_is_asked_again(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        simulator.faults.fail_next("controller", "modes", "refused")
+        simulator.faults.kill("detector")
+        await asyncio.sleep(2)
+        assert (await manager.peek("controller")).functionalities["control"].mode == "degraded"
+
+    managed("obstacle", tmp_path, body)

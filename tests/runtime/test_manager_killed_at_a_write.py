@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import sqlite3
-from collections.abc import Iterable
+from collections.abc import Coroutine, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from dataclasses import replace as changed
@@ -95,8 +95,8 @@ def kill(manager: Manager) -> None:
     manager._launcher.start = dead  # type: ignore[method-assign]
 
 
-async def change_until_killed(manager: Manager, request: PlanRequest, disk: MortalDisk) -> None:
-    """Carry out ``request`` until the disk kills the manager, or to the end."""
+async def until_killed(manager: Manager, work: Coroutine[Any, Any, object], disk: MortalDisk) -> None:
+    """Do ``work`` until the disk kills the manager, or to the end."""
     send = manager._client._send
 
     async def mortal(*arguments: Any) -> Any:
@@ -105,14 +105,14 @@ async def change_until_killed(manager: Manager, request: PlanRequest, disk: Mort
         return await send(*arguments)
 
     manager._client._send = mortal  # type: ignore[method-assign, assignment]
-    change = asyncio.ensure_future(manager.change(request))
-    while not (disk.dead or change.done()):
+    doing = asyncio.ensure_future(work)
+    while not (disk.dead or doing.done()):
         await asyncio.sleep(0.001)
     if disk.dead:
         kill(manager)
-        change.cancel()
+        doing.cancel()
     with suppress(MidstrideError, Killed, asyncio.CancelledError):
-        await change
+        await doing
 
 
 START = example("talker")
@@ -190,7 +190,7 @@ def killed_once(target: Specification, workspace: Workspace, number: int, when: 
         first = Manager(START, simulator, workspace, programs, disk=disk)
         await first.up()
         disk.dies_at = disk.writes + number
-        await change_until_killed(first, PlanRequest(to=target), disk)
+        await until_killed(first, first.change(PlanRequest(to=target)), disk)
         with suppress(Killed):
             await first.close()
         if not disk.dead:
@@ -225,3 +225,30 @@ def killed_once(target: Specification, workspace: Workspace, number: int, when: 
 def test_the_next_manager_leaves_a_whole_system(name: str, finish: bool, tmp_path: Path) -> None:
     outcomes = killed_at_each_write(CHANGES[name], tmp_path, finish=finish)
     assert outcomes == ({"not begun", "done"} if finish else {"not begun", "done", "rolled_back"})
+
+
+def test_a_manager_that_is_killed_while_it_brings_the_system_up_leaves_nothing_in_the_way(tmp_path: Path) -> None:
+    simulator = Simulator()
+    reached = set()
+
+    async def main() -> None:
+        for number in range(1, 100):
+            workspace, disk = Workspace(tmp_path / str(number)), MortalDisk(dies_at=number)
+            workspace.path.mkdir()
+            first = Manager(START, simulator, workspace, EXAMPLES / "talker", disk=disk)
+            await until_killed(first, first.up(), disk)
+            with suppress(Killed):
+                await first.close()
+            if not disk.dead:
+                return
+            reached.add(len(simulator.processes))
+            disk.revive()
+            second = Manager(START, simulator, workspace, EXAMPLES / "talker", disk=disk)
+            await second.up()
+            await asyncio.sleep(1)
+            await assert_whole(second, simulator, disk, START)
+            await second.down()
+            await second.close()
+
+    simulator.run(main())
+    assert reached == {0, 1, 2}

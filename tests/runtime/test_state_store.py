@@ -17,6 +17,7 @@ from midstride.model.configuration import Instance
 from midstride.model.contract import Predicate
 from midstride.model.specification import Order, Specification
 from midstride.runtime.backend import Handle
+from midstride.runtime.disk import Disk
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.state_store import SavedInstance, StateStore
 from tests.runtime.systems import example
@@ -154,6 +155,29 @@ def test_a_specification_that_the_disk_refused_is_written_later(path: Path) -> N
     store.require()
     found = StateStore(path).load()
     assert found is not None and found.specification == target
+
+
+def test_a_manager_that_was_killed_before_it_could_start_anything_left_nothing(path: Path) -> None:
+    StateStore(path)._open().close()
+    assert path.exists() and StateStore(path).load() is None
+
+
+def test_what_a_system_begins_with_is_one_transaction(path: Path) -> None:
+    store, found = StateStore(path), list[str]()
+    store._open().connection.set_trace_callback(found.append)
+    store.begin("sim", "a token", SPECIFICATION)
+    assert found.count("COMMIT") == 1 and found[-1] == "COMMIT"
+
+
+def test_a_file_is_created_whole_or_not_at_all(path: Path) -> None:
+    with pytest.raises(sqlite3.Error):
+        Disk().open(path, "CREATE TABLE one (x); nonsense")  # the manager is killed half-way
+    assert not path.exists()
+    Disk().open(path, "CREATE TABLE IF NOT EXISTS two (x)").close()
+    database = Disk().read_only(path)
+    assert database is not None
+    assert database.read("SELECT name FROM sqlite_master") == [("two",)]
+    database.close()
 
 
 def test_forgotten_means_gone(path: Path) -> None:

@@ -20,7 +20,7 @@ with suppress(ImportError):
 def message(entries: Iterable[DiagnosticEntry], node: str, instance: str, now: int) -> Any:
     """The message for the entries of ``instance``, under the name of ``node``, which its replacements share.
 
-    ``now`` is the ROS clock (ns). Before that runs, the stamp is the system's time: the aggregator refuses none.
+    ``now`` is the ROS clock (ns). Before that runs, the stamp is the system's time: the aggregator warns of none.
     """
     array = DiagnosticArray(
         status=[

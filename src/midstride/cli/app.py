@@ -24,6 +24,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
         "impact": ("design", "show what degrades if a node is removed or crashes"),
         "diff": ("design", "compare two specifications"),
         "plan": ("plan", "plan a change: its steps, what it disrupts and why"),
+        "simulate": ("simulate", "rehearse a change in virtual time while faults strike"),
         "verify": ("verify", "verify a specification, a plan or the running system with Alloy"),
         "prove": ("prove", "prove that every action is safe, for systems of any size"),
         "generate": ("generate", "generate node skeletons, launch and package files"),

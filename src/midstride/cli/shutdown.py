@@ -54,7 +54,8 @@ def wait_for_manager_exit(workspace: Workspace) -> None:
 def _stop_left_components(workspace: Workspace) -> None:
     store = StateStore(workspace.state)
     saved = store.load()
-    if saved is None:
+    if saved is None:  # its manager was killed before it could start anything
+        store.forget()
         return
     handles = [entry.handle for entry in saved.instances if entry.handle is not None]
     backend = backends.make(saved.backend, workspace)

@@ -198,7 +198,7 @@ class ConstraintForm(ShapedForm, frozen=True):
 
 
 class TimingForm(Form, frozen=True):
-    """How long steps take, where known."""
+    """How long steps take, where known, and for how long a hand-over tries and watches a new publisher."""
 
     what: ClassVar[str] = "the timing of steps"
 
@@ -207,9 +207,12 @@ class TimingForm(Form, frozen=True):
     degrade: SecondsOrZero | UnsetType = UNSET
     detach: SecondsOrZero | UnsetType = UNSET
     handover: SecondsOrZero | UnsetType = UNSET
+    probation: SecondsOrZero | UnsetType = UNSET
+    probation_timeout: SecondsOrZero | UnsetType = UNSET
     remove: SecondsOrZero | UnsetType = UNSET
     set: SecondsOrZero | UnsetType = UNSET
     upgrade: SecondsOrZero | UnsetType = UNSET
+    watch_after: SecondsOrZero | UnsetType = UNSET
 
 
 class SpecificationForm(Form, frozen=True):

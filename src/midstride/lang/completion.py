@@ -13,7 +13,7 @@ from midstride.lang.lexer import Tokens, tokenize
 from midstride.lang.source import Source
 from midstride.lang.syntax import ComponentDeclaration, find
 from midstride.lang.token_stream import KEYWORD_PLACES, RESPAWN_WORDS
-from midstride.model.specification import DEFAULT_SECONDS
+from midstride.model.specification import TIMING
 
 # What comes before a keyword that is used as a name.
 _BEFORE_NAMES: Final = frozenset({".", "<-", "->", ":"})
@@ -27,7 +27,7 @@ _STATEMENTS: Final = {
     "mode": ("assume", "guarantee"),
     "node": ("parameters", *RESPAWN_WORDS),
     "environment": ("guarantee",),
-    "timing": tuple(DEFAULT_SECONDS),
+    "timing": TIMING,
     "topic": ("publishers",),
     "parameters": ("changeable",),
 }

@@ -15,7 +15,7 @@ from typing import Final
 
 from midstride.model.component import ROS_PARAMETERS, ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.diagnostics import Problem, unknown_name, with_suggestions
-from midstride.model.specification import DEFAULT_SECONDS, Keep, Node, Order, Specification
+from midstride.model.specification import TIMING, Keep, Node, Order, Specification
 
 _TOKEN: Final = r"[A-Za-z_][A-Za-z0-9_]*"
 _NAME: Final = re.compile(_TOKEN)
@@ -178,7 +178,7 @@ def _specification_names(specification: Specification) -> Iterator[Problem]:
     for index in range(len(specification.constraints)):
         yield from _constraint_names(specification, index)
     for kind in sorted(specification.timing):
-        yield from _unknown("kind of step", kind, DEFAULT_SECONDS, ("timing_seconds", kind), ())
+        yield from _unknown("kind of step", kind, TIMING, ("timing_seconds", kind), ())
 
 
 def node_names(specification: Specification, node: Node, path: Path) -> list[Problem]:

@@ -40,6 +40,9 @@ DEFAULT_SECONDS: Final[Mapping[str, float]] = Map(
         "set": 0.01,
     }
 )
+# What a hand-over takes its time for (s), where the file does not say (docs/semantics.md section 7).
+HANDOVER_SECONDS: Final[Mapping[str, float]] = Map({"probation": 0.0, "probation_timeout": 5.0, "watch_after": 0.0})
+TIMING: Final = (*DEFAULT_SECONDS, *HANDOVER_SECONDS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +97,7 @@ Constraint = Keep | Limit | Order
 
 @dataclass(frozen=True, slots=True)
 class Specification:
-    """Everything a ``.stride`` file declares. ``timing`` holds the duration (s) of each kind of step, where stated."""
+    """Everything a ``.stride`` file declares. ``timing`` holds what is stated of ``TIMING``, in s."""
 
     name: str
     connectors: Map[str, Connector] = field(default_factory=Map)

@@ -133,7 +133,14 @@ class Agent:
                 state = self._report()
                 # Of several instances of a role, one answers, and shows the diagnostics of the role's node.
                 if self.diagnostics and state.answers and beat % DIAGNOSTICS_BEATS == 0:
-                    self.host.publish_diagnostics(partial(diagnostics, state, self.declaration))
+                    self._publish_diagnostics(state)
+
+    def _publish_diagnostics(self, state: ComponentState) -> None:
+        try:
+            self.host.publish_diagnostics(partial(diagnostics, state, self.declaration))
+        except Exception as error:  # the platform's: the reports to the manager go on without them
+            self.diagnostics = False
+            self.host.logger.error(f"nothing is published on /diagnostics any more: {type(error).__name__}: {error}")
 
     async def _run_alone(self, attachments: Attachments) -> None:
         for port, topics in attachments.items():

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
@@ -19,6 +20,7 @@ from midstride.node.host import Host
 from midstride.node.message_times import MessageTimes
 from midstride.node.mode_switch import DataExecutor, within
 from midstride.node.ports import Input, InputLink, Output, OutputLink
+from midstride.node.rate_watch import RateWatch
 from midstride.wire import commands
 
 # A best-effort message right after the match is often lost, one a moment later is not (s).
@@ -77,7 +79,7 @@ class Attachments:
                     f"only {max(matched, 0)} of {command.peers} endpoints on {topic} were found within {timeout:g} s; "
                     "the others are missing, or have another type or incompatible QoS"
                 )
-            matched = await self._match(link, command.everyone, command.patience)
+            matched = await self._match(link, command.everyone, command.patience, command.reader_ids)
             if command.peers or command.everyone:
                 await self.host.sleep(SETTLE)
             if isinstance(link, OutputLink) and command.gate == "open":
@@ -132,6 +134,19 @@ class Attachments:
                 await self.data.run(lambda: None, command.timeout)  # until the call that wrote it has degraded
         return commands.GatedWrites(gated=link.gated, wrong_type=link.output.wrong_type, failed=owner.failed)
 
+    async def await_rate(self, command: commands.AwaitRateCommand) -> commands.RateVerdict:
+        link = self.link(command.port, command.topic)
+        owner, until = link.output.owner, command.until
+        begun, deadline = link.count + link.gated, self.host.steady() + int(command.timeout * 1e9)
+        watch = RateWatch(command.rate, command.window, self.host.now())
+        while True:
+            watch.see(link.count + link.gated - begun, self.host.now())
+            reached = watch.kept if until == "met" else watch.broken or owner.failed
+            if reached or owner.failed or self.host.steady() >= deadline:
+                rate, pause = round(watch.rate, 3), round(watch.pause, 3)
+                return commands.RateVerdict(reached=reached, rate=rate, pause=pause, failed=owner.failed)
+            await self.host.sleep(TICK)
+
     async def await_match(self, command: commands.AwaitMatchCommand) -> commands.Attached:
         link = self._attached(command.port, command.topic)
         return commands.Attached(matched=max(0, await self._match(link, command.peers, command.timeout)))
@@ -149,14 +164,21 @@ class Attachments:
             raise CommandRefused(f"{port} is not attached to {topic}")
         return link
 
-    async def _match(self, link: OutputLink | InputLink, wanted: int, patience: float) -> int:
-        """How many compatible endpoints it is matched with, once that is ``wanted`` or after ``patience`` (s)."""
+    async def _match(
+        self, link: OutputLink | InputLink, wanted: int, patience: float, reader_ids: Sequence[str] = ()
+    ) -> int:
+        """How many compatible endpoints it is matched with, once that is ``wanted`` or after ``patience`` (s).
+
+        The number alone may be right while one of the readers that are waited for is missing and another has come.
+        """
         deadline = self.host.steady() + int(patience * 1e9)
-        while (matched := link.endpoint.matched()) < wanted and self.host.steady() < deadline:
+        while self.host.steady() < deadline:
             if isinstance(link, OutputLink) and link.output.owner.failed:
                 break  # it will not be handed over to
+            if link.endpoint.matched() >= wanted and _missing(link, reader_ids) == 0:
+                break
             await self.host.sleep(TICK)
-        return matched
+        return max(0, link.endpoint.matched() - _missing(link, reader_ids))
 
     # -- data thread -------------------------------------------------------------------------------
 
@@ -184,3 +206,8 @@ class Attachments:
         for port in self.parts.ports.values():
             for link in port.links:
                 link.destroy()
+
+
+def _missing(link: OutputLink | InputLink, reader_ids: Sequence[str]) -> int:
+    """How many of the readers the process has not discovered yet."""
+    return len(set(reader_ids) - link.endpoint.reader_ids()) if isinstance(link, OutputLink) and reader_ids else 0

@@ -19,6 +19,7 @@ from midstride.errors import BackendError, CommandRefused
 from midstride.model.component import ROS_PARAMETERS
 from midstride.node.attachments import Attachments
 from midstride.node.declaration import DeclaredParts
+from midstride.node.discovery import discover
 from midstride.node.fencing import Fencing
 from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner, format_error
 from midstride.node.handover_commands import HandoverCommands
@@ -85,6 +86,7 @@ class CommandHandlers:
             commands.DetachCommand: self._attachments.detach,
             commands.GateCommand: self._attachments.gate,
             commands.AwaitMatchCommand: self._attachments.await_match,
+            commands.AwaitRateCommand: self._attachments.await_rate,
             commands.AwaitWriteCommand: self._attachments.await_write,
             commands.GridCommand: self._handovers.grid,
             commands.MeetCommand: self._handovers.meet,
@@ -94,6 +96,7 @@ class CommandHandlers:
             commands.CancelCutCommand: self._handovers.cancel_cut,
             commands.AwaitCutCommand: self._handovers.await_cut,
             commands.CutTakenCommand: self._handovers.taken,
+            commands.DiscoverCommand: partial(discover, self.host),
             commands.AwaitIdleCommand: self._fencing.await_idle,
             commands.FenceCommand: self._fencing.fence,
             commands.AnswerCommand: self._handovers.answer,

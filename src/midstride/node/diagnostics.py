@@ -56,7 +56,7 @@ def _relied_on(component: ComponentSpec, modes: Mapping[str, str]) -> set[str]:
 
 def _component(state: ComponentState, component: ComponentSpec) -> DiagnosticEntry:
     lowered = [
-        f"{name} is in mode {each.mode}: {each.because.strip().splitlines()[0]}"
+        f"{name} is in mode {each.mode}: {_first_line(each.because)}"
         for name, each in state.functionalities.items()
         if each.mode != component.functionalities[name].modes[0].name
     ]
@@ -65,6 +65,10 @@ def _component(state: ComponentState, component: ComponentSpec) -> DiagnosticEnt
     if worse := [*([] if state.waiting is None else [state.waiting]), *lowered]:
         level, message = Level.WARN, "; ".join(worse)
     return DiagnosticEntry("component", level, message, values)
+
+
+def _first_line(text: str) -> str:
+    return text.strip().partition("\n")[0]
 
 
 def _attachment(port: str, topic: str, link: LinkState, declared: float | None, relied_on: bool) -> DiagnosticEntry:

@@ -72,6 +72,7 @@ class HandoverCommands:
         rate, topic = owner.rate, command.topic
         clock: commands.CutClock = "ros" if rate is not None or comparable(self.host, "ros", "message") else "message"
         simulated = clock == "ros" and self.host.simulated_time
+        endpoint = None if topic is None else self.attachments.link(command.port, topic).endpoint
         return commands.Grid(
             trigger=owner.driven,
             clock=clock,
@@ -79,7 +80,8 @@ class HandoverCommands:
             epoch=None if rate is None else rate.slot,
             period=None if rate is None else rate.period,
             now=reading(self.host, clock),
-            readers=None if topic is None else self.attachments.link(command.port, topic).endpoint.matched(),
+            readers=None if endpoint is None else endpoint.matched(),
+            reader_ids=[] if endpoint is None else sorted(endpoint.reader_ids()),
         )
 
     async def meet(self, command: commands.MeetCommand) -> commands.Done:

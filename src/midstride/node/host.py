@@ -45,6 +45,12 @@ class Publisher(Protocol):
     def matched(self) -> int:
         """How many *compatible* subscriptions are matched; -1 before the platform knows it. On the control thread."""
 
+    def reader_ids(self) -> frozenset[str]:
+        """The identities of the subscriptions that its process has discovered on the topic; empty where unknown.
+
+        On the control thread.
+        """
+
     async def acknowledged(self, timeout: float) -> bool | None:
         """Whether every matched reliable reader has received everything; None where that is unknown.
 
@@ -201,6 +207,9 @@ class Host(Protocol):
 
         ``entries`` is called, in any thread, where something listens.
         """
+
+    def discovers(self, topic: str) -> bool | None:
+        """Whether the middleware shows a publisher on ``topic``; None where it has no discovery that could stop."""
 
     def extra_endpoints(self) -> list[Endpoint]:
         """Endpoints of the ROS node that are neither ports nor ROS's own, after the author's set-up."""

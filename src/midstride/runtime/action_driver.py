@@ -36,7 +36,9 @@ from midstride.runtime.handover import ATTACH_TIMEOUT, DETACH_TIMEOUT, LiveHando
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import own_degradations_in
 from midstride.runtime.parameter_transfer import ParameterTransfer
+from midstride.runtime.probation import watch_after
 from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.simulated_time import stretch
 from midstride.runtime.state_moves import StateMoves
 from midstride.runtime.state_transfers import StateTransfers, keeps_state, own_state
 from midstride.wire import commands
@@ -71,6 +73,7 @@ class ActionDriver:
     # By instance: what state of its predecessor it continues without, and why.
     own_state: dict[str, str] = field(default_factory=dict)
     moves: StateMoves | None = None
+    timing: Mapping[str, float] = field(default_factory=dict)  # of the specification
     leaving: Container[str] = ()  # the instances that the plan removes
     fences: Fences = field(init=False)
     _keeping: set[str] = field(default_factory=set)  # instances that keep state, also where they have exited since
@@ -381,8 +384,30 @@ class ActionDriver:
             self.fences,
         )
         handover.before_cut = self._carry_parameters
+        if not self.rolling_back:
+            handover.timing = self.timing
         self.last_numbers |= await handover.run()
         self.late |= states.late
+
+    async def watch(self, action: Action) -> None:
+        """After a hand-over, watch the new publishers for as long as the specification says; the old ones stay warm.
+
+        Raises StepFailed if one breaks what it guarantees.
+        """
+        seconds = self.timing.get("watch_after", 0.0)
+        if not isinstance(action, Handover) or not seconds:
+            return
+        ports = sorted({(swap.new, self.configuration.topic(swap.connector)) for swap in action.swaps})
+        self.events.add("watching", f"watching {', '.join(str(port) for port, _ in ports)} for {seconds:g} s")
+        outputs = [(port, topic, self.configuration.rate(port) or 0.0) for port, topic in ports]
+        latest = [self.client.latest(port.instance) for port, _ in ports]
+        slowest = max(stretch(None if each is None else each.state) for each in latest)
+        try:
+            await watch_after(self.client, outputs, seconds, slowest)
+        except StepFailed as error:
+            if degradations := await self._own_degradations(action):
+                raise StepFailed("; ".join(degradations)) from error
+            raise
 
     async def _carry_parameters(self, old: str, new: str) -> None:
         if self.parameters is not None and not self.rolling_back:

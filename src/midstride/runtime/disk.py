@@ -56,17 +56,17 @@ class Disk:
     """The databases in files; a missing file is created for its user alone."""
 
     def open(self, path: Path, schema: str) -> Database:
-        """Open the database in ``path``, after the statements of ``schema``. Raises sqlite3.Error or OSError."""
-        os.close(os.open(path, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600))
-        connection = sqlite3.connect(path, check_same_thread=False)
-        try:
-            connection.execute("PRAGMA journal_mode = WAL")
-            connection.execute("PRAGMA synchronous = FULL")
-            connection.executescript(schema)
-        except BaseException:
-            connection.close()
-            raise
-        return Database(connection)
+        """Open the database in ``path``, after the statements of ``schema``, which may be repeated.
+
+        Raises sqlite3.Error or OSError.
+        """
+        if not path.exists():  # whole, or not at all
+            new = path.with_name(f"{path.name}.new")
+            self.remove(new)
+            os.close(os.open(new, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600))
+            _connected(new, schema).close()
+            new.rename(path)
+        return Database(_connected(path, schema))
 
     def read_only(self, path: Path) -> Database | None:
         """The database in ``path`` as it is, or None if there is no such file. Raises sqlite3.Error."""
@@ -87,6 +87,18 @@ class Disk:
             with suppress(FileNotFoundError):
                 path.with_name(path.name + suffix).rename(aside.with_name(aside.name + suffix))
         return aside
+
+
+def _connected(path: Path, schema: str) -> sqlite3.Connection:
+    connection = sqlite3.connect(path, check_same_thread=False)
+    try:
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = FULL")
+        connection.executescript(schema)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
 
 
 DISK: Final = Disk()

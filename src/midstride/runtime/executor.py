@@ -92,6 +92,7 @@ class Executor:
                         await self._stop_starting()
                         self._ahead = asyncio.ensure_future(self._start_ahead(actions[index + 1 :]))
                 await self._timed_step(action, done, actions)
+                await self.driver.watch(action)
                 if self.after_step is not None:
                     await self.after_step(self.system.configuration)
             except (Exception, asyncio.CancelledError) as raised:
@@ -145,6 +146,8 @@ class Executor:
                 done.append((action, before))
             raise
         done.append((action, before))
+        if self.on_performed is not None:
+            await self.on_performed(action)
 
     async def perform(self, action: Action) -> None:
         """Check the precondition of one action, carry it out, and update the model. Raises MidstrideError."""
@@ -159,8 +162,6 @@ class Executor:
                 self.store.remove_instance(instance)
             case SetParameters(instance):
                 self.store.write_instance(after.instances[instance], self.driver.launcher.handles.get(instance))
-        if self.on_performed is not None:
-            await self.on_performed(action)
 
     def _moved(self, configuration: Configuration, instances: Collection[str]) -> None:
         self.system.moved(configuration)
@@ -225,7 +226,11 @@ class Executor:
         what = undoing.describe(self.system.configuration)
         while True:
             try:
+                if isinstance(undoing, Create):
+                    await self._start(undoing)  # the next manager must find what was removed and is there again
                 await self.perform(undoing)
+                if self.on_performed is not None:
+                    await self.on_performed(undoing)
                 return None
             except Exception as error:
                 problem = f"{what}: {_words(error)}"

@@ -32,6 +32,7 @@ from midstride.runtime.answering import have_answer
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
 from midstride.runtime.fencing import Fences
+from midstride.runtime.probation import require_rate
 from midstride.runtime.simulated_time import stretch
 from midstride.runtime.state_transfers import StateTransfers
 from midstride.wire import commands
@@ -102,6 +103,7 @@ class LiveHandover:
     states: StateTransfers
     fences: Fences
     before_cut: Callable[[str, str], Awaitable[None]] | None = None
+    timing: Mapping[str, float] = field(default_factory=Map)  # of the specification
     _begun: list[Swap] = field(default_factory=list)
     _attached: list[Swap] = field(default_factory=list)
     _cuts: list[Cut] = field(default_factory=list)
@@ -300,23 +302,24 @@ class LiveHandover:
         It should also match as many readers as the old publisher does; if it does not, that is noted.
         """
         with _old_side_needed():
-            readers = await self._readers(swap)
-        matched = await self._attach(swap, readers)
+            readers, ids = await self._readers(swap)
+        matched = await self._attach(swap, readers, ids)
         # Asked again if some are missing: the old publisher may have counted readers whose lease was about to expire.
-        if matched < readers and matched < (readers := await self._readers(swap)):
+        if matched < readers and matched < (readers := (await self._readers(swap))[0]):
             self.events.add(
                 "note",
                 f"{swap.old} had {readers} readers on {swap.connector}, and {swap.new} has found {matched} of them: "
                 "subscribers outside this system may miss messages",
             )
 
-    async def _readers(self, swap: Swap) -> int:
-        """How many living readers the old publisher has."""
+    async def _readers(self, swap: Swap) -> tuple[int, list[str]]:
+        """How many living readers the old publisher has, and which, unless some of them are dead."""
         topic = self._topic(swap)
         grid = await self.client.read(swap.old.instance, commands.GridCommand(port=swap.old.port, topic=topic))
-        return (grid.readers or 0) - await self.lingering_readers(topic)
+        dead = await self.lingering_readers(topic)
+        return (grid.readers or 0) - dead, [] if dead else grid.reader_ids
 
-    async def _attach(self, swap: Swap, readers: int) -> int:
+    async def _attach(self, swap: Swap, readers: int, ids: Sequence[str] = ()) -> int:
         """Attach the new publisher with a closed gate; how many readers it is matched with."""
         topic = self._topic(swap)
         subscribers = self.configuration.subscribers_on(swap.connector)
@@ -326,6 +329,7 @@ class LiveHandover:
             gate="closed",
             peers=sum(not self.is_gone(port.instance) for port in subscribers),
             everyone=readers,
+            reader_ids=list(ids),
             patience=OUTSIDE_READERS_TIMEOUT,
             timeout=ATTACH_TIMEOUT + OUTSIDE_READERS_TIMEOUT,
         )
@@ -351,6 +355,8 @@ class LiveHandover:
         if not seen.gated:
             because = await self._waits_for(swap.new.instance)
             raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over{because}")
+        if rate:
+            await require_rate(self.client, swap.new, self._topic(swap), rate, self.timing, duration)
 
     def _stretch(self, instance: str) -> float:
         latest = self.client.latest(instance)

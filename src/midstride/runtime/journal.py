@@ -34,7 +34,9 @@ from midstride.runtime.reports import Event, OutcomeKind
 T = TypeVar("T")
 
 # The kinds of events that are incidents.
-INCIDENTS: Final = frozenset("up down exited degraded parameters reflex respawn respawn_ended rollback_failed".split())
+INCIDENTS: Final = frozenset(
+    "up down exited silence fenced degraded reflex respawn respawn_ended parameters rollback_failed".split()
+)
 # How many statements are kept in memory while the disk refuses them.
 BACKLOG: Final = 2_000
 # SQLite's words for damage that it reports as an error of the statement.

@@ -67,21 +67,44 @@ def reported_modes(component: ComponentSpec, state: ComponentState) -> dict[Func
 
 def _as_reported(configuration: Configuration, name: str, state: ComponentState) -> Configuration:
     configuration = configuration.with_modes(reported_modes(configuration.component(name), state))
-    # Components know topics, not connectors. An output behind a closed gate is not attached.
+    return with_attachments(configuration, *changed_attachments(configuration, state))
+
+
+def changed_attachments(
+    configuration: Configuration, state: ComponentState
+) -> tuple[list[tuple[PortRef, str]], list[tuple[PortRef, str]]]:
+    """The attachments that one component lacks by its own report, and those that it has besides.
+
+    Components know topics, not connectors: where a topic has no connector here, it stands for one.
+    """
+    name = state.instance
+    # An output behind a closed gate is not attached.
     reported = {
         (PortRef(name, port), topic)
         for port, topics in state.ports.items()
         for topic, link in topics.items()
         if link.gate != "closed"
     }
-    known = set()
-    for port, connector in configuration.attached_ports(name):
-        pair = (port, configuration.topic(connector))
-        known.add(pair)
-        if pair not in reported:
-            configuration = configuration.without_attachment(port, connector)
-    if unknown := sorted(reported - known):
-        by_topic = {connector.topic: key for key, connector in configuration.context.connectors.items()}
-        for port, topic in unknown:
-            configuration = configuration.with_attachment(port, by_topic.get(topic, topic))
+    modelled = [(port, key, configuration.topic(key)) for port, key in configuration.attached_ports(name)]
+    lacking = [(port, key) for port, key, topic in modelled if (port, topic) not in reported]
+    unknown = sorted(reported - {(port, topic) for port, _, topic in modelled})
+    if not unknown:
+        return lacking, []
+    by_topic = {connector.topic: key for key, connector in configuration.context.connectors.items()}
+    return lacking, [(port, by_topic.get(topic, topic)) for port, topic in unknown]
+
+
+def differs(configuration: Configuration, state: ComponentState) -> bool:
+    """Whether a component of the model has other attachments there than it reports."""
+    return state.instance in configuration.instances and any(changed_attachments(configuration, state))
+
+
+def with_attachments(
+    configuration: Configuration, lacking: Iterable[tuple[PortRef, str]], besides: Iterable[tuple[PortRef, str]]
+) -> Configuration:
+    """``configuration`` without the attachments ``lacking``, and with those in ``besides``."""
+    for port, connector in lacking:
+        configuration = configuration.without_attachment(port, connector)
+    for port, connector in besides:
+        configuration = configuration.with_attachment(port, connector)
     return configuration

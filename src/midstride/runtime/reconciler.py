@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Container, Coroutine, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -24,13 +24,22 @@ from midstride.runtime.component_client import ComponentClient, ComponentEvent, 
 from midstride.runtime.events import EventLog
 from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
-from midstride.runtime.observed_configuration import own_degradations, own_degradations_in
+from midstride.runtime.observed_configuration import (
+    changed_attachments,
+    differs,
+    own_degradations,
+    own_degradations_in,
+    with_attachments,
+)
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.silence import SilenceMonitor
 from midstride.runtime.state_store import StateStore
+from midstride.wire.state import ComponentState
 
 log = logging.getLogger(__name__)
 
+# After how long a component that has refused to degrade a functionality is asked again (s).
+REFUSED_INTERVAL: Final = 1.0
 _LOST_BEFORE: Final = "its input was lost before it could be degraded"
 
 
@@ -61,6 +70,7 @@ class Reconciler:
     on_crash_during_change: Callable[[], Coroutine[Any, Any, None]] | None = None
     _why_pending: str = _LOST_BEFORE
     _unanswered: set[str] = field(default_factory=set)  # instances of these that did not answer
+    _reconciled_at: float = 0.0  # when a functionality was last degraded, or refused to be (steady s)
     _reconciling: asyncio.Lock = field(default_factory=asyncio.Lock)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
 
@@ -93,11 +103,20 @@ class Reconciler:
                 self.monitor.on_report(state, self.system.configuration)
                 answers_again = state.instance in self._unanswered
                 self._unanswered.discard(state.instance)
-                degraded = own_degradations_in(self.system.configuration, state)
+                configuration = self.system.configuration
+                degraded = own_degradations_in(configuration, state)
                 if degraded:
                     self.on_failure(state.instance)
-                if answers_again or degraded:
+                if answers_again or degraded or differs(configuration, state) or self._can_retry(state):
                     self._reconcile_soon()
+
+    def _can_retry(self, state: ComponentState) -> bool:
+        """Whether a functionality that refused to be degraded may accept it now: no call of its code is running."""
+        if self._reconciling.locked() or self.monitor.clock.steady() - self._reconciled_at < REFUSED_INTERVAL:
+            return False
+        pending = [ref for ref, error in self.pending.items() if isinstance(error, CommandRefused)]
+        refused = [ref.functionality for ref in pending if ref.instance == state.instance]
+        return any(state.functionalities[name].busy is None for name in refused)
 
     def save_values(self) -> None:
         """Save the parameter values that were set at run time, where they have changed, for the next manager."""
@@ -174,9 +193,10 @@ class Reconciler:
                 self.client.disconnect(name)
                 self.store.remove_instance(name)
             degraded = own_degradations(configuration, self.client, crashed)
-            if not crashed and not degraded and not self.pending:
+            configuration, touched, because = self._take_over_attachments(configuration, crashed)
+            if not crashed and not degraded and not self.pending and not because:
                 return
-            because = [f"{name} exited unexpectedly" for name in crashed]
+            because += [f"{name} exited unexpectedly" for name in crashed]
             for name in {ref.instance for ref in degraded}:
                 self.client.accept(name)
             for ref, index in sorted(degraded.items()):
@@ -186,11 +206,37 @@ class Reconciler:
                     self.degraded.add(ref)
                 self.events.add("degraded", words, functionality=str(ref))
                 because.append(words)
-            after, to_lower = respond(configuration, crashed, degraded, self.pending)
+            after, to_lower = respond(configuration, crashed, degraded, [*self.pending, *touched])
             self.system.moved(after)
             failed = await self.executor().lower(to_lower, "; ".join(because) or self._why_pending)
-            self.pending = dict(failed)
+            self.pending, self._reconciled_at = dict(failed), self.monitor.clock.steady()
             self._unanswered = {ref.instance for ref, error in failed.items() if not isinstance(error, CommandRefused)}
+
+    def _take_over_attachments(
+        self, configuration: Configuration, crashed: Container[str]
+    ) -> tuple[Configuration, list[FunctionalityRef], list[str]]:
+        """The configuration with the attachments that components report, what they concern, and what differed.
+
+        They differ where a command timed out and has been carried out all the same, or could not be undone.
+        """
+        touched: list[FunctionalityRef] = []
+        because: list[str] = []
+        for name in sorted(configuration.instances):
+            state = None if name in crashed else self.client.responsive(name)
+            lacking, besides = ([], []) if state is None else changed_attachments(configuration, state)
+            for port, connector in lacking:
+                because.append(f"{port} is not attached to {connector} any more")
+                if configuration.is_output(port):
+                    touched += configuration.consumers(connector)
+            if lacking:
+                touched += [ref for ref in configuration.modes if ref.instance == name]
+            because += [f"{port} is attached to {connector}" for port, connector in besides]
+            if lacking or besides:
+                self.client.accept(name)
+                configuration = with_attachments(configuration, lacking, besides)
+        for words in because:
+            self.events.add("note", f"{words}, by its own report")
+        return configuration, touched, because
 
 
 def respond(

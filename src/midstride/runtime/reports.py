@@ -22,7 +22,7 @@ from midstride.verify.verdict import Verdict
 
 OutcomeKind: TypeAlias = Literal["done", "refused", "rolled_back", "failed"]
 Phase: TypeAlias = Literal["starting", "up", "failed", "down"]
-SilenceKind: TypeAlias = Literal["not_answering", "not_publishing", "not_receiving"]
+SilenceKind: TypeAlias = Literal["not_answering", "not_discovering", "not_publishing", "not_receiving"]
 
 
 class Report(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
@@ -260,7 +260,7 @@ class RunningCommand(Report, frozen=True):
     since: float
 
 
-class Spares(Report, frozen=True, kw_only=True):
+class SpareStatus(Report, frozen=True, kw_only=True):
     """The processes that are kept ready for the next components."""
 
     kept: int
@@ -284,7 +284,7 @@ class Status(Report, frozen=True, kw_only=True):
     unwritten: Annotated[str | None, Meta(description="why the state or the journal could not be written to disk")]
     damaged: Annotated[str | None, Meta(description="where a damaged journal is kept, and what was wrong with it")]
     middleware: Middleware
-    spares: Spares
+    spares: SpareStatus
     file: Annotated[str | None, Meta(description="the file that was brought up, or applied last")] = None
 
 

@@ -101,7 +101,7 @@ class Respawner:
             return None
         number, words, seconds = len(record.restarts), "restarting", None
         if record.left is not None:
-            words = f"it is not restarted any more: {record.left}"
+            words = f"it will not be restarted again: {record.left}"
         elif record.due is not None:
             seconds = max(0.0, round(record.due - self.clock.steady(), 3))
             words += f" in {seconds:.1f} s" if seconds else " after the current command"
@@ -124,11 +124,12 @@ class Respawner:
         return self.system.has_instance(role)
 
     def _forget(self, role: str, record: _Record) -> None:
-        """A command has restored or removed the node, or taken its policy away: what was counted begins anew."""
+        """A command has restored or removed the node, or removed its policy: what was counted begins anew."""
         del self._records[role]
         if record.task is not None:
             record.task.cancel()
-            self.events.add("respawn", f"the restart of {role} is cancelled: a command has taken care of it")
+            why = "it runs again" if self._runs(role) else "it has no restart policy any more"
+            self.events.add("respawn", f"the restart of {role} is cancelled: {why}")
 
     def _on_crash(self, role: str, record: _Record, policy: RespawnPolicy, why: str) -> None:
         """``role`` does not run because of ``why``: plan the next restart, or what comes after the last one."""
@@ -157,7 +158,7 @@ class Respawner:
     def _leave(self, role: str, record: _Record, why: str, event: str = "") -> None:
         record.left = why
         remedy = f"`midstride logs {role}` shows its output, `midstride restart {role}` restores it"
-        self.events.add("respawn_ended", f"{event}{role} is not restarted any more: {why}. {remedy}")
+        self.events.add("respawn_ended", f"{event}{role} will not be restarted again: {why}. {remedy}")
 
     def _schedule(self, role: str, record: _Record, request: PlanRequest, words: str, delay: float) -> None:
         record.due = self.clock.steady() + delay

@@ -94,6 +94,8 @@ class StateStore:
                 return None
             with closing(database):
                 system = dict(database.read("SELECT key, CAST(value AS TEXT) FROM system"))
+                if not system and database.read("PRAGMA user_version") == [(0,)]:
+                    return None  # killed before `begin`: no component had the token
                 if system.get("version") != str(VERSION):
                     raise self._unreadable("another version of Midstride wrote it")
                 parts = database.read("SELECT section, name, form FROM specification")
@@ -141,10 +143,10 @@ class StateStore:
         """The system is being brought up or recovered."""
         kept = msgspec.json.encode(options).decode()
         system = ("version", str(VERSION), "backend", backend, "token", token, "options", kept, "file", file or "")
-        self._put(*system)
         self._specification = Specification("")
-        # At once: half a specification could not be read.
-        self._write({"specification": ("DELETE FROM specification", ()), **self._parts(specification)})
+        # At once: half of this could not be read.
+        statements: _Statements = {**_puts(*system), "specification": ("DELETE FROM specification", ())}
+        self._write({**statements, **self._parts(specification), "begun": (f"PRAGMA user_version = {VERSION}", ())})
 
     def write_specification(self, specification: Specification) -> None:
         """The specification that the system runs now: a row for each part that differs from what was written last."""
@@ -210,8 +212,7 @@ class StateStore:
             database.close()
 
     def _put(self, *pairs: str) -> None:
-        rows = zip(pairs[::2], pairs[1::2], strict=True)
-        self._write({key: ("INSERT OR REPLACE INTO system VALUES (?, ?)", (key, value)) for key, value in rows})
+        self._write(_puts(*pairs))
 
     def _write(self, statements: _Statements) -> None:
         self._pending.update(statements)
@@ -230,6 +231,11 @@ class StateStore:
         if self._database is None:
             self._database = self._disk.open(self.path, _SCHEMA)  # for its user alone: it holds the system's token
         return self._database
+
+
+def _puts(*pairs: str) -> _Statements:
+    rows = zip(pairs[::2], pairs[1::2], strict=True)
+    return {key: ("INSERT OR REPLACE INTO system VALUES (?, ?)", (key, value)) for key, value in rows}
 
 
 def _changed(before: Mapping[str, object], after: Mapping[str, object]) -> Iterator[str]:

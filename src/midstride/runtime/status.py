@@ -75,7 +75,7 @@ def status(
         damaged=damaged,
         middleware=backend.middleware(),
         file=file,
-        spares=reports.Spares(
+        spares=reports.SpareStatus(
             kept=spares,
             ready=backend.spares(),
             unused_by=[name for name, each in sorted(configuration.instances.items()) if not launcher.takes_spare(each)]
@@ -203,7 +203,8 @@ def why(configuration: Configuration, client: ComponentClient, functionality: st
         if ref.functionality == asked.functionality and configuration.instances[ref.instance].role == asked.instance
     ]
     if not matching:
-        known = ", ".join(sorted(map(str, every))[:12]) or "none"
+        named = {str(_of_role(configuration, ref)) for ref in every}
+        known = ", ".join(sorted(named)[:12]) or "none"
         raise PlanRefused(f"there is no functionality {functionality}; there are {known}")
     ref = sorted(matching)[0]
     state = client.responsive(ref.instance)
@@ -211,7 +212,7 @@ def why(configuration: Configuration, client: ComponentClient, functionality: st
     evaluator = Evaluator(configuration)
     inputs = [PortRef(ref.instance, name) for name in configuration.functionality(ref).inputs]
     return reports.Why(
-        functionality=str(FunctionalityRef(configuration.instances[ref.instance].role, ref.functionality)),
+        functionality=str(_of_role(configuration, ref)),
         instance=ref.instance,
         mode=reported.mode,
         normal=reported.normal,
@@ -219,6 +220,10 @@ def why(configuration: Configuration, client: ComponentClient, functionality: st
         chain=_reasons(configuration, evaluator, ref),
         inputs={str(port): evaluator.input_satisfied(port) for port in inputs},
     )
+
+
+def _of_role(configuration: Configuration, ref: FunctionalityRef) -> FunctionalityRef:
+    return FunctionalityRef(configuration.instances[ref.instance].role, ref.functionality)
 
 
 def _reasons(configuration: Configuration, evaluator: Evaluator, ref: FunctionalityRef) -> list[str]:

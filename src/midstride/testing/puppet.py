@@ -13,7 +13,7 @@ Everything but ``component`` is optional. A mode that guarantees a rate is calle
 guarantees; one that only assumes inputs, for every message; one that does neither, once. A call writes one message to
 each output that its mode guarantees: the text of the message it answers, or else "instance mode n". ``sleep`` blocks
 and ``pause`` awaits before the write; with ``at_call``, these and ``raise`` apply to that call only. With ``every``,
-not each call writes, but every fifth, say. The exported state lists what was received, called and imported.
+each fifth call writes, say, and no other. The exported state lists what was received, called and imported.
 """
 
 from __future__ import annotations
@@ -38,8 +38,10 @@ from midstride.node.ports import Input, Output, any_of
 class Puppet:
     """``description`` as a component; :meth:`start` runs it."""
 
-    def __init__(self, description: dict[str, Any]) -> None:
+    def __init__(self, description: dict[str, Any], type_of: Callable[[str], type] | None = None) -> None:
+        """``type_of``: the class of a message type, by default that of the installed ROS or of the simulator."""
         self._description = description
+        self._type_of = type_of or message_type
         self._declared: model.ComponentSpec = decode_component(description["component"])
         self._modes: dict[str, dict[str, Any]] = description.get("modes", {})
         self.component = Component(self._declared.name)
@@ -70,12 +72,12 @@ class Puppet:
             where = dict(predicate.fields) or None
             missed = self._declared.tolerates.get(name)
             self._inputs[name] = self.component.create_input(
-                name, message_type(predicate.type), predicate.rate, predicate.qos, where, missed
+                name, self._type_of(predicate.type), predicate.rate, predicate.qos, where, missed
             )
         for name in self._declared.outputs:
             endpoint = self._declared.output_endpoint(name)
             type_, qos = endpoint if endpoint is not None else ("std_msgs/msg/String", None)
-            self._outputs[name] = self.component.create_output(name, message_type(type_), qos)
+            self._outputs[name] = self.component.create_output(name, self._type_of(type_), qos)
 
     def _functionality(self, declared: model.FunctionalitySpec) -> None:
         functionality = self.component.create_functionality(

@@ -249,7 +249,7 @@ def specifications(draw: st.DrawFn, *, most: int = 6) -> Specification:
     spare = draw(st.sampled_from((0.0, 0.3, 2.0)))
     resources = {name: Resource(name, float(configuration.held.get(name, 0)) + spare or 1.0) for name in RESOURCES}
     whole = replace(bare, connectors=Map(connectors), resources=Map(resources))
-    timing = draw(st.sampled_from(({}, {"create": 0.25, "handover": 0.0})))
+    timing = draw(st.sampled_from(({}, {"create": 0.25, "handover": 0.0}, {"probation": 1.0, "watch_after": 2.5})))
     return replace(whole, constraints=draw(_constraints(whole)), timing=Map(timing))
 
 

@@ -40,7 +40,8 @@ class Grid(WireValue, frozen=True, kw_only=True):
     """The time grid of the mode that drives an output: slot n is at ``epoch + n * period``.
 
     ``now`` is on the clock on which a cut of that output is agreed: ``clock``, which gains ``speed`` seconds in each
-    second. ``readers`` is the number of matched subscriptions on the topic asked about.
+    second. ``readers`` is the number of matched subscriptions on the topic asked about, and
+    ``reader_ids`` identifies those that the process has discovered, where the middleware does.
     """
 
     trigger: Trigger
@@ -50,6 +51,7 @@ class Grid(WireValue, frozen=True, kw_only=True):
     epoch: int | None = None
     period: float | None = None
     readers: int | None = None
+    reader_ids: list[str] = []
 
 
 class Receipt(msgspec.Struct, frozen=True, array_like=True):
@@ -108,6 +110,18 @@ class GatedWrites(WireValue, frozen=True, kw_only=True):
 
     gated: int
     wrong_type: str | None
+    failed: bool = False
+
+
+class RateVerdict(WireValue, frozen=True, kw_only=True):
+    """``reached``: what was waited for has happened. ``rate`` (Hz) and the longest ``pause`` (s) of the last window.
+
+    ``failed``: user code has raised.
+    """
+
+    reached: bool
+    rate: float
+    pause: float
     failed: bool = False
 
 
@@ -176,6 +190,12 @@ class Idle(WireValue, frozen=True, kw_only=True):
     """``busy``: why user code had not returned in time, in words; None where the data thread is free."""
 
     busy: str | None
+
+
+class Discovered(WireValue, frozen=True, kw_only=True):
+    """Whether the middleware of the component shows the endpoint; None where it has no discovery that could stop."""
+
+    found: bool | None
 
 
 class FencedOutputs(WireValue, frozen=True, kw_only=True):
@@ -262,6 +282,21 @@ class AwaitWriteCommand(Command[GatedWrites], frozen=True, kw_only=True, tag="aw
     timeout: Seconds = 5.0
 
 
+class AwaitRateCommand(Command[RateVerdict], frozen=True, kw_only=True, tag="await_rate"):
+    """Wait until an output has kept ``rate`` (Hz) over ``window`` seconds of its clock, or ``until`` it has not.
+
+    Messages behind the gate count as well. A ``rate`` of 0 is broken by an exception only.
+    """
+
+    kind = "reading"
+    port: str
+    topic: str
+    rate: float
+    window: Seconds
+    until: Literal["met", "broken"]
+    timeout: Seconds = 5.0
+
+
 class AwaitMatchCommand(Command[Attached], frozen=True, kw_only=True, tag="await_match"):
     """Wait until the endpoint of an attachment is matched with ``peers`` compatible endpoints, as it sees it."""
 
@@ -276,6 +311,13 @@ class AwaitIdleCommand(Command[Idle], frozen=True, kw_only=True, tag="await_idle
     """Wait until user code has returned, so that the data thread is free."""
 
     kind = "reading"
+
+
+class DiscoverCommand(Command[Discovered], frozen=True, kw_only=True, tag="discover"):
+    """Wait until the component's own middleware shows a publisher on ``topic``."""
+
+    kind = "reading"
+    topic: str
 
 
 class AwaitCutCommand(Command[CutResult], frozen=True, kw_only=True, tag="await_cut"):
@@ -295,8 +337,8 @@ class WelcomeCommand(Command[ComponentState], frozen=True, kw_only=True, tag="we
 class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
     """Create the endpoint and wait until ``peers`` compatible endpoints are matched; only then open the gate.
 
-    ``everyone`` is how many readers to wait for beyond that, at most ``patience`` seconds. An input relies on ``rate``
-    (Hz), and ``tolerates`` so many missed messages; None: what its code states.
+    ``everyone`` is how many readers to wait for beyond that, and ``reader_ids`` which, at most ``patience`` seconds. An
+    input relies on ``rate`` (Hz), and ``tolerates`` so many missed messages; None: what its code states.
     """
 
     port: str
@@ -304,6 +346,7 @@ class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
     gate: GateState = "open"
     peers: int = 0
     everyone: int = 0
+    reader_ids: list[str] = []
     patience: Seconds = 0.0
     timeout: Seconds = 5.0
     rate: float | None = None

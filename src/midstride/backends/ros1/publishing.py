@@ -200,6 +200,9 @@ class PortPublisher:
     def publish(self, message: Any) -> None:
         self._send(self, message, self._now())
 
+    def reader_ids(self) -> frozenset[str]:
+        return frozenset()
+
     def matched(self) -> int:
         """-1 until the master lists it and the subscribers there have had time to connect."""
         return self.topic.connected() if self.topic.registered else -1

@@ -44,10 +44,14 @@ def profile_of(qos: QoS) -> Any:
 class RosPublisher:
     """An output's publisher. ``publish`` is rclpy's own method: a message costs nothing on the way."""
 
-    __slots__ = ("_destroy", "_publisher", "_reliable", "publish")
+    __slots__ = ("_destroy", "_in_graph", "_publisher", "_reliable", "publish")
 
-    def __init__(self, publisher: Any, qos: QoS, destroy: Callable[[Any], object]) -> None:
+    def __init__(
+        self, publisher: Any, qos: QoS, destroy: Callable[[Any], object], in_graph: Callable[[str], list[Any]]
+    ) -> None:
+        """``in_graph`` lists the subscriptions of a topic."""
         self._publisher = publisher
+        self._in_graph = in_graph
         self._reliable = qos.is_reliable
         self._destroy = destroy
         self.publish: Callable[[Any], None] = publisher.publish
@@ -58,6 +62,12 @@ class RosPublisher:
             return int(self._publisher.get_subscription_count())
         except InvalidHandle:
             return 0
+
+    def reader_ids(self) -> frozenset[str]:
+        try:
+            return frozenset(bytes(info.endpoint_gid).hex() for info in self._in_graph(self._publisher.topic_name))
+        except InvalidHandle:
+            return frozenset()
 
     async def acknowledged(self, timeout: float) -> bool | None:
         """True as soon as it is so; None where that does not show in time, or where no reader acknowledges.

@@ -113,7 +113,12 @@ class Ros2Host:
     def create_publisher(self, topic: str, type_: type, qos: QoS) -> endpoints.RosPublisher:
         publisher = self.ros_node.create_publisher(type_, topic, endpoints.profile_of(qos), callback_group=self._group)
         self._ports.add(id(publisher))
-        return endpoints.RosPublisher(publisher, qos, self._destroy(self.ros_node.destroy_publisher))
+        return endpoints.RosPublisher(
+            publisher,
+            qos,
+            self._destroy(self.ros_node.destroy_publisher),
+            self.ros_node.get_subscriptions_info_by_topic,
+        )
 
     def create_subscription(
         self, topic: str, type_: type, qos: QoS, callback: Callable[[Any, Any], None]
@@ -148,6 +153,10 @@ class Ros2Host:
     def publish_diagnostics(self, entries: Callable[[], Sequence[DiagnosticEntry]]) -> None:
         if self._nodes is not None:
             self._nodes.diagnostics.publish(entries, self.now())
+
+    def discovers(self, topic: str) -> bool | None:
+        # From the graph that rmw keeps: it does not wait for a middleware that has deadlocked.
+        return self._nodes is not None and self.ros_node.count_publishers(topic) > 0
 
     def extra_endpoints(self) -> list[Endpoint]:
         nodes = self._nodes

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from midstride.backends.simulator.clock import SimulatedClock
-from midstride.backends.simulator.process import SimulatedProcess
+from midstride.backends.simulator.process import THAW_INTERVAL, SimulatedProcess
 from midstride.model.contract import QoS
 
 
@@ -40,6 +40,9 @@ class SimulatedWriter:
 
     def matched(self) -> int:
         return len(self._network.readers_of(self))
+
+    def reader_ids(self) -> frozenset[str]:
+        return frozenset()
 
     async def acknowledged(self, timeout: float) -> bool | None:
         if not self.qos.is_reliable:
@@ -110,6 +113,8 @@ class Network:
         self.topics: dict[str, SimulatedTopic] = {}
         # Called with each writer that has published a message.
         self.on_publish: Callable[[SimulatedWriter], None] = lambda writer: None
+        # The manager's endpoints, and when each was created; they belong to no process.
+        self.probes: dict[str, float] = {}
         self._jitter = jitter
         self._random = random.Random(seed)
         self._identities = 0
@@ -162,6 +167,12 @@ class Network:
         known = max(writer.created, reader.created) + self.discovery
         return known <= self.clock.steady() and _compatible(writer, reader)
 
+    def shows_probe(self, owner: SimulatedProcess, topic: str) -> bool:
+        """Whether a process has found the manager's endpoint on ``topic``."""
+        created = self.probes.get(topic, math.inf)
+        known = created + self.discovery <= self.clock.steady()
+        return known and created < self.undiscovering.get(owner, math.inf)
+
     def _found(self, writer: SimulatedWriter, reader: SimulatedReader) -> bool:
         """Whether the reader's process knows of the writer."""
         return writer.created < self.undiscovering.get(reader.owner, math.inf)
@@ -198,7 +209,8 @@ class Network:
     def _arrive(self, writer: SimulatedWriter, reader: SimulatedReader) -> None:
         left = reader.owner.thawed_at - self.clock.steady()
         if left > 0 and not reader.gone:
-            self.clock.loop.call_later(left, self._arrive, writer, reader)  # a frozen process acknowledges nothing
+            # A frozen process acknowledges nothing.
+            self.clock.loop.call_later(min(left, THAW_INTERVAL), self._arrive, writer, reader)
             return
         waiting = self._in_flight[writer, reader]
         _, message, info = waiting.popleft()

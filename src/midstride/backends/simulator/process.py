@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Final
 
 from midstride.backends import naming
 from midstride.backends.simulator.clock import SimulatedClock
@@ -19,6 +20,9 @@ from midstride.node.diagnostics import DiagnosticEntry
 from midstride.node.host import Host
 from midstride.runtime.backend import Launch
 from midstride.wire.state import ComponentState
+
+# How often what waits for the end of a freeze looks whether it has been ended early (s).
+THAW_INTERVAL: Final = 0.1
 
 
 class SimulatedProcess:
@@ -168,6 +172,8 @@ class SimulatedProcess:
     def thaw(self) -> None:
         """End :meth:`freeze` and :meth:`hang`."""
         self.thawed_at = self._returns_at = 0.0
+        self._scheduled = False
+        self._schedule()
 
     def _thawed_on_loop(self) -> float:
         return self.clock.loop.time() + max(0.0, self.thawed_at - self.clock.steady())
@@ -175,6 +181,6 @@ class SimulatedProcess:
     async def wait_while_frozen(self) -> None:
         """Returns once it is not frozen. Raises CancelledError where it is dead, which ends its tasks."""
         while not self.dead and (left := self.thawed_at - self.clock.steady()) > 0:
-            await self.clock.sleep(left)
+            await self.clock.sleep(min(left, THAW_INTERVAL))
         if self.dead:
             raise asyncio.CancelledError

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
@@ -134,8 +135,11 @@ class DevSession:
             self._settle(_SPECIFICATION)
         elif self._differs and self._is_new(_SPECIFICATION):
             yield _SPECIFICATION, [str(self.specification.path)]
+        instances = Counter(str(program["role"]) for program in self._programs)
         for program in self._programs:
             role = str(program["role"])
+            if instances[role] > 1:  # it is being replaced, or the change is being rolled back: see what remains
+                continue
             if not program["changed"]:
                 self._settle(role)
             elif role in wanted.nodes and self._is_new(role):

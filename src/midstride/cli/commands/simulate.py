@@ -1,0 +1,118 @@
+"""``simulate``: rehearse a change in virtual time, while faults strike that are drawn from a seed."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from midstride.cli.files import load
+from midstride.cli.output import console, json_option, print_json, wants_json
+from midstride.cli.planned_change import planned_change, planned_change_options
+from midstride.plan.request_form import decode_request
+
+if TYPE_CHECKING:
+    from midstride.simulation.campaign import Summary
+    from midstride.simulation.run import SeedRun
+    from midstride.simulation.scenario import Scenario
+
+# The columns of the table: the branches of recovery that the outcome of a change is.
+_OUTCOMES: Final = ("done", "refused", "rolled_back", "failed", "manager killed", "recovered")
+
+
+@click.command("simulate")
+@click.argument("file", type=click.Path(path_type=Path), required=False)
+@planned_change_options
+@click.option("--seeds", type=click.IntRange(1), default=200, show_default=True, help="How many seeds to run.")
+@click.option("--first", type=click.IntRange(0), default=0, show_default=True, help="The first of the seeds.")
+@click.option("--seed", type=click.IntRange(0), help="Run this one, twice, and show everything that happens.")
+@click.option("--jobs", type=click.IntRange(1), default=len(os.sched_getaffinity(0)), help="How many run at a time.")
+@json_option
+def simulate_command(file: Path | None, seeds: int, first: int, seed: int | None, jobs: int, **change: Any) -> int:
+    """Rehearse a change of the system of FILE: many times in virtual time, with at least two faults each time.
+
+    \b
+    midstride simulate talker.json --replace talker=NewTalker
+    midstride simulate talker.json --replace talker=NewTalker --seed 17
+
+    Components crash, hang and start slowly, messages are lost and delayed, the disk is full, and the manager is killed.
+    When the faults are over, the system must be as it should. Programs are not run: a stand-in takes the place of each
+    and writes what its modes guarantee. Without FILE, a built-in system is changed, which tests Midstride itself.
+
+    Exit status 1 if a run violates an invariant; the first one is shown.
+    """
+    from midstride.simulation.campaign import Summary, simulate_many
+
+    scenario = _scenario(file, change)
+    if seed is not None:
+        one, again = simulate_many((seed, seed), scenario)
+        return _show_one(one, same=one.digest == again.digest)
+    summary, begun = Summary(), time.perf_counter()
+    for run in simulate_many(range(first, first + seeds), scenario, jobs):
+        summary.add(run)
+    return _show(summary, time.perf_counter() - begun)
+
+
+def _scenario(file: Path | None, change: dict[str, Any]) -> Scenario | None:
+    from midstride.simulation.scenario import rehearsed
+
+    if file is None:
+        if any(change[name] for name in ("to", "replaced", "restarted", "added", "removed")):
+            raise click.UsageError("pass the FILE of the system to change")
+        return None
+    request = replace(decode_request(planned_change(**change)), to=None if change["to"] is None else load(change["to"]))
+    return rehearsed(load(file), request)
+
+
+def _show_one(run: SeedRun, same: bool) -> int:
+    if wants_json():
+        print_json({**_document(run), "deterministic": same, "digest": run.digest, "timeline": run.timeline})
+    else:
+        for line in run.timeline:
+            click.echo(line)
+        click.echo(f"seed {run.seed}: {'; '.join(run.problems) or 'no invariant is violated'}")
+        again = "again the same run" if same else "ANOTHER RUN the second time: the simulation is not deterministic"
+        click.echo(f"digest {run.digest}, {again}")
+    return int(bool(run.problems) or not same)
+
+
+def _show(summary: Summary, seconds: float) -> int:
+    if wants_json():
+        faults = {
+            fault: {"struck": count, **{name: summary.branches[fault, name] for name in _OUTCOMES}}
+            for fault, count in sorted(summary.struck.items())
+        }
+        outcomes, failed = dict(summary.outcomes), [_document(run) for run in summary.failed]
+        print_json({"seeds": summary.seeds, "outcomes": outcomes, "faults": faults, "failed": failed})
+        return int(bool(failed))
+    from midstride.cli import render
+
+    heads = ["fault", "struck", *(name.replace("_", " ") for name in _OUTCOMES)]
+    rows = [
+        [fault, count, *(summary.branches[fault, name] for name in _OUTCOMES)]
+        for fault, count in sorted(summary.struck.items())
+    ]
+    table = render.table(heads[:1], heads[1:])
+    for row in rows:
+        table.add_row(*map(str, row))
+    console().print(table)
+    rate = f"{summary.seeds} seeds in {seconds:.1f} s"
+    if not summary.failed:
+        click.echo(f"{rate}: no invariant is violated")
+        return 0
+    worst = summary.failed[0]
+    click.echo(f"\nSeed {worst.seed}:")
+    for line in worst.timeline:
+        click.echo(line)
+    for run in summary.failed:
+        click.echo(f"seed {run.seed}: {'; '.join(run.problems)}")
+    click.echo(f"{rate}: {len(summary.failed)} violate an invariant; `--seed {worst.seed}` repeats the first")
+    return 1
+
+
+def _document(run: SeedRun) -> dict[str, Any]:
+    return {"seed": run.seed, "problems": run.problems, "outcomes": run.outcomes}

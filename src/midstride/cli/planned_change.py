@@ -1,0 +1,50 @@
+"""The options of a change of a specification, with nothing running: for ``plan`` and ``simulate``."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import click
+
+from midstride.cli import completion
+from midstride.cli.change_options import parse_new_node, parse_pair, strategy_option
+
+
+def planned_change_options(function: Any) -> Any:
+    """The options of a change of a specification, with nothing running; :func:`planned_change` reads them."""
+    node: dict[str, Any] = {"metavar": "NODE", "multiple": True, "shell_complete": completion.nodes}
+    pair: dict[str, Any] = {"metavar": "NODE=COMPONENT", "multiple": True, "shell_complete": completion.replacements}
+    for option in (
+        click.option("--remove", "removed", **node, help="Remove a node."),
+        click.option("--add", "added", multiple=True, metavar="'NODE COMPONENT PORT=TOPIC...'", help="Add a node."),
+        click.option("--restart", "restarted", **node, help="Restart a node."),
+        click.option("--replace", "replaced", **pair, help="Replace the component of NODE."),
+        click.option("--to", type=click.Path(path_type=Path), metavar="NEW", help="Change to the specification NEW."),
+    ):
+        function = option(function)
+    return strategy_option(function)
+
+
+def planned_change(
+    to: Path | None,
+    replaced: tuple[str, ...],
+    restarted: tuple[str, ...],
+    added: tuple[str, ...],
+    removed: tuple[str, ...],
+    strategy: str,
+) -> dict[str, Any]:
+    """The change that the options describe, without NEW, as the document of a request. Raises UsageError."""
+    single = replaced or restarted or added or removed
+    if not (to or single):
+        raise click.UsageError("nothing to change: pass --to NEW, --replace, --restart, --add or --remove")
+    if to is not None and single:
+        raise click.UsageError("--to cannot be combined with --replace, --restart, --add or --remove")
+    return {
+        "replace": [parse_pair(text, "NODE=COMPONENT, such as talker=NewTalker") for text in replaced],
+        "restart": list(restarted),
+        "add": [parse_new_node(shlex.split(text)) for text in added],
+        "remove": list(removed),
+        "strategy": strategy,
+    }

@@ -1,0 +1,152 @@
+"""The menu of faults: what is drawn for a seed, when it strikes, and what it does to the platform."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, TypeAlias, cast, get_args
+
+from midstride.backends.simulator.faults import RequestFault
+from midstride.simulation.platform import Platform
+from midstride.simulation.stand_in import StandIn
+
+FaultKind: TypeAlias = Literal[
+    "crash",
+    "freeze",
+    "hang",
+    "slow start",
+    "failed start",
+    "lost request",
+    "lost reply",
+    "refused request",
+    "unreachable",
+    "delayed request",
+    "delayed reply",
+    "repeated request",
+    "repeated reply",
+    "slow rate",
+    "silence",
+    "exception",
+    "lost messages",
+    "delayed messages",
+    "no discovery",
+    "clock jump",
+    "full disk",
+    "manager killed",
+    "manager killed at a write",
+    "torn write",
+]
+KINDS: Final[tuple[FaultKind, ...]] = get_args(FaultKind)
+# Faults that make calls of a component's code late.
+LATE: Final[frozenset[str]] = frozenset({"freeze", "hang", "clock jump"})
+_REQUEST_FAULTS: Final[dict[FaultKind, RequestFault]] = {
+    "lost request": "lost_request",
+    "lost reply": "lost_reply",
+    "refused request": "refused",
+    "unreachable": "unreachable",
+    "delayed request": "delayed_request",
+    "delayed reply": "delayed_reply",
+    "repeated request": "repeated_request",
+    "repeated reply": "repeated_reply",
+}
+# How many requests a change makes, about: a fault strikes at one of them.
+REQUESTS: Final = 40
+# How many requests a step makes at most, where that is more than three.
+REQUESTS_OF: Final = {"handover": 18, "create": 6}
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """``step``: it strikes ``after`` requests after the first step of that kind, else after the change began.
+
+    ``involved``: at an instance of a role that the change names, else at any. ``seconds`` is how long it lasts, or how
+    much is delayed; ``times`` how many requests or messages it affects.
+    """
+
+    kind: FaultKind
+    step: str | None
+    after: int
+    involved: bool
+    seconds: float
+    times: int
+
+    def __str__(self) -> str:
+        where = "of the change" if self.step is None else f"from the first {self.step} on"
+        return f"{self.kind} at request {self.after} {where}"
+
+
+def draw(random: random.Random, steps: Sequence[str]) -> list[Fault]:
+    """At least two faults, most of them during the steps of these kinds."""
+    return [_draw(random, steps) for _ in range(random.choice((2, 2, 2, 3, 4)))]
+
+
+def _draw(random: random.Random, steps: Sequence[str]) -> Fault:
+    step = random.choice(steps) if steps and random.random() < 0.75 else None
+    return Fault(
+        kind=random.choice(KINDS),
+        step=step,
+        after=random.randrange(REQUESTS if step is None else REQUESTS_OF.get(step, 3)),
+        involved=random.random() < 0.6,
+        seconds=random.choice((0.005, 0.03, 0.1, 0.3, 1.0, 3.0, 8.0)),
+        times=random.choice((1, 1, 2, 3)),
+    )
+
+
+def strike(fault: Fault, platform: Platform, names: list[str], random: random.Random) -> str | None:
+    """Let ``fault`` strike one of the instances in ``names``: the instance or topic concerned, or None if none is.
+
+    Faults of the manager and of its disk are not the platform's.
+    """
+    faults, time = platform.faults, platform.time
+    match fault.kind:
+        case "slow start":
+            platform.starting = fault.seconds if fault.seconds > 0.1 else 5 * fault.seconds
+            return "starts"
+        case "failed start":
+            platform.next_start_fails = True
+            return "the next start"
+        case "clock jump":
+            time.drive(1.0, time.ros_now() + round(random.choice((-1, 1)) * fault.seconds * 1e9))
+            return "/clock"
+    running = [process for name in names if (process := platform.standing(name)) is not None]
+    if not running:
+        return None
+    target = random.choice(running)
+    match fault.kind:
+        case "crash":
+            faults.kill(target.instance)
+        case "freeze":
+            faults.freeze(target.instance, fault.seconds)
+        case "hang":
+            faults.hang(target.instance, fault.seconds)
+        case "no discovery":
+            faults.stop_discovery(target.instance)
+        case "slow rate" | "silence" | "exception":
+            _misbehave(target, fault.kind)
+        case "lost messages" | "delayed messages":
+            topics = sorted(name for name, topic in platform.network.topics.items() if topic.writers)
+            if not topics:
+                return None
+            topic = random.choice(topics)
+            if fault.kind == "lost messages":
+                faults.drop(topic, 3 * fault.times)
+            else:
+                faults.delay(topic, fault.seconds)
+            return topic
+        case kind:
+            faults.fail_next(
+                target.instance, None, _REQUEST_FAULTS[cast("FaultKind", kind)], fault.times, 0, fault.seconds
+            )
+    return target.instance
+
+
+def _misbehave(process: StandIn, kind: FaultKind) -> None:
+    for behaviour in process.modes.values():
+        match kind:
+            case "slow rate":
+                behaviour["every"] = 5
+            case "silence":
+                behaviour["silent"] = True
+            case _:
+                behaviour["raise"] = "a drawn fault"

@@ -1,0 +1,105 @@
+"""What must hold in every run: checked while it runs, after each change of what really runs.
+
+The checks do not believe the manager: they look at the simulated processes, at what their components report of
+themselves, and at the messages that are published.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final
+
+from midstride.backends.simulator.network import SimulatedWriter
+from midstride.model.component import FunctionalityRef
+from midstride.simulation.oracle import Oracle, Shown
+from midstride.simulation.platform import Platform
+from midstride.simulation.stand_in import StandIn
+
+# Two publishers that exchanged their topic this often within so many seconds were heard at once.
+EXCHANGES: Final = 3
+EXCHANGES_WITHIN: Final = 1.0
+# Two publishers that write within this part of a period write the same slot.
+SAME_SLOT: Final = 0.25
+
+
+@dataclass
+class Invariants:
+    """``reaction()``: how long the manager may take to react now (s), infinite while it cannot.
+
+    ``punctual()``: whether no fault has made a call of a component late.
+    ``violated`` is called once for each violation, with words.
+    """
+
+    platform: Platform
+    oracle: Oracle
+    reaction: Callable[[], float]
+    punctual: Callable[[], bool]
+    violated: Callable[[str], None]
+    # Counted up with what is heard: part of the digest.
+    heard: dict[str, int] = field(default_factory=dict)
+    _shown: dict[str, Shown] = field(default_factory=dict)
+    _broken: dict[FunctionalityRef, float] = field(default_factory=dict)
+    _changed: bool = False
+    _publishers: dict[tuple[str, str], tuple[str, float]] = field(default_factory=dict)
+    _exchanged: dict[tuple[str, str], deque[float]] = field(default_factory=dict)
+    _reported: set[str] = field(default_factory=set)
+
+    def on_change(self, process: StandIn) -> None:
+        state = process.state
+        if process.dead or state is None:
+            self._changed |= self._shown.pop(process.instance, None) is not None
+            return
+        modes = tuple((name, view.mode) for name, view in state.functionalities.items())
+        links = tuple(
+            (port, topic)
+            for port, topics in state.ports.items()
+            for topic, link in topics.items()
+            if link.gate != "closed"
+        )
+        shown = Shown(process.instance, process.key, process.component, modes, links)
+        if self._shown.get(process.instance) != shown:
+            self._shown[process.instance] = shown
+            self._changed = True
+
+    def on_publish(self, writer: SimulatedWriter) -> None:
+        """A message is heard on a topic: two instances of one role must not take turns there."""
+        owner = writer.owner
+        assert isinstance(owner, StandIn)
+        self.heard[owner.instance] = self.heard.get(owner.instance, 0) + 1
+        key, now = (writer.topic, owner.role), self.platform.time.steady()
+        before, at = self._publishers.get(key, (owner.instance, now))
+        self._publishers[key] = owner.instance, now
+        if before == owner.instance:
+            return
+        if now - at < self.oracle.period(writer.topic) * SAME_SLOT and self.punctual():
+            self._violation(f"{before} and {owner.instance} both write one slot of {writer.topic}")
+        times = self._exchanged.setdefault(key, deque(maxlen=EXCHANGES))
+        times.append(now)
+        if len(times) == EXCHANGES and now - times[0] < EXCHANGES_WITHIN:
+            self._violation(f"{before} and {owner.instance} are both heard on {writer.topic}")
+
+    def check(self) -> None:
+        """After each event."""
+        if self._changed:
+            self._changed = False
+            now = self.platform.time.steady()
+            self._broken = {ref: self._broken.get(ref, now) for ref in self.oracle.broken(self._shown.values())}
+        if self._broken:
+            self._check_reaction()
+
+    def _check_reaction(self) -> None:
+        now, reaction = self.platform.time.steady(), self.reaction()
+        for ref, since in self._broken.items():
+            if reaction == math.inf:
+                self._broken[ref] = now
+            elif now - since > reaction:
+                mode = dict(self._shown[ref.instance].modes)[ref.functionality]
+                self._violation(f"{ref} stays in mode {mode} although what it assumes there is broken")
+
+    def _violation(self, words: str) -> None:
+        if words not in self._reported:
+            self._reported.add(words)
+            self.violated(words)

@@ -1,0 +1,185 @@
+"""An event loop in virtual time that draws from a seed what an operating system leaves open: the order.
+
+Time jumps to the next timer. Everything that is ready at the same moment is run in a drawn order, so code that relies
+on an order which asyncio happens to keep is found; what one task does stays in order. There are no threads and no
+sockets: the loop implements the public interface of asyncio and is several times faster than its own loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextvars
+import heapq
+import random
+from collections.abc import Callable, Coroutine
+from typing import Any, Final, TypeVar
+
+from midstride.errors import BackendError
+
+T = TypeVar("T")
+
+# How many callbacks may run at one moment of virtual time: more than that is a loop that waits for nothing.
+MOST_AT_ONCE: Final = 200_000
+
+
+class _Callback:
+    """Implements what asyncio uses of ``asyncio.Handle`` and ``asyncio.TimerHandle``."""
+
+    __slots__ = ("args", "at", "callback", "cancelled_", "context")
+
+    def __init__(
+        self, at: float, callback: Callable[..., object], args: tuple[Any, ...], context: contextvars.Context | None
+    ) -> None:
+        self.at = at
+        self.callback = callback
+        self.args = args
+        self.context = contextvars.copy_context() if context is None else context
+        self.cancelled_ = False
+
+    def cancel(self) -> None:
+        self.cancelled_ = True
+
+    def cancelled(self) -> bool:
+        return self.cancelled_
+
+    def when(self) -> float:
+        return self.at
+
+
+class SeededLoop(asyncio.AbstractEventLoop):
+    """Starts at 0. ``after_each`` is called after all that was ready at once has run.
+
+    Work for an executor is run at once. ``deadlock`` is raised where every task waits and no timer is set.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self.random = random.Random(seed)
+        self.after_each: Callable[[], None] = lambda: None
+        self._now = 0.0
+        self._ready: list[_Callback] = []
+        self._timers: list[tuple[float, float, int, _Callback]] = []
+        self._count = 0
+        self._running = self._closed = False
+        self.errors: list[dict[str, Any]] = []
+
+    # -- what asyncio asks of a loop -------------------------------------------------------------------
+
+    def time(self) -> float:
+        return self._now
+
+    def get_debug(self) -> bool:
+        return False
+
+    def is_running(self) -> bool:
+        return self._running
+
+    def is_closed(self) -> bool:
+        return self._closed
+
+    def close(self) -> None:
+        self._closed = True
+        self._ready.clear()
+        self._timers.clear()
+
+    def create_future(self) -> asyncio.Future[Any]:
+        return asyncio.Future(loop=self)
+
+    def create_task(self, coro: Any, *, name: str | None = None, context: Any = None) -> asyncio.Task[Any]:
+        if context is not None:
+            return context.run(asyncio.Task, coro, loop=self, name=name)  # type: ignore[no-any-return]
+        return asyncio.Task(coro, loop=self, name=name)
+
+    def call_soon(self, callback: Any, *args: Any, context: Any = None) -> Any:  # type: ignore[override]
+        handle = _Callback(self._now, callback, args, context)
+        self._ready.append(handle)
+        return handle
+
+    call_soon_threadsafe = call_soon  # type: ignore[assignment]
+
+    def call_later(self, delay: float, callback: Any, *args: Any, context: Any = None) -> Any:  # type: ignore[override]
+        return self.call_at(self._now + delay, callback, *args, context=context)
+
+    def call_at(self, when: float, callback: Any, *args: Any, context: Any = None) -> Any:  # type: ignore[override]
+        handle = _Callback(when, callback, args, context)
+        self._count += 1
+        # Timers of one moment fire in any order.
+        heapq.heappush(self._timers, (when, self.random.random(), self._count, handle))
+        return handle
+
+    def run_in_executor(self, executor: Any, func: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:  # type: ignore[override]
+        future = self.create_future()
+        try:
+            future.set_result(func(*args))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+    def call_exception_handler(self, context: dict[str, Any]) -> None:
+        self.errors.append(context)
+
+    def default_exception_handler(self, context: dict[str, Any]) -> None:
+        self.errors.append(context)
+
+    def run_until_complete(self, future: Any) -> Any:
+        """Run until ``future`` is done. Raises BackendError at a deadlock, or if time no longer advances."""
+        done = asyncio.ensure_future(future, loop=self)
+        asyncio._set_running_loop(self)
+        self._running = True
+        try:
+            self._run(done)
+        finally:
+            self._running = False
+            asyncio._set_running_loop(None)
+        return done.result()
+
+    # -- running -----------------------------------------------------------------------------------
+
+    def _run(self, done: asyncio.Future[Any]) -> None:
+        shuffle = self.random.shuffle
+        at_once = 0
+        while not done.done():
+            if not self._ready:
+                self._jump()
+                at_once = 0
+            at_once += len(self._ready)
+            if at_once > MOST_AT_ONCE:
+                words = f"{self._ready[0].callback!r} and others run for ever"
+                raise BackendError(f"livelock at {self._now:.6f} s: {words}")
+            batch, self._ready = self._ready, []
+            if len(batch) > 1:
+                shuffle(batch)
+            for handle in batch:
+                if not handle.cancelled_:
+                    try:
+                        handle.context.run(handle.callback, *handle.args)
+                    except Exception as error:
+                        self.call_exception_handler({"message": f"{handle.callback!r} raised", "exception": error})
+            self.after_each()
+
+    def _jump(self) -> None:
+        """To the moment of the next timer; what is due then becomes ready."""
+        timers = self._timers
+        while timers and timers[0][3].cancelled_:
+            heapq.heappop(timers)
+        if not timers:
+            raise BackendError(f"deadlock at {self._now:.6f} s: every task waits, and no timer is set")
+        self._now = max(self._now, timers[0][0])
+        while timers and timers[0][0] <= self._now:
+            self._ready.append(heapq.heappop(timers)[3])
+
+
+def run(loop: SeededLoop, main: Coroutine[Any, Any, T]) -> T:
+    """Run ``main`` on ``loop``; cancel what is left of it, and close the loop."""
+    try:
+        return loop.run_until_complete(main)  # type: ignore[no-any-return]
+    finally:
+        try:
+            asyncio._set_running_loop(loop)
+            tasks = asyncio.all_tasks(loop)
+            for task in tasks:
+                task.cancel()
+            asyncio._set_running_loop(None)
+            if tasks:
+                loop.run_until_complete(asyncio.gather(*tasks, return_exceptions=True))
+        finally:
+            loop.close()

@@ -1,0 +1,63 @@
+"""The simulated platform of a seed: stand-ins as processes, and a state store whose disk may fail."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from midstride.backends.simulator.backend import Simulator
+from midstride.backends.simulator.process import SimulatedProcess
+from midstride.runtime.backend import Handle, Launch
+from midstride.simulation.stand_in import StandIn
+
+
+class Platform(Simulator):
+    """``on_change(process)`` is called when a process has started, has published its state, or has ended."""
+
+    def __init__(self, seed: int, on_change: Callable[[StandIn], None]) -> None:
+        super().__init__(seed=seed, jitter=0.0005)
+        # The next process to be started ends at once.
+        self.next_start_fails = False
+        self._on_change = on_change
+
+    def standing(self, instance: str) -> StandIn | None:
+        """The process of ``instance``, if it runs."""
+        found = self.processes.get(instance)
+        return found if isinstance(found, StandIn) else None
+
+    def stand_ins(self) -> list[StandIn]:
+        return [process for _, process in sorted(self.processes.items()) if isinstance(process, StandIn)]
+
+    async def start(self, launch: Launch) -> Handle:
+        handle = await super().start(launch)
+        if self.next_start_fails:
+            self.next_start_fails = False
+            self.time.loop.call_later(self.starting / 2, self.processes[launch.instance].kill, 1)
+        return handle
+
+    def heal(self) -> None:
+        """End every fault of the platform. A middleware that finds no endpoints any more needs a new process."""
+        self.faults.clear()
+        self.starting = 0.05
+        self.next_start_fails = False
+        for topic in self.network.topics.values():
+            topic.dropping, topic.delay = 0, 0.0
+        for process in list(self.network.undiscovering):
+            process.kill()
+        self.network.undiscovering.clear()
+        for process in self.stand_ins():
+            process.thaw()
+            for behaviour in process.modes.values():
+                behaviour.clear()
+
+    def _process(self, launch: Launch, log: Path | None) -> SimulatedProcess:
+        return StandIn(launch, self._pids, self.time, self._host, self._exited, log, self._published)
+
+    def _published(self, process: SimulatedProcess) -> None:
+        assert isinstance(process, StandIn)
+        self._on_change(process)
+
+    def _exited(self, process: SimulatedProcess) -> None:
+        super()._exited(process)
+        assert isinstance(process, StandIn)
+        self._on_change(process)

@@ -1,0 +1,184 @@
+"""Stand-ins for the programs of a system: the real node code, around functions that only write what they guarantee.
+
+A stand-in has no thread: its functions do not block, so they are called on the simulator's loop. What a program that
+hangs would do is a fault (:mod:`midstride.simulation.faults`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import contextvars
+import json
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final
+
+from immutables import Map
+
+from midstride.backends.simulator.clock import SimulatedClock
+from midstride.backends.simulator.cooperative_thread import CooperativeThread, Ended, Yielded
+from midstride.backends.simulator.process import SimulatedProcess
+from midstride.backends.simulator.program import ProcessOutput, SimulatedProgram
+from midstride.codec.component import encode_component
+from midstride.model.component import ComponentSpec
+from midstride.model.specification import Specification
+from midstride.node.host import Host
+from midstride.runtime.backend import Launch
+from midstride.testing.puppet import Puppet
+from midstride.wire.state import ComponentState
+
+_PROGRAM: Final = ("python3", "-m", __name__)
+# What the stand-ins are, by the last word of their command.
+_described: Final[dict[str, tuple[ComponentSpec, dict[str, Any]]]] = {}
+
+
+def with_stand_ins(specification: Specification) -> Specification:
+    """``specification`` with a stand-in as the program of each component that has one."""
+    components = {name: _stand_in(component) for name, component in specification.components.items()}
+    return replace(specification, components=Map(components))
+
+
+def _stand_in(component: ComponentSpec) -> ComponentSpec:
+    if component.run is None:
+        return component
+    described = {"component": encode_component(replace(component, run=None)), "keeps_state": True}
+    word = f"{component.name}-{zlib.crc32(json.dumps(described).encode()):08x}"
+    _described[word] = component, described
+    return replace(component, run=" ".join([*_PROGRAM, word]))
+
+
+@cache
+def _message_type(name: str) -> type:
+    """A class of messages of that type with a text, or any other field: stand-ins read and write nothing else."""
+
+    def copied(message: Any, _: object) -> Any:
+        copy = type(message)()
+        copy.data = message.data
+        return copy
+
+    # A constraint may be on any field.
+    attributes = {
+        "__msgtype__": name,
+        "data": "",
+        "__deepcopy__": copied,
+        "__getattr__": lambda message, field: message,
+    }
+    return type(name.rpartition("/")[2], (), attributes)
+
+
+class _Waits(BaseException):
+    """The component has been started, and waits for work."""
+
+
+class _Program(SimulatedProgram):
+    """Runs the puppet of a command without an interpreter's global state, which it does not touch."""
+
+    def __init__(self, launch: Launch, log: ProcessOutput) -> None:
+        self.arguments = ()
+        self.modules: dict[str, ModuleType] = {}
+        self._log = log
+        self.key = launch.arguments[-1]
+        self.component, described = _described[self.key]
+        # The behaviour of each mode, which faults change while it runs.
+        self.modes: dict[str, dict[str, Any]] = {
+            f"{name}.{mode}": {}
+            for name, functionality in described["component"].get("functionalities", {}).items()
+            for mode in functionality["modes"]
+        }
+        self._description = {**described, "modes": self.modes}
+
+    def run(self) -> None:
+        Puppet(self._description, _message_type).start()
+
+    @contextlib.contextmanager
+    def interpreter_state(self) -> Iterator[None]:
+        yield
+
+
+class _OnLoop(CooperativeThread):
+    """Calls each piece of work where a thread would be resumed with it."""
+
+    process: StandIn
+    _begun = False
+
+    def resume(self, work: Any = None) -> Yielded:
+        if self.ended:
+            return Ended(None)
+        try:
+            if not self._begun:
+                self._begun = True
+                self._context.run(self._function)
+            elif work is not None:
+                self._context.run(work)
+        except _Waits:
+            return None
+        except BaseException as error:
+            self.ended = True
+            return Ended(error)
+        main = self.process.main
+        if main is not None and main.done():
+            self.ended = True
+            return Ended(None if main.cancelled() else main.exception())
+        return None
+
+    def kill(self) -> None:
+        self.ended = True
+
+
+class StandIn(SimulatedProcess):
+    """The process of a stand-in. ``on_state`` is called when it has published its state."""
+
+    def __init__(
+        self,
+        launch: Launch,
+        pid: int,
+        clock: SimulatedClock,
+        host: Callable[[SimulatedProcess, str], Host],
+        on_exit: Callable[[SimulatedProcess], None],
+        log: Path | None,
+        on_state: Callable[[SimulatedProcess], None],
+    ) -> None:
+        self._published: ComponentState | None = None
+        self._on_state = on_state
+        self.role = launch.node
+        super().__init__(launch, pid, clock, host, on_exit, log)
+
+    @property
+    def state(self) -> ComponentState | None:
+        return self._published
+
+    @state.setter
+    def state(self, state: ComponentState | None) -> None:
+        self._published = state
+        if state is not None:
+            self._on_state(self)
+
+    @property
+    def component(self) -> ComponentSpec:
+        return self._stand_in.component
+
+    @property
+    def key(self) -> str:
+        """Identifies what it declares: two components of one name may differ."""
+        return self._stand_in.key
+
+    @property
+    def modes(self) -> dict[str, dict[str, Any]]:
+        """The behaviour of each mode (:mod:`midstride.testing.puppet`)."""
+        return self._stand_in.modes
+
+    def _new_program(self, launch: Launch) -> SimulatedProgram:
+        self._stand_in = _Program(launch, self.log)
+        return self._stand_in
+
+    def _new_thread(self, context: contextvars.Context) -> CooperativeThread:
+        thread = _OnLoop(self.instance, self._program.run, context)
+        thread.process = self
+        return thread
+
+    def run_work(self) -> None:
+        raise _Waits

@@ -1,0 +1,258 @@
+"""Faults planted in Midstride's own code: each is a mistake that a change of the code could make."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from typing import Any, Final
+
+import pytest
+
+from midstride.errors import CallTimeout
+from midstride.model.action import Create, Remove
+from midstride.node import agent, cut, cut_protocol
+from midstride.runtime import component_client, executor, handover, launcher, reconciler, recovery, state_store
+from midstride.runtime.disk import Database
+from midstride.wire import commands
+
+Plant = Callable[[pytest.MonkeyPatch], None]
+
+
+def _acknowledgement_dropped(patch: pytest.MonkeyPatch) -> None:
+    """The old side of a cut forgets that the new one has reported its first write."""
+
+    async def taken(self: Any, failed: bool) -> bool:
+        return False
+
+    patch.setattr(cut_protocol.CutOutTask, "taken", taken)
+
+
+def _write_not_durable(patch: pytest.MonkeyPatch) -> None:
+    """A write returns before it is durable: it is committed with the next one, as without an fsync."""
+    write = Database.write
+
+    def later(self: Any, statements: Any, *args: Any, **named: Any) -> None:
+        held = self.__dict__.pop("held", [])
+        self.held = list(statements)
+        write(self, held, *args, **named)
+
+    patch.setattr(Database, "write", later)
+
+
+def _dependants_not_lowered(patch: pytest.MonkeyPatch) -> None:
+    """After a crash, no dependent functionality is degraded."""
+    respond = reconciler.respond
+    patch.setattr(reconciler, "respond", lambda *args: (respond(*args)[0], {}))
+
+
+def _gate_opened_early(patch: pytest.MonkeyPatch) -> None:
+    """The new publisher's gate opens as soon as the cut is agreed."""
+    patch.setattr(cut.IncomingCut, "passes", lambda self, link: True)
+
+
+def _gate_closed_late(patch: pytest.MonkeyPatch) -> None:
+    """The old publisher goes on after the agreed moment."""
+    patch.setattr(cut.OutgoingCut, "passes", lambda self, link: True)
+
+    def passed(self: Any) -> bool:
+        self.over = self.now() >= self.at
+        return bool(self.over)
+
+    patch.setattr(cut.OutgoingCut, "passed", passed)
+
+
+def _steps_swapped(patch: pytest.MonkeyPatch) -> None:
+    """A removed component is ended before its last attachment is taken off: two steps have changed places."""
+
+    def without_check(self: Any, configuration: Any) -> Any:
+        return configuration.without_instance(self.instance)
+
+    run = executor.Executor.run
+
+    async def swapped(self: Any, actions: Any, forms: Any = ()) -> None:
+        actions = list(actions)
+        removes = [index for index, action in enumerate(actions) if isinstance(action, Remove) and index]
+        for index in removes[-1:]:
+            actions[index - 1], actions[index] = actions[index], actions[index - 1]
+        await run(self, actions, ())
+
+    patch.setattr(Remove, "apply", without_check)
+    patch.setattr(executor.Executor, "run", swapped)
+
+
+def _start_not_recorded(patch: pytest.MonkeyPatch) -> None:
+    """The process of a new instance is not recorded for the next manager."""
+    write = state_store.StateStore.write_instance
+
+    def only_known(self: Any, instance: Any, handle: Any) -> None:
+        if "_" not in instance.name:
+            write(self, instance, handle)
+
+    patch.setattr(state_store.StateStore, "write_instance", only_known)
+
+
+def _roll_back_not_recorded(patch: pytest.MonkeyPatch) -> None:
+    """An instance that a roll-back starts again is not recorded (the simulation has found this one)."""
+
+    async def undo(self: Any, undoing: Any, created: Any) -> str | None:
+        if isinstance(undoing, Create):
+            await self.perform(undoing)
+            return None
+        return await original(self, undoing, created)
+
+    original = executor.Executor._undo
+    patch.setattr(executor.Executor, "_undo", undo)
+
+
+def _removal_not_recorded(patch: pytest.MonkeyPatch) -> None:
+    """A removed instance stays recorded."""
+    patch.setattr(state_store.StateStore, "remove_instance", lambda self, name: None)
+
+
+def _specification_not_saved(patch: pytest.MonkeyPatch) -> None:
+    """After a change, the earlier specification stays saved."""
+    patch.setattr(state_store.StateStore, "write_specification", lambda self, specification: None)
+
+
+def _failed_write_forgotten(patch: pytest.MonkeyPatch) -> None:
+    """What could not be written while the disk was full is not written later."""
+    write = state_store.StateStore._write
+
+    def forgetting(self: Any, statements: Any) -> None:
+        write(self, statements)
+        self._pending.clear()
+
+    patch.setattr(state_store.StateStore, "_write", forgetting)
+
+
+def _undo_incomplete(patch: pytest.MonkeyPatch) -> None:
+    """A roll-back leaves out the first step."""
+    roll_back = executor.Executor._roll_back
+
+    async def all_but_one(self: Any, done: Any) -> list[str]:
+        return await roll_back(self, done[1:])
+
+    patch.setattr(executor.Executor, "_roll_back", all_but_one)
+
+
+def _started_ahead_left(patch: pytest.MonkeyPatch) -> None:
+    """What was started for steps that are not reached is left running."""
+
+    async def abandon(self: Any, actions: Any) -> list[str]:
+        await self._stop_starting()
+        return []
+
+    patch.setattr(executor.Executor, "_abandon_started", abandon)
+
+
+def _orphans_left(patch: pytest.MonkeyPatch) -> None:
+    """A new manager does not look for processes that the one before could not record."""
+
+    async def end_orphans(self: Any, known: Any) -> list[str]:
+        return []
+
+    patch.setattr(launcher.Launcher, "end_orphans", end_orphans)
+
+
+def _redundant_left(patch: pytest.MonkeyPatch) -> None:
+    """A new manager keeps both instances of a role that was being replaced."""
+    patch.setattr(recovery, "_redundant", lambda found: [])
+
+
+def _cut_not_cancelled(patch: pytest.MonkeyPatch) -> None:
+    """A hand-over that fails leaves its cut agreed at both sides."""
+
+    async def cancel(self: Any, cuts: Any) -> None:
+        pass
+
+    patch.setattr(handover.LiveHandover, "_cancel", cancel)
+
+
+def _handover_not_undone(patch: pytest.MonkeyPatch) -> None:
+    """A hand-over that fails leaves the new publisher attached behind its gate."""
+
+    async def undo(self: Any) -> None:
+        await self._cancel(self._cuts)
+
+    patch.setattr(handover.LiveHandover, "_undo", undo)
+
+
+def _never_resumes(patch: pytest.MonkeyPatch) -> None:
+    """The old side of a cut waits for the new one for ever."""
+    patch.setattr(cut_protocol.CutOutTask, "_given_up", lambda self, passed_at: False)
+
+
+def _repetition_carried_out(patch: pytest.MonkeyPatch) -> None:
+    """A repeated request is carried out again, at whatever revision."""
+
+    async def change(self: Any, request: Any, command: Any, token: str) -> Any:
+        return await self._carry_out(request, command, token)
+
+    patch.setattr(agent.Agent, "_change_once", change)
+
+
+def _pending_forgotten(patch: pytest.MonkeyPatch) -> None:
+    """A functionality that could not be degraded is not tried again."""
+    patch.setattr(reconciler.Reconciler, "pending", property(lambda self: {}, lambda self, value: None), raising=False)
+
+
+def _lost_reply_not_repeated(patch: pytest.MonkeyPatch) -> None:
+    """A request whose reply is lost is taken for done."""
+    send = component_client.ComponentClient._send
+
+    async def trusting(self: Any, instance: str, command: Any, revision: Any) -> Any:
+        if isinstance(command, commands.DetachCommand):
+            with contextlib.suppress(CallTimeout):
+                return await send(self, instance, command, revision)
+            return commands.Detached(acknowledged=None, last=None)
+        return await send(self, instance, command, revision)
+
+    patch.setattr(component_client.ComponentClient, "_send", trusting)
+
+
+def _gate_not_reopened(patch: pytest.MonkeyPatch) -> None:
+    """The old side of a cut that is given up leaves its gate closed."""
+    patch.setattr(cut.OutgoingCut, "reopen", lambda self: setattr(self, "over", True))
+
+
+def _new_side_not_closed(patch: pytest.MonkeyPatch) -> None:
+    """The new side of a cut that the old one has given up leaves its gate open."""
+    patch.setattr(cut.IncomingCut, "close", cut.IncomingCut.conclude)
+
+
+PLANTED: Final[dict[str, Plant]] = {
+    function.__name__.strip("_").replace("_", " "): function
+    for function in (
+        _acknowledgement_dropped,
+        _write_not_durable,
+        _dependants_not_lowered,
+        _gate_opened_early,
+        _gate_closed_late,
+        _steps_swapped,
+        _start_not_recorded,
+        _roll_back_not_recorded,
+        _removal_not_recorded,
+        _specification_not_saved,
+        _failed_write_forgotten,
+        _undo_incomplete,
+        _started_ahead_left,
+        _orphans_left,
+        _redundant_left,
+        _cut_not_cancelled,
+        _handover_not_undone,
+        _never_resumes,
+        _repetition_carried_out,
+        _pending_forgotten,
+        _lost_reply_not_repeated,
+        _gate_not_reopened,
+        _new_side_not_closed,
+    )
+}
+
+
+@contextlib.contextmanager
+def planted(name: str) -> Iterator[None]:
+    """While open, that fault is in the code."""
+    with pytest.MonkeyPatch.context() as patch:
+        PLANTED[name](patch)
+        yield

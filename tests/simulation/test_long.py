@@ -1,0 +1,82 @@
+"""Many seeds, the matrix of what they reached, and faults in our own code: each is found.
+
+The number of seeds is MIDSTRIDE_SIMULATION_LONG. The tables are printed, and written to the folder
+MIDSTRIDE_SIMULATION_TABLES where that is set.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterable
+from pathlib import Path
+
+import pytest
+
+from midstride.simulation.campaign import Summary, simulate_many
+from midstride.simulation.faults import KINDS
+from midstride.simulation.run import simulate
+from tests.simulation.planted import PLANTED, planted
+
+pytestmark = [pytest.mark.long, pytest.mark.timeout(0)]
+
+SEEDS = int(os.environ.get("MIDSTRIDE_SIMULATION_LONG", "20000"))
+# Within how many seeds a planted fault must be found.
+WITHIN = 1000
+STEPS = ("create", "remove", "attach", "detach", "degrade", "upgrade", "handover", "set")
+BRANCHES = ("done", "refused", "rolled_back", "failed", "manager killed", "recovered")
+
+
+def show(name: str, lines: Iterable[str], capsys: pytest.CaptureFixture[str]) -> None:
+    text = "\n".join(lines) + "\n"
+    with capsys.disabled():
+        print(f"\n{text}")
+    if folder := os.environ.get("MIDSTRIDE_SIMULATION_TABLES"):
+        Path(folder, f"{name}.md").write_text(text, encoding="utf-8")
+
+
+def matrix(summary: Summary) -> list[str]:
+    """Fault by kind of step: how many strikes ended in each of ``BRANCHES``, and ``-`` where none struck."""
+    lines = [f"| fault | {' | '.join(STEPS)} |", f"|---|{'---|' * len(STEPS)}"]
+    for fault in KINDS:
+        cells = []
+        for step in STEPS:
+            counts = [summary.cells[fault, step, branch] for branch in BRANCHES]
+            cells.append("/".join(map(str, counts)) if any(counts) else "-")
+        lines.append(f"| {fault} | {' | '.join(cells)} |")
+    return [f"Ends of the changes in which a fault struck: {', '.join(BRANCHES)}.", "", *lines]
+
+
+def test_no_seed_violates_an_invariant_and_every_cell_of_the_matrix_is_reached(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    summary, begun = Summary(), time.perf_counter()
+    jobs = len(os.sched_getaffinity(0))
+    for run in simulate_many(range(SEEDS), jobs=jobs):
+        summary.add(run)
+    seconds = time.perf_counter() - begun
+    rate = f"{SEEDS} seeds in {seconds:.0f} s, {SEEDS / seconds / jobs:.1f} a second and core"
+    failed = [f"midstride simulate --seed {run.seed}: {'; '.join(run.problems)}" for run in summary.failed]
+    show("matrix", [*matrix(summary), "", rate, *failed], capsys)
+    assert not failed
+    empty = [
+        (fault, step)
+        for fault in KINDS
+        for step in STEPS
+        if not any(summary.cells[fault, step, branch] for branch in BRANCHES)
+    ]
+    assert not empty or SEEDS < 20000
+
+
+def test_each_planted_fault_is_found(capsys: pytest.CaptureFixture[str]) -> None:
+    lines, missed = ["| fault in our code | found by seed | violated |", "|---|---|---|"], []
+    for name in PLANTED:
+        with planted(name):
+            found = next((run for seed in range(WITHIN) if (run := simulate(seed)).problems), None)
+        if found is None:
+            missed.append(name)
+        lines.append(
+            f"| {name} | {'-' if found is None else found.seed} | {'' if found is None else found.problems[0]} |"
+        )
+    show("planted", lines, capsys)
+    assert not missed

@@ -1,0 +1,55 @@
+"""Seeds of the built-in scenario: no invariant is violated, and each run repeats exactly."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from midstride.simulation.campaign import Summary, simulate_many
+from midstride.simulation.faults import KINDS
+from midstride.simulation.run import simulate
+from tests.simulation.planted import planted
+
+# How many seeds `make test` runs, and in how many parts, which run at the same time.
+SEEDS = int(os.environ.get("MIDSTRIDE_SIMULATION_SEEDS", "500"))
+PARTS = 5
+
+
+@pytest.mark.parametrize("part", range(PARTS))
+def test_no_seed_violates_an_invariant(part: int) -> None:
+    summary = Summary()
+    for run in simulate_many(range(part, SEEDS, PARTS)):
+        summary.add(run)
+    assert not summary.failed, "\n".join(
+        f"midstride simulate --seed {run.seed}: {'; '.join(run.problems)}" for run in summary.failed
+    )
+    assert summary.struck.keys() == set(KINDS), "every kind of fault strikes"
+    assert {"done", "rolled_back", "killed"} <= summary.outcomes.keys()
+
+
+def test_a_run_repeats_exactly_also_in_another_process() -> None:
+    seeds = range(40, 52)
+    here = [simulate(seed).digest for seed in seeds]
+    assert [simulate(seed).digest for seed in seeds] == here
+    assert len(set(here)) == len(here)
+    code = f"from midstride.simulation.run import simulate; print([simulate(seed).digest for seed in {seeds!r}])"
+    environment = {**os.environ, "PYTHONHASHSEED": "4711"}
+    result = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == str(here)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("gate opened early", "both"),
+        ("dependants not lowered", "although what it assumes there is broken"),
+        ("removal not recorded", "saved are"),
+    ],
+)
+def test_a_fault_in_our_own_code_is_found(name: str, words: str) -> None:
+    with planted(name):
+        found = next(run for seed in range(100) if (run := simulate(seed)).problems)
+    assert any(words in problem for problem in found.problems)
