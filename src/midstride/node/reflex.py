@@ -134,8 +134,8 @@ class Watch:
         return self.runner.last
 
     def silent_output(self, speed: float, share: float) -> Output | None:
-        """An output on which more than that share of what is tolerated is missing."""
-        late = (port for port in self.outputs if self.outputs[port].exceeds(share * self.due(port, speed)))
+        """An output on which nothing was written for more than that share of what is tolerated."""
+        late = (port for port in self.outputs if self.outputs[port].silent > share * self.due(port, speed))
         return next(late, None)
 
 
