@@ -239,12 +239,12 @@ def test_one_that_hangs_while_it_publishes_is_killed(tmp_path: Path) -> None:
     """The middleware blocks, say: that message has passed the gate, and would be heard after the fence."""
 
     async def body(manager: Manager, simulator: Simulator, heard: Heard) -> None:
-        [writer], publish = simulator.network.topic("/chatter").writers, simulator.network.publish
+        [old], publish = simulator.network.topic("/chatter").writers, simulator.network.publish
 
-        def blocking(other: SimulatedWriter, message: Any) -> None:
-            if other is writer:
+        def blocking(writer: SimulatedWriter, message: Any) -> None:
+            if writer is old:
                 time.sleep(20.0)
-            publish(other, message)
+            publish(writer, message)
 
         simulator.network.publish = blocking  # type: ignore[method-assign]
         await asyncio.sleep(1)
