@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Container, Coroutine, Sequence
+from collections.abc import AsyncIterator, Callable, Container, Coroutine, Sequence
 from dataclasses import dataclass, field
 from dataclasses import replace as changed
 from pathlib import Path
@@ -281,6 +281,10 @@ class ScriptedBackend:
 
     def is_stopped(self, instance: str) -> bool:
         return False
+
+    @contextlib.asynccontextmanager
+    async def probe(self) -> AsyncIterator[str | None]:
+        yield None
 
     def keep_spares(self, number: int, token: str) -> None:
         pass

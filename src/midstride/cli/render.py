@@ -80,7 +80,8 @@ def plan(document: Document, title: str) -> RenderableType:
     steps.columns[0].justify = "right"
     for number, step in enumerate(document["steps"], 1):
         steps.add_row(Text(str(number), style="dim"), Text(step_text(step)), seconds(step.get("seconds")))
-    parts = [Text.from_markup(falls(document)), *_runtime_values(document)]
+    remarks = [Text(remark, style="yellow") for remark in document.get("remarks") or ()]
+    parts = [*remarks, Text.from_markup(falls(document)), *_runtime_values(document)]
     for name, because in (document.get("own_state") or {}).items():
         parts.append(Text(f"{name} starts with its own state: {because}.", style="yellow"))
     parts.append(Text(cost(document), style="dim"))

@@ -19,6 +19,7 @@ from midstride.errors import BackendError, CommandRefused
 from midstride.model.component import ROS_PARAMETERS
 from midstride.node.attachments import Attachments
 from midstride.node.declaration import DeclaredParts
+from midstride.node.discovery import discover
 from midstride.node.fencing import Fencing
 from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner, format_error
 from midstride.node.handover_commands import HandoverCommands
@@ -95,6 +96,7 @@ class CommandHandlers:
             commands.CancelCutCommand: self._handovers.cancel_cut,
             commands.AwaitCutCommand: self._handovers.await_cut,
             commands.CutTakenCommand: self._handovers.taken,
+            commands.DiscoverCommand: partial(discover, self.host),
             commands.AwaitIdleCommand: self._fencing.await_idle,
             commands.FenceCommand: self._fencing.fence,
             commands.AnswerCommand: self._handovers.answer,

@@ -208,6 +208,9 @@ class Host(Protocol):
         ``entries`` is called, in any thread, where something listens.
         """
 
+    def discovers(self, topic: str) -> bool | None:
+        """Whether the middleware shows a publisher on ``topic``; None where it has no discovery that could stop."""
+
     def extra_endpoints(self) -> list[Endpoint]:
         """Endpoints of the ROS node that are neither ports nor ROS's own, after the author's set-up."""
 

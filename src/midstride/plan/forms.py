@@ -37,6 +37,7 @@ RuntimeValues: TypeAlias = Annotated[
 OwnState: TypeAlias = Annotated[
     dict[str, str], field("an object of reasons", "by new instance: why it starts with its own state")
 ]
+Remarks: TypeAlias = Annotated[list[str], field("a list of texts", "what is done besides, and why")]
 Standing: TypeAlias = Annotated[
     dict[str, str], field("an object of modes", "at the start: the modes that are not the best possible")
 ]
@@ -66,6 +67,7 @@ class PlanPreview(PlanCosts, frozen=True, kw_only=True):
     standing: Standing | UnsetType = UNSET
     parameters: RuntimeValues | UnsetType = UNSET
     own_state: OwnState | UnsetType = UNSET
+    remarks: Remarks | UnsetType = UNSET
 
     @classmethod
     def of(cls, plan: Plan) -> PlanPreview:
@@ -82,6 +84,7 @@ class PlanForm(PlanCosts, frozen=True, kw_only=True):
     standing: Standing | UnsetType = UNSET
     parameters: RuntimeValues | UnsetType = UNSET
     own_state: OwnState | UnsetType = UNSET
+    remarks: Remarks | UnsetType = UNSET
 
     @classmethod
     def of(cls, plan: Plan, **more: Any) -> PlanForm:
@@ -105,6 +108,7 @@ def _fields(plan: Plan) -> dict[str, Any]:
         "running": _running(plan.change) or UNSET,
         "standing": _standing(plan.change.origin) or UNSET,
         "parameters": list(plan.parameters) or UNSET,
+        "remarks": list(plan.remarks) or UNSET,
         "own_state": left_behind(plan.change, (step.action for step in plan.steps)) or UNSET,
     }
 
@@ -151,6 +155,7 @@ def decode_plan(document: object) -> Plan:
         seconds=form.seconds,
         fallen=tuple(FunctionalityRef.parse(text) for text in form.fallen),
         parameters=() if form.parameters is UNSET else tuple(form.parameters),
+        remarks=() if form.remarks is UNSET else tuple(form.remarks),
     )
 
 

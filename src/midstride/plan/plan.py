@@ -24,7 +24,7 @@ class Plan:
     ``disruption`` is in weighted functionality-seconds, ``makespan`` the critical path of the
     steps that do not commute, ``seconds`` the plain sum. ``fallen`` names roles' functionalities
     that are ever below the baseline. ``proved_minimal`` is claimed only where it is proved.
-    ``parameters``: what becomes of the values that were set at run time.
+    ``parameters``: what becomes of the values that were set at run time. ``remarks``: what it does besides, and why.
     """
 
     strategy: str
@@ -37,6 +37,7 @@ class Plan:
     seconds: float
     fallen: tuple[FunctionalityRef, ...]
     parameters: tuple[RuntimeValue, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, strategy: str, steps: Sequence[Step], levels: Levels) -> Plan:

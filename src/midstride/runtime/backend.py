@@ -8,6 +8,7 @@ are translated here: a back end raises ``BackendError`` and its kinds only.
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Sequence
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -130,6 +131,12 @@ class Backend(Protocol):
 
     async def endpoints(self) -> Endpoints:
         """The nodes, and the endpoints on each topic, as the middleware sees them."""
+
+    def probe(self) -> AbstractAsyncContextManager[str | None]:
+        """A new endpoint of the manager, while the context is open: a publisher that every component should discover.
+
+        Its topic; None where there is no discovery that could stop, or where the manager's own has.
+        """
 
     async def lingering_readers(self, topic: str) -> int:
         """How many subscriptions on ``topic`` the middleware still counts whose process is known to be dead."""

@@ -7,7 +7,7 @@ and 7). Planning and verification do not block the event loop.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, cast
 
@@ -18,7 +18,7 @@ from midstride.model import wording
 from midstride.model.action import Action, Upgrade
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
-from midstride.model.specification import Specification
+from midstride.model.specification import Order, Specification
 from midstride.plan.change_builder import change_between, requested_change
 from midstride.plan.forms import PlanForm, PlanPreview
 from midstride.plan.plan import Plan
@@ -39,6 +39,7 @@ from midstride.runtime.observed_configuration import with_failures
 from midstride.runtime.parameter_transfer import ParameterTransfer
 from midstride.runtime.reconciler import Reconciler
 from midstride.runtime.recording import Recording
+from midstride.runtime.replaced_first import replaced_first
 from midstride.runtime.reports import Outcome, OutcomeKind
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.runtime_verification import StepVerifier, Verifier
@@ -84,7 +85,11 @@ class ChangeSession:
         instances, nodes = system.configuration.instances.items(), system.specification.nodes
         request = request.for_roles({name: live.role for name, live in instances if name not in nodes})
         measured = dict(self.journal.estimates)
-        return await asyncio.to_thread(_plan, request, system.specification, system.configuration, values, measured)
+        request, orders, remarks = replaced_first(request, system.configuration, self.monitor.undiscovering)
+        plan, target = await asyncio.to_thread(
+            _plan, request, system.specification, system.configuration, values, measured, orders
+        )
+        return replace(plan, remarks=remarks), target
 
     async def change(
         self,
@@ -290,14 +295,17 @@ def _plan(
     configuration: Configuration,
     values: Mapping[str, Values],
     measured: Mapping[str, float],
+    orders: Sequence[Order] = (),
 ) -> tuple[Plan, Specification]:
+    """``orders`` are kept by a plan that replaces one role after another; the other strategies remove all first."""
     target, keep = request.target(specification), not request.declared_parameters
+    planned = replace(target, constraints=(*target.constraints, *orders)) if request.strategy == "minimal" else target
     if request.to is not None and not keep:
         configuration = _as_set(configuration, values)
     if request.to is None and len(request.roles()) == 1:
-        change = requested_change(configuration, specification, request, target, measured)
+        change = requested_change(configuration, specification, request, planned, measured)
     else:
-        change = change_between(configuration, specification, target, measured, request.renewed())
+        change = change_between(configuration, specification, planned, measured, request.renewed())
     parameters = of_change(change, values, keep=keep)
     return replace(planner(request.strategy)(change), parameters=parameters), target
 

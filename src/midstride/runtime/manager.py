@@ -33,6 +33,7 @@ from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.backend import Backend
 from midstride.runtime.change_session import ChangeSession
 from midstride.runtime.component_client import ComponentClient, ComponentEvent
+from midstride.runtime.discovery_watch import DiscoveryWatch
 from midstride.runtime.disk import DISK, Disk
 from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
@@ -127,6 +128,14 @@ class Manager:
         )
         self._respawner = Respawner(self.system, backend.clock, self.events, self._command, self._restore)
         self._reconciler.on_reconciled = self._respawner.update
+        self._watch = DiscoveryWatch(
+            backend,
+            self._client,
+            self.events,
+            lambda: self.configuration.instances.keys(),
+            lambda: self._current is not None,
+        )
+        self._monitor.undiscovering = self._watch.stopped
 
     async def _restore(self, request: PlanRequest) -> Outcome:
         return await self._session.change(request, brief=True, by="the restart policy")
@@ -167,6 +176,7 @@ class Manager:
             self._client.token = saved.token  # by which the components recognize their manager
             self._file = saved.file
         await self._backend.open(self._reconciler.on_exit)
+        self._watch.start()
         async with self._command(f"up {self.specification.name}"):
             interrupted = await self._journal.take_over()
             if self._journal.damaged is not None:
@@ -295,6 +305,7 @@ class Manager:
 
     async def close(self) -> None:
         """Disconnect; the components keep running."""
+        await self._watch.close()
         await self._respawner.close()
         await self._reconciler.close()
         await self._programs.close()
@@ -457,6 +468,7 @@ class Manager:
                     yield
             finally:
                 self._current = None
+                self._watch.look_soon()
                 if not self._waiting:  # or they would compete with the next one for the processor
                     self._backend.keep_spares(self._spares, self._client.token)
 

@@ -22,7 +22,7 @@ from midstride.verify.verdict import Verdict
 
 OutcomeKind: TypeAlias = Literal["done", "refused", "rolled_back", "failed"]
 Phase: TypeAlias = Literal["starting", "up", "failed", "down"]
-SilenceKind: TypeAlias = Literal["not_answering", "not_publishing", "not_receiving"]
+SilenceKind: TypeAlias = Literal["not_answering", "not_discovering", "not_publishing", "not_receiving"]
 
 
 class Report(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):

@@ -7,7 +7,7 @@ during which they began (docs/semantics.md section 7).
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Set
+from collections.abc import Container, Iterator, Mapping, Set
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -31,6 +31,7 @@ REPORT_SKEW: Final = 1.0
 CHECK_INTERVAL: Final = 1.0
 _ENDED: Final = {
     "not_answering": "{0.instance} answers again",
+    "not_discovering": "{0.instance} discovers endpoints again",
     "not_publishing": "{0.port} publishes on {0.topic} again",
     "not_receiving": "{0.port} receives messages on {0.topic} again",
 }
@@ -63,6 +64,8 @@ class SilenceMonitor:
     clock: Clock
     events: EventLog
     ending: Container[str]  # the instances that have been asked to end, and do not answer any more
+    # Those whose middleware stands still, and since when that is known (steady s).
+    undiscovering: Mapping[str, float] = field(default_factory=dict)
     _links: dict[str, dict[PortRef, _Link]] = field(default_factory=dict)  # by topic
     _reports: dict[str, _Report] = field(default_factory=dict)  # the last one of each instance
     _known: dict[str, SilenceFault] = field(default_factory=dict)  # the faults of the last check
@@ -132,6 +135,10 @@ class SilenceMonitor:
             words = f"{instance} does not answer"
             yield SilenceFault(kind="not_answering", instance=instance, seconds=seconds, words=words)
             return
+        if (since := self.undiscovering.get(instance)) is not None:
+            words = f"{instance} discovers no new endpoints, although its data flows: its middleware stands still"
+            seconds = round(self.clock.steady() - since, 3)
+            yield SilenceFault(kind="not_discovering", instance=instance, seconds=seconds, words=words)
         for port, connector in configuration.attached_ports(instance):
             topic = configuration.topic(connector)
             link = self._links.get(topic, {}).get(port)

@@ -192,6 +192,12 @@ class Idle(WireValue, frozen=True, kw_only=True):
     busy: str | None
 
 
+class Discovered(WireValue, frozen=True, kw_only=True):
+    """Whether the middleware of the component shows the endpoint; None where it has no discovery that could stop."""
+
+    found: bool | None
+
+
 class FencedOutputs(WireValue, frozen=True, kw_only=True):
     """The number of the last message of each of these outputs, by ``"port topic"``."""
 
@@ -305,6 +311,13 @@ class AwaitIdleCommand(Command[Idle], frozen=True, kw_only=True, tag="await_idle
     """Wait until user code has returned, so that the data thread is free."""
 
     kind = "reading"
+
+
+class DiscoverCommand(Command[Discovered], frozen=True, kw_only=True, tag="discover"):
+    """Wait until the component's own middleware shows a publisher on ``topic``."""
+
+    kind = "reading"
+    topic: str
 
 
 class AwaitCutCommand(Command[CutResult], frozen=True, kw_only=True, tag="await_cut"):

@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import os
 import socket
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -148,6 +148,10 @@ class Ros1Backend(processes.ProcessBackend):
     def _alive(self, nodes_of: Mapping[str, tuple[str, ...]]) -> tuple[tuple[str, str], ...]:
         topics = nodes_of.keys() - names.INTERNAL - {naming.DIAGNOSTICS}
         return tuple(sorted((node, topic) for topic in topics for node in nodes_of[topic] if node not in self._dead))
+
+    @contextlib.asynccontextmanager
+    async def probe(self) -> AsyncIterator[str | None]:
+        yield None  # the master does it
 
     async def lingering_readers(self, topic: str) -> int:
         """Almost always 0: a dead node's registrations are taken back before its end is reported."""

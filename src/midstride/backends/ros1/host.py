@@ -155,6 +155,9 @@ class Ros1Host:
         if self._diagnostics.matched() > 0:
             self._diagnostics.publish(diagnostics.message(entries(), self._role, self.instance, self.now()))
 
+    def discovers(self, topic: str) -> bool | None:
+        return None  # the master does it
+
     def extra_endpoints(self) -> list[Endpoint]:
         return node_parameters.endpoints()
 

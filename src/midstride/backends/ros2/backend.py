@@ -11,12 +11,15 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, Final
 
 import rclpy
+from rcl_interfaces.msg import ParameterEvent
 from rclpy.context import Context
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from midstride.backends import processes
@@ -56,6 +59,8 @@ class Ros2Backend(ProcessBackend):
         self.warnings: list[str] = []
         self._opened = 0.0
         self._context: Any = None
+        self._probes = 0
+        self._probe_stuck = False
 
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
         self._on_exit = on_exit
@@ -146,6 +151,32 @@ class Ros2Backend(ProcessBackend):
 
     async def endpoints(self) -> Endpoints:
         return self._joined().endpoints()
+
+    @asynccontextmanager
+    async def probe(self) -> AsyncIterator[str | None]:
+        """In threads of their own: a middleware that has deadlocked returns from neither."""
+        if self._probe_stuck:
+            yield None
+            return
+        self._probes += 1
+        topic = f"/_midstride/probe_{os.getpid()}_{self._probes}"
+        node, qos = self._node, QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        publisher = await self._in_time(lambda: node.create_publisher(ParameterEvent, topic, qos))
+        try:
+            yield None if publisher is None else topic
+        finally:
+            if publisher is not None and self._context is not None:
+                await self._in_time(lambda: node.destroy_publisher(publisher))
+
+    async def _in_time(self, work: Callable[[], Any]) -> Any:
+        """What ``work`` returns; None, and no more probes, where the middleware does not return."""
+        try:
+            async with within(_LEAVE):
+                return await on_new_thread(work)
+        except asyncio.TimeoutError:
+            self._probe_stuck = True
+            log.error("the middleware of the manager does not return: it may have stopped discovering")
+            return None
 
     async def lingering_readers(self, topic: str) -> int:
         return self._joined().lingering_readers(topic)

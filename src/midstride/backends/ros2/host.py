@@ -154,6 +154,10 @@ class Ros2Host:
         if self._nodes is not None:
             self._nodes.diagnostics.publish(entries, self.now())
 
+    def discovers(self, topic: str) -> bool | None:
+        # From the graph that rmw keeps: it does not wait for a middleware that has deadlocked.
+        return self._nodes is not None and self.ros_node.count_publishers(topic) > 0
+
     def extra_endpoints(self) -> list[Endpoint]:
         nodes = self._nodes
         return [] if nodes is None else node_parameters.endpoints(self.ros_node, nodes.control_name, self._ports)

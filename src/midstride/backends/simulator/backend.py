@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Container, Coroutine, Sequence
-from contextlib import ExitStack
+from collections.abc import AsyncIterator, Callable, Container, Coroutine, Sequence
+from contextlib import ExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -69,6 +69,7 @@ class Simulator:
         self._patches = ExitStack()
         self._active = False
         self._pids = FIRST_PID
+        self._probes = 0
 
     def run(self, main: Coroutine[Any, Any, T]) -> T:
         """Run ``main`` in virtual time to its end, then shut down: no thread, import hook or patch remains."""
@@ -164,6 +165,16 @@ class Simulator:
             publishers=tuple((w.owner.node, name) for name, topic in topics for w in topic.writers),
             subscribers=tuple((r.owner.node, name) for name, topic in topics for r in topic.readers),
         )
+
+    @asynccontextmanager
+    async def probe(self) -> AsyncIterator[str | None]:
+        self._probes += 1
+        topic = f"/_midstride/probe_{self._probes}"
+        self.network.probes[topic] = self.time.steady()
+        try:
+            yield topic
+        finally:
+            del self.network.probes[topic]
 
     async def lingering_readers(self, topic: str) -> int:
         return 0  # a process that has ended is not in the simulated graph

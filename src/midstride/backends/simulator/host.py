@@ -136,6 +136,9 @@ class SimulatedHost:
     def publish_diagnostics(self, entries: Callable[[], Sequence[DiagnosticEntry]]) -> None:
         self._process.diagnostics = entries
 
+    def discovers(self, topic: str) -> bool | None:
+        return self._network.shows_probe(self._process, topic)
+
     def extra_endpoints(self) -> list[Endpoint]:
         return []
 

@@ -113,6 +113,8 @@ class Network:
         self.topics: dict[str, SimulatedTopic] = {}
         # Called with each writer that has published a message.
         self.on_publish: Callable[[SimulatedWriter], None] = lambda writer: None
+        # The manager's endpoints, and when each was created; they belong to no process.
+        self.probes: dict[str, float] = {}
         self._jitter = jitter
         self._random = random.Random(seed)
         self._identities = 0
@@ -164,6 +166,12 @@ class Network:
     def _matched(self, writer: SimulatedWriter, reader: SimulatedReader) -> bool:
         known = max(writer.created, reader.created) + self.discovery
         return known <= self.clock.steady() and _compatible(writer, reader)
+
+    def shows_probe(self, owner: SimulatedProcess, topic: str) -> bool:
+        """Whether a process has found the manager's endpoint on ``topic``."""
+        created = self.probes.get(topic, math.inf)
+        known = created + self.discovery <= self.clock.steady()
+        return known and created < self.undiscovering.get(owner, math.inf)
 
     def _found(self, writer: SimulatedWriter, reader: SimulatedReader) -> bool:
         """Whether the reader's process knows of the writer."""
