@@ -141,7 +141,7 @@ async def replaced(manager: Manager, **options: Any) -> Outcome:
     return outcome
 
 
-@pytest.mark.parametrize("strategy", ["minimal", "paper", "quiesce"])
+@pytest.mark.parametrize("strategy", ["minimal", "paper", pytest.param("quiesce", marks=pytest.mark.full)])
 def test_a_publisher_that_hangs_is_replaced(strategy: str, tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator, heard: Heard) -> None:
         await asyncio.sleep(10)
@@ -285,7 +285,7 @@ class Acting(Simulator):
 
 
 @pytest.mark.parametrize("op", ["observe", "grid", "attach", "meet", "cut_out", "cut_in", "await_cut", "detach"])
-@pytest.mark.parametrize("seconds", [8.0, 1000.0])
+@pytest.mark.parametrize("seconds", [pytest.param(8.0, marks=pytest.mark.full), 1000.0])
 def test_a_publisher_that_is_stopped_at_any_point_is_handed_over_or_fenced(
     op: str, seconds: float, tmp_path: Path
 ) -> None:
@@ -429,7 +429,7 @@ class Stopping(Simulator):
             self.ops.append(op)
 
 
-@pytest.mark.parametrize("strategy", ["minimal", "paper"])
+@pytest.mark.parametrize("strategy", ["minimal", pytest.param("paper", marks=pytest.mark.full)])
 def test_a_new_side_that_is_stopped_at_any_point_costs_a_few_seconds(strategy: str, tmp_path: Path) -> None:
     def change(at: int) -> tuple[Outcome, float, list[str]]:
         simulator = Stopping("talker_2", at)
