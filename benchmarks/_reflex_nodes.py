@@ -3,9 +3,9 @@
 ``source FOLDER`` and ``stage FOLDER`` are components. ``speaker FOLDER`` and ``reader FOLDER`` are bare nodes: a
 publisher with the same faults and a heartbeat of its own, and a subscriber with the three usual remedies.
 
-The publishers write at 50 Hz. While the file ``hung`` is in the folder their call does not return, while ``slow`` is
-they write every fifth message, and when ``crashed`` is they kill themselves. Whoever notices appends the time (steady
-ns) to a file of its name: ``b.fell``, ``deadline.fell``.
+The publishers write at 50 Hz, or at MIDSTRIDE_REFLEX_RATE. While the file ``hung`` is in the folder their call does not
+return, while ``slow`` is they write every fifth message, and when ``crashed`` is they kill themselves. What notices it
+appends the time (steady ns) to a file of its name: ``b.fell``, ``deadline.fell``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-RATE = 50.0
+RATE = float(os.environ.get("MIDSTRIDE_REFLEX_RATE", "50"))
 # What Nav2's bond waits for; its heartbeats come four times per second.
 BOND_TIMEOUT, BOND_PERIOD = 4.0, 0.25
 # The others wait as long as the reflex: the silence that it tolerates at 50 Hz.

@@ -24,7 +24,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from _reflex_nodes import BOND_TIMEOUT, TOLERATED
+from _reflex_nodes import BOND_TIMEOUT, RATE, TOLERATED
 
 HERE = Path(__file__).resolve().parent
 NODES = HERE / "_reflex_nodes.py"
@@ -32,7 +32,7 @@ CHAIN = ("a", "b", "c", "d")
 FAULTS = ("crash", "hang", "stop", "slow")
 REMEDIES = {"heartbeat, 4 s": "bond", "DDS deadline, 1 s": "deadline", "watchdog, 1 s": "watchdog"}
 # How long after a fault it is watched (s): a chain without a manager takes three times the slowest window.
-WATCHED = {"crash": 5.5, "hang": 5.5, "stop": 5.5, "slow": 6.5}
+WATCHED = {"crash": 5.5, "hang": 5.5, "stop": 5.5, "slow": 8.5}
 
 
 def specification(folder: Path) -> str:
@@ -42,7 +42,7 @@ def specification(folder: Path) -> str:
     )
     return f"""
 system reflex_benchmark
-contract Text = std_msgs/msg/String @ 50 Hz
+contract Text = std_msgs/msg/String @ {RATE:g} Hz
 topic /a : Text
 component Source {{
   run "python3 {NODES} source {folder}"
@@ -215,6 +215,10 @@ async def healthy(system: System, falls: Falls, seconds: float) -> list[dict[str
     for words, name in names.items():
         rows.append({"who": words, "seconds": seconds, "false": falls.count(name) - before[words]})
         print(f"{words:<20}{rows[-1]['false']:>4} false alarms in {seconds:g} s with {len(burners)} busy processes")
+    for component in (await system.manager.status()).components:
+        for each in component.functionalities:
+            if not each.normal:
+                print(f"{each.name}: {each.because}")
     return rows
 
 

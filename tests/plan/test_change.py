@@ -111,6 +111,14 @@ def test_durations_are_declared_else_measured_else_the_default() -> None:
     assert change.seconds("remove") == 0.2
 
 
+def test_a_hand_over_takes_its_probation_and_the_watch_after_it() -> None:
+    start = talker()
+    target = replace(start, timing=Map({"probation": 2.0, "watch_after": 5.0, "probation_timeout": 9.0}))
+    cases: list[tuple[dict[str, float], float]] = [({}, 0.1 + 2 + 5), ({"handover": 2.5}, 2.5 + 5)]
+    for measured, seconds in cases:
+        assert change_between(initial(start), start, target, measured).seconds("handover") == pytest.approx(seconds)
+
+
 # -- the same component again ------------------------------------------------------------------------------
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import pytest
 
 from midstride.backends.simulator import Simulator
+from midstride.backends.simulator.network import SimulatedWriter
 from midstride.codec.specification import decode_specification
 from midstride.model.contract import DEFAULT_QOS
 from midstride.model.rules import violations
@@ -229,6 +231,27 @@ def test_a_stopped_publisher_is_killed_and_never_continues(strategy: str, tmp_pa
         turn = heard.words().index("new")
         assert set(heard.words()[turn:]) == {"new"}
         assert (await manager.status()).valid and (await manager.status()).crashed == []
+
+    hanging(tmp_path, body, Old=_talker("old", 0, 0))
+
+
+def test_one_that_hangs_while_it_publishes_is_killed(tmp_path: Path) -> None:
+    """The middleware blocks, say: that message has passed the gate, and would be heard after the fence."""
+
+    async def body(manager: Manager, simulator: Simulator, heard: Heard) -> None:
+        [old], publish = simulator.network.topic("/chatter").writers, simulator.network.publish
+
+        def blocking(writer: SimulatedWriter, message: Any) -> None:
+            if writer is old:
+                time.sleep(20.0)
+            publish(writer, message)
+
+        simulator.network.publish = blocking  # type: ignore[method-assign]
+        await asyncio.sleep(1)
+        outcome = await replaced(manager, wait=1.0)
+        assert [(each.instance, each.how) for each in outcome.fenced] == [("talker", "killed")]
+        await asyncio.sleep(30)
+        assert set(heard.words()[heard.words().index("new") :]) == {"new"}
 
     hanging(tmp_path, body, Old=_talker("old", 0, 0))
 

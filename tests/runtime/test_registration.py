@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 from immutables import Map
 
+from midstride.lang import load_text
 from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode, NodeEndpoint
 from midstride.model.contract import Predicate, QoS
 from midstride.runtime.registration import mismatches, unexpected_endpoints
@@ -73,3 +74,16 @@ def test_endpoints_that_are_no_ports_must_be_allowed() -> None:
         "service /robot/controller/reset",
         "topic /tf",
     ]
+
+
+def test_a_ros_action_is_allowed_as_it_is_written_in_the_specification() -> None:
+    text = """
+    system s
+    component Dock {
+      run "python3 dock.py"   allows "ROS action" ~/dock
+      functionality dock { mode normal { } mode degraded { } }
+    }
+    """
+    specification = load_text(text).require()
+    endpoints = [ExtraEndpoint(kind="ROS action", name="/dock/dock"), ExtraEndpoint(kind="ROS action", name="/fold")]
+    assert unexpected_endpoints(specification.components["Dock"], {"dock"}, endpoints) == ["ROS action /fold"]

@@ -54,11 +54,12 @@ def test_the_new_one_answers_without_a_message_of_its_own(tmp_path: Path) -> Non
         changing = asyncio.ensure_future(exchanged(manager))
         while manager.log()[-1].kind != "step" or "hand over" not in manager.log()[-1].words:
             await asyncio.sleep(0.001)
-        caller = Caller(simulator)
+        caller = Caller(simulator, interval=0.005)
+        while caller.answered_by["counter_2"] < 20:
+            await asyncio.sleep(0.01)
+        assert_each_once(caller, await caller.stop())
         outcome = await changing
         assert (outcome.outcome, outcome.because) == ("done", None)
-        assert_each_once(caller, await caller.stop())
-        assert caller.answered_by["counter_2"] > 50
 
     program = for_messages(1, import_=f"time.sleep(0.05); {IMPORT}").replace("\ncomp.start", SERVICE + "\ncomp.start")
     counting(system(tmp_path, program, source=1), body, ServingSimulator())
@@ -100,12 +101,12 @@ def test_where_the_hand_over_is_rolled_back_the_old_one_answers_again(parts: dic
 )
 def test_requests_are_answered_whenever_the_manager_dies(op: str, tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: ServingSimulator) -> None:
-        send, dead = manager._client._send, asyncio.Event()
+        send, dead, over = manager._client._send, asyncio.Event(), asyncio.Event()
 
         async def until_then(instance: str, command: Any, revision: Any) -> Any:
             if command.name == op or dead.is_set():
                 dead.set()
-                await asyncio.sleep(20)
+                await over.wait()
                 raise Unreachable("the manager is dead")
             return await send(instance, command, revision)
 
@@ -117,13 +118,14 @@ def test_requests_are_answered_whenever_the_manager_dies(op: str, tmp_path: Path
             assert (await changing).outcome == "done" and not dead.is_set()
         else:
             await dead.wait()
-        await settle(3)
+        await settle(1)
         assert_each_once(caller, await caller.stop())
         states = {name: state for name in simulator.processes if (state := simulator.state(name)) is not None}
         assert sum(state.answers for name, state in states.items() if name.startswith("counter")) == 1
+        manager._client._send = send  # type: ignore[method-assign]
+        over.set()
         changing.cancel()
         await asyncio.wait({changing})
-        manager._client._send = send  # type: ignore[method-assign]
 
     serving(tmp_path, body)
 

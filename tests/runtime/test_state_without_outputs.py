@@ -222,28 +222,37 @@ def test_a_replacement_that_dies_leaves_the_old_one_receiving(op: str, tmp_path:
 
 @pytest.mark.parametrize("op", ["cut_out", "cut_in", "await_cut"])
 def test_one_of_the_two_receives_whenever_the_manager_dies(op: str, tmp_path: Path) -> None:
-    async def died_at(manager: Manager, op: str) -> None:
-        send, dead = manager._client._send, asyncio.Event()
+    """Each message once, without a manager and with the next one, which ends the other of the two."""
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        send, dead, over = manager._client._send, asyncio.Event(), asyncio.Event()
 
         async def until_then(instance: str, command: Any, revision: Any) -> Any:
             if dead.is_set() or command.name == op:
                 dead.set()
-                await asyncio.sleep(5)
+                await over.wait()
                 raise Unreachable("the manager is dead")
             return await send(instance, command, revision)
 
         manager._client._send = until_then  # type: ignore[method-assign]
+        await settle()
         changing = asyncio.ensure_future(manager.change(RESTART))
         await dead.wait()
         await settle(4)
-        assert_each_once(tmp_path)
-        assert len({line[2] for line in noted(tmp_path)[-100:]}) == 1
-        await asyncio.wait({changing})
-        manager._client._send = send  # type: ignore[method-assign]
-
-    async def body(manager: Manager, _: Simulator) -> None:
-        await settle()
-        await died_at(manager, op)
+        await manager.close()
+        following = Manager(manager.specification, simulator, manager._workspace, tmp_path)
+        await following.up()
+        try:
+            await settle()
+            assert_each_once(tmp_path)
+            (sink,) = following.configuration.instances_by_role["sink"]
+            assert {line[2] for line in noted(tmp_path)[-20:]} == {sink}
+            assert sorted(simulator.processes) == sorted(["source", sink])
+        finally:
+            await following.close()
+            over.set()
+            changing.cancel()
+            await asyncio.wait({changing})
 
     sinking(tmp_path, body)
 

@@ -28,6 +28,8 @@ from midstride.wire.commands import (
     CutTakenCommand,
     DetachCommand,
     Detached,
+    DiscoverCommand,
+    Discovered,
     Done,
     ExportedState,
     ExportStateCommand,
@@ -146,6 +148,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     ),
     (AwaitMatchCommand(port="in", topic="/t", peers=2, timeout=1.5), Attached(matched=1)),
     (AwaitIdleCommand(timeout=1.5), Idle(busy="talk for 2.0 s")),
+    (DiscoverCommand(topic="/t", timeout=1.5), Discovered(found=True)),
     (AwaitCutCommand(cut="c", timeout=1.5), CutResult(outcome="resumed", last=WRITE, first=WRITE)),
     (WelcomeCommand(manager="m", timeout=1.5), STATE),
     (

@@ -112,7 +112,8 @@ class Watch:
         came, seconds = self.inputs[port].words(rate)
         tolerated = f"silence is tolerated for {self.tolerated(port, speed) / rate:.2g} s"
         gone = "" if any(link.endpoint.matched() for link in port.links) else ", and its publisher is gone"
-        received = f"input {port.name} received {came} on {topics} for {seconds:.2f} s{gone}"
+        wrong = f" that meets its constraints ({'; '.join(port.violations)})" if port.violations else ""
+        received = f"input {port.name} received {came}{wrong} on {topics} for {seconds:.2f} s{gone}"
         return f"{received} ({rate:g} Hz is assumed; {tolerated})"
 
     def next_mode(self, speed: float) -> int:
@@ -133,8 +134,8 @@ class Watch:
         return self.runner.last
 
     def silent_output(self, speed: float, share: float) -> Output | None:
-        """An output on which more than that share of what is tolerated is missing."""
-        late = (port for port in self.outputs if self.outputs[port].exceeds(share * self.due(port, speed)))
+        """An output on which nothing was written for more than that share of what is tolerated."""
+        late = (port for port in self.outputs if self.outputs[port].silent > share * self.due(port, speed))
         return next(late, None)
 
 

@@ -1,8 +1,8 @@
 """What a stream of messages lacks of its promised rate: the rule that tells jitter from breakage.
 
-docs/semantics.md section 7, *Local reflex*. Half of the promised messages are due; what is missing of them adds up,
-each message reduces it, and nothing is saved up. So silence counts from the last message on, a stream that is too slow
-counts the longer the slower it is, and one that keeps half of its rate never breaks, whatever its jitter.
+docs/semantics.md section 7, *Local reflex*. Silence breaks a stream after a stated number of periods. A stream that is
+merely slow has more time, since a busy machine may be the cause: of a share of the promised messages, what is missing
+adds up, each message reduces it, and nothing is saved up. So a stream that keeps this share never breaks.
 """
 
 from __future__ import annotations
@@ -13,7 +13,9 @@ from typing import Final
 from midstride.node.host import Host
 
 # The share of the promised messages that is due.
-SHARE: Final = 0.5
+SHARE: Final = 0.4
+# How much of that may be missing of a slow stream: as much as in so many times the silence that is tolerated.
+SLOW: Final = 2.0
 # How many missed messages are tolerated where nothing is stated: as many as a hand-over without a manager may miss.
 TOLERATED: Final = 10
 # The least silence that is tolerated where nothing else is stated (s): three times a long pause of the scheduler.
@@ -66,6 +68,7 @@ class Shortfall:
     def halve(self) -> None:
         """Part of it was not the stream's fault."""
         self._lacking /= 2
+        self.silent /= 2
 
     def words(self, rate: float) -> tuple[str, float]:
         """How much has come in how many seconds: nothing since the last message, or too little for longer."""
@@ -74,8 +77,8 @@ class Shortfall:
         return f"{self.came} message{'' if self.came == 1 else 's'}", self.periods / rate
 
     def exceeds(self, periods: float) -> bool:
-        """Whether more is lacking than if it had been silent for so many periods."""
-        return self._lacking > SHARE * periods
+        """Whether it has been silent for more than so many periods, or too slow for longer."""
+        return self.silent > periods or self._lacking > SLOW * SHARE * periods
 
 
 class Stopwatch:

@@ -71,21 +71,22 @@ class Change:
     def seconds(self, kind: str, component: ComponentSpec | None = None) -> float:
         """How long a step takes (s): declared in the target, else measured earlier, else the stated default.
 
-        A hand-over also takes the time in which the target has the new publisher tried before, and watched after.
+        A hand-over also takes the time in which the target has the new publisher tried before (included in what was
+        measured), and watched after.
         """
-        if kind == "handover":
-            extra = self.target.timing.get("probation", 0.0) + self.target.timing.get("watch_after", 0.0)
-            return extra + self._seconds(kind, component)
-        return self._seconds(kind, component)
-
-    def _seconds(self, kind: str, component: ComponentSpec | None) -> float:
+        timing = self.target.timing
         if kind == "create" and component is not None and component.startup_seconds is not None:
             return component.startup_seconds
-        if kind in self.target.timing:
-            return self.target.timing[kind]
-        if component is not None and f"{kind} {component.name}" in self.measured:
-            return self.measured[f"{kind} {component.name}"]
-        return self.measured.get(kind, DEFAULT_SECONDS[kind])
+        measured = self.measured.get(kind)
+        if component is not None:
+            measured = self.measured.get(f"{kind} {component.name}", measured)
+        if kind not in timing and measured is not None:
+            found = measured
+        else:
+            found = timing.get(kind, DEFAULT_SECONDS[kind])
+            if kind == "handover":
+                found += timing.get("probation", 0.0)
+        return found + timing.get("watch_after", 0.0) if kind == "handover" else found
 
     def sibling(self, connector: str) -> str | None:
         """The old connector of a topic whose contract changes, given the new one; else None."""

@@ -7,6 +7,7 @@ specification: the same ports and functionalities, guarantees at least as strong
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
+from typing import Final
 
 from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import NOTHING, Predicate, explain
@@ -30,12 +31,20 @@ def mismatches(declared: ComponentSpec, registered: ComponentSpec) -> list[str]:
     return found
 
 
+# What a node reports as another kind than the specification has it: `action` is a word of plans.
+_REPORTED: Final = {"action": "ROS action"}
+
+
 def unexpected_endpoints(declared: ComponentSpec, nodes: Collection[str], endpoints: Sequence[Endpoint]) -> list[str]:
     """The endpoints of a node, other than ports, that its component does not ``allow``.
 
     ``nodes``: the names that the node may have, of its role or of its instance.
     """
-    allowed = {(endpoint.kind, _resolved(endpoint.name, node)) for endpoint in declared.allows for node in nodes}
+    allowed = {
+        (_REPORTED.get(endpoint.kind, endpoint.kind), _resolved(endpoint.name, node))
+        for endpoint in declared.allows
+        for node in nodes
+    }
     return [
         f"{endpoint.kind} {endpoint.name}"
         for endpoint in endpoints

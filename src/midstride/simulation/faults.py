@@ -38,6 +38,8 @@ FaultKind: TypeAlias = Literal[
     "torn write",
 ]
 KINDS: Final[tuple[FaultKind, ...]] = get_args(FaultKind)
+# How late messages are at most (s): what is under way when the faults end arrives while the system settles.
+LONGEST_DELAY: Final = 0.3
 # Faults that make calls of a component's code late.
 LATE: Final[frozenset[str]] = frozenset({"freeze", "hang", "clock jump"})
 _REQUEST_FAULTS: Final[dict[FaultKind, RequestFault]] = {
@@ -132,7 +134,7 @@ def strike(fault: Fault, platform: Platform, names: list[str], random: random.Ra
             if fault.kind == "lost messages":
                 faults.drop(topic, 3 * fault.times)
             else:
-                faults.delay(topic, fault.seconds)
+                faults.delay(topic, min(fault.seconds, LONGEST_DELAY))
             return topic
         case kind:
             faults.fail_next(
