@@ -20,6 +20,8 @@ from midstride.simulation.stand_in import StandIn
 
 # How long at most until a component notices by itself that an input with a rate is silent, also during a change (s).
 REFLEX: Final = 6.5
+# After how long the old publisher continues at the latest if the new one does not take over (s).
+RESUMED: Final = 1.5
 # Two publishers that exchanged their topic this often within so many seconds were heard at once.
 EXCHANGES: Final = 3
 EXCHANGES_WITHIN: Final = 1.0
@@ -31,6 +33,7 @@ SAME_SLOT: Final = 0.25
 class Invariants:
     """``reaction()``: how long the manager may take to react now (s), infinite while it cannot.
 
+    ``uninterrupted()``: whether no plan and no fault has a reason to make a topic silent.
     ``punctual()``: whether no fault has made a call of a component late.
     ``violated`` is called once for each violation, with words.
     """
@@ -39,6 +42,7 @@ class Invariants:
     oracle: Oracle
     reaction: Callable[[], float]
     punctual: Callable[[], bool]
+    uninterrupted: Callable[[], bool]
     violated: Callable[[str], None]
     # Counted up with what is heard: part of the digest.
     heard: dict[str, int] = field(default_factory=dict)
@@ -75,6 +79,8 @@ class Invariants:
         self.heard[owner.instance] = self.heard.get(owner.instance, 0) + 1
         key, now = (writer.topic, owner.role), self.platform.time.steady()
         before, at = self._publishers.get(key, (owner.instance, now))
+        if now - at > RESUMED and self.oracle.period(writer.topic) and self.uninterrupted():
+            self._violation(f"{writer.topic} was silent for {now - at:.1f} s although its publishers were alive")
         self._publishers[key] = owner.instance, now
         if before == owner.instance:
             return

@@ -25,7 +25,7 @@ from midstride.runtime.state_store import SavedState, StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.simulation import loop as seeded
 from midstride.simulation.disk import SimulatedDisk
-from midstride.simulation.faults import LATE, Fault, draw, strike
+from midstride.simulation.faults import LATE, OF_THE_MANAGER, Fault, draw, strike
 from midstride.simulation.invariants import Invariants
 from midstride.simulation.lives import Life, ManagerKilled
 from midstride.simulation.oracle import Oracle
@@ -88,8 +88,9 @@ class Simulation:
         self._loop = seeded.SeededLoop(self._random.getrandbits(32))  # type: ignore[abstract]
         self._lives: list[Life] = []
         self._platform = Platform(self._random.getrandbits(32), self._on_change)
+        oracle = Oracle(self._scenario.specifications())
         self._invariants = Invariants(
-            self._platform, Oracle(self._scenario.specifications()), self._reaction, self._punctual, self._violated
+            self._platform, oracle, self._reaction, self._punctual, self._uninterrupted, self._violated
         )
         self._platform.network.on_publish = self._invariants.on_publish
         self._platform.control.before_request = self._before_request
@@ -222,7 +223,11 @@ class Simulation:
     async def _converge(self) -> None:
         """Without faults: the system must be as specified after at most two commands of a user."""
         if not self._lives[-1].alive or not self._is_up():
-            await self._up()
+            try:
+                await self._up()
+            except MidstrideError as error:  # a process that was started before the faults ended
+                self._note("up", f"failed: {error}")
+                await self._up()
         await asyncio.sleep(SETTLING)
         manager = self._manager
         assert manager is not None
@@ -321,6 +326,12 @@ class Simulation:
 
     def _punctual(self) -> bool:
         return not self._has_struck(*LATE)
+
+    def _uninterrupted(self) -> bool:
+        """Whether outputs are handed over, and at most the manager has failed."""
+        requests = self._scenario.changes
+        handed_over = all(each.strategy == "minimal" and (each.replace or each.restart) for each in requests)
+        return handed_over and all(each.fault in OF_THE_MANAGER for each in self._struck)
 
     def _has_struck(self, *faults: str) -> bool:
         return any(each.fault in faults for each in self._struck)
