@@ -30,6 +30,11 @@ def test_no_seed_violates_an_invariant(part: int) -> None:
     assert {"done", "rolled_back", "killed"} <= summary.outcomes.keys()
 
 
+def test_an_output_whose_code_has_raised_can_be_attached_again() -> None:
+    """In this seed the next manager attaches the output of a functionality that is degraded because it raised."""
+    assert simulate(52119).problems == []
+
+
 def test_a_run_repeats_exactly_also_in_another_process() -> None:
     seeds = range(40, 52)
     here = [simulate(seed).digest for seed in seeds]

@@ -73,13 +73,14 @@ class Attachments:
             port.tolerates = command.tolerates or port.tolerates
         link = await self.data.run(lambda: self._create(port, topic), timeout)
         try:
-            matched = await self._match(link, command.peers, timeout)
+            handed_over = command.gate == "closed"
+            matched = await self._match(link, command.peers, timeout, handed_over=handed_over)
             if matched < command.peers:
                 raise CommandRefused(
                     f"only {max(matched, 0)} of {command.peers} endpoints on {topic} were found within {timeout:g} s; "
                     "the others are missing, or have another type or incompatible QoS"
                 )
-            matched = await self._match(link, command.everyone, command.patience, command.reader_ids)
+            matched = await self._match(link, command.everyone, command.patience, command.reader_ids, handed_over)
             if command.peers or command.everyone:
                 await self.host.sleep(SETTLE)
             if isinstance(link, OutputLink) and command.gate == "open":
@@ -165,7 +166,12 @@ class Attachments:
         return link
 
     async def _match(
-        self, link: OutputLink | InputLink, wanted: int, patience: float, reader_ids: Sequence[str] = ()
+        self,
+        link: OutputLink | InputLink,
+        wanted: int,
+        patience: float,
+        reader_ids: Sequence[str] = (),
+        handed_over: bool = False,
     ) -> int:
         """How many compatible endpoints it is matched with, once that is ``wanted`` or after ``patience`` (s).
 
@@ -173,8 +179,8 @@ class Attachments:
         """
         deadline = self.host.steady() + int(patience * 1e9)
         while self.host.steady() < deadline:
-            if isinstance(link, OutputLink) and link.output.owner.failed:
-                break  # it will not be handed over to
+            if handed_over and isinstance(link, OutputLink) and link.output.owner.failed:
+                break  # it will not be
             if link.endpoint.matched() >= wanted and _missing(link, reader_ids) == 0:
                 break
             await self.host.sleep(TICK)
