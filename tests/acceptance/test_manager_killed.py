@@ -135,4 +135,4 @@ def test_whatever_write_the_manager_is_killed_at_the_next_one_finds_a_whole_syst
 @pytest.mark.long
 @pytest.mark.timeout(60 + 20 * WRITES)
 def test_the_manager_may_be_killed_at_each_write_in_turn(tmp_path: Path) -> None:
-    killed_at_writes(tmp_path, WRITES, longest=(RESUME_PERIODS + 2) * PERIOD)
+    killed_at_writes(tmp_path, WRITES, longest=1.0)  # no cut is interrupted: the machine may hold up a publisher

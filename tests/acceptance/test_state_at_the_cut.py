@@ -23,6 +23,7 @@ from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from tests.acceptance.support import ended
 from tests.runtime.counting import at_rates, exchanged, for_messages, system
+from tests.runtime.test_state_without_outputs import RESTART, noted, sink_system
 
 pytestmark = pytest.mark.timeout(7200)
 
@@ -142,3 +143,32 @@ def test_ros1_a_counter_at_50_hz(replacements: int, tmp_path: Path) -> None:
     with own_master_uri(), ended():
         heard, given_up = asyncio.run(replaced("ros1", folder, _ROSPY, replacements))
     assert_exactly_once(heard, given_up, replacements)
+
+
+@pytest.mark.ros2
+@pytest.mark.full
+def test_ros2_a_component_without_outputs_at_200_hz(tmp_path: Path) -> None:
+    """Each message is received by one of the two, once, and counted on from the one before it."""
+    sink_system(tmp_path)
+    workspace = Workspace(tmp_path / "workspace")
+    workspace.path.mkdir(mode=0o700)
+    specification = decode_specification(json.loads((tmp_path / "counting.json").read_text()))
+    manager = Manager(specification, backends.make("ros2", workspace), workspace, tmp_path)
+
+    async def main() -> None:
+        try:
+            await manager.up()
+            for _ in range(4):
+                outcome = await manager.change(RESTART)
+                assert (outcome.outcome, outcome.because, outcome.own_state) == ("done", None, {})
+            await lines(tmp_path / "in", len(noted(tmp_path)) + 20)
+        finally:
+            await manager.down()
+            await manager.close()
+
+    with ended():
+        asyncio.run(main())
+    heard = noted(tmp_path)
+    assert [int(line[0]) for line in heard] == list(range(int(heard[0][0]), int(heard[0][0]) + len(heard)))
+    assert [int(line[1]) for line in heard] == list(range(1, len(heard) + 1))
+    assert len({line[2] for line in heard}) == 3, "sink, sink_2 and sink_3"

@@ -49,7 +49,7 @@ def test_a_slow_publisher_is_a_warning(tmp_path: Path) -> None:
                 await r.modes("talker_2", talk="normal")
                 await until(lambda: shows(0, "as declared"), 60.0)
                 await r.client.change("talker_2", SetParametersCommand(parameters={"every": 5}))
-                await until(lambda: shows(1, "20 Hz declared"), 60.0)
+                await until(lambda: shows(1, "10 Hz declared"), 60.0)
                 assert await r.shows_no_writer("/diagnostics")
 
     run(scenario(), 240.0)

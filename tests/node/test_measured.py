@@ -19,13 +19,14 @@ comp = Component("talker")
 out = comp.create_output("out", Range)
 talk = comp.create_functionality("talk", outputs=[out])
 every, depth = comp.parameter("every", 1, on_change=int), comp.parameter("depth", 5.0, on_change=float)
+wrong = comp.parameter("wrong", 0, on_change=int)
 calls = 0
 
 def normal():
     global calls
     calls += 1
     if calls % every.value == 0:
-        out.write(Range(range=depth.value))
+        out.write(Range(range=0.1 if wrong.value and calls % wrong.value == 0 else depth.value))
 
 promised = {out: guarantee(where={"range": at_least(1.5)})}
 talk.set_normal_mode(normal, rate=20, outputs=[out], guarantees=promised)
@@ -46,10 +47,13 @@ listen.set_degraded_mode(lambda: None)
 comp.start()
 """
 
+# It tolerates ten missed messages, as any input by default.
+WATCHFUL = LISTENER.replace(", tolerates=200", "")
 
-async def started(bench: Bench) -> None:
+
+async def started(bench: Bench, listener: str = LISTENER) -> None:
     await bench.start("talker", TALKER)
-    await bench.start("listener", LISTENER)
+    await bench.start("listener", listener)
     await bench.attach("listener", "in", "/depth")
     await bench.attach("talker", "out", "/depth")
 
@@ -172,5 +176,40 @@ def test_the_figures_come_with_the_reports_that_a_component_makes_anyway(tmp_pat
         before = bench.lab.reports
         await bench.sleep(10.0)
         assert bench.lab.reports - before == pytest.approx(2 * 2 * 10, abs=2)
+
+    simulate(tmp_path, main)
+
+
+def test_messages_that_violate_a_constraint_break_the_assumption_like_missing_ones(tmp_path: Path) -> None:
+    """After the silence that is tolerated: eleven periods. A single one in ten does not."""
+
+    async def main(bench: Bench) -> None:
+        await started(bench, WATCHFUL)
+        await bench.mode("talker", "talk", "normal")
+        await bench.mode("listener", "listen", "normal")
+        await bench.send("talker", "set", parameters={"wrong": 10})
+        await bench.sleep(10.0)
+        assert bench.state("listener").functionalities["listen"].mode == "normal"
+        await bench.send("talker", "set", parameters={"wrong": 1})
+        await bench.sleep(0.9)
+        assert bench.state("listener").functionalities["listen"].mode == "normal"
+        await bench.sleep(0.4)
+        fallen = bench.state("listener").functionalities["listen"]
+        assert fallen.mode == "degraded"
+        assert "nothing that meets its constraints (range is 0.1, range >= 1.5 is assumed) on /depth" in fallen.because
+
+    simulate(tmp_path, main)
+
+
+def test_messages_that_never_met_a_constraint_break_nothing(tmp_path: Path) -> None:
+    """As with a publisher that has never been heard: the reflex is for what was there, and is no more."""
+
+    async def main(bench: Bench) -> None:
+        await started(bench, WATCHFUL)
+        await bench.send("talker", "set", parameters={"wrong": 1})
+        await bench.mode("talker", "talk", "normal")
+        await bench.mode("listener", "listen", "normal")
+        await bench.sleep(5.0)
+        assert bench.state("listener").functionalities["listen"].mode == "normal"
 
     simulate(tmp_path, main)

@@ -111,8 +111,8 @@ class Sent(NamedTuple):
 class ScriptedClient(ComponentClient):
     """Records each command, and replies as the test says: a value, an exception, or a function of the command.
 
-    A component is in the modes that it was sent last, answers if it was asked to, and is otherwise in the state that it
-    reported last.
+    A component is in the modes that it was sent last and attached where it was sent to be, answers if it was asked to,
+    and is otherwise in the state that it reported last.
     """
 
     def __init__(self, clock: SimulatedClock) -> None:
@@ -183,6 +183,12 @@ class ScriptedClient(ComponentClient):
             state = self.states[instance]
             modes = {name: _functionality(mode) for name, mode in command.modes.items()}
             self.states[instance] = structs.replace(state, functionalities=state.functionalities | modes)
+        if isinstance(command, (AttachCommand, DetachCommand)) and instance in self.states:
+            state = self.states[instance]
+            links = {topic: link for topic, link in state.ports.get(command.port, {}).items() if topic != command.topic}
+            if isinstance(command, AttachCommand):
+                links[command.topic] = LinkState(gate=None, count=0)
+            self.states[instance] = structs.replace(state, ports={**state.ports, command.port: links})
         if isinstance(command, AnswerCommand) and instance in self.states:
             self.states[instance] = structs.replace(self.states[instance], answers=True)
         return answer

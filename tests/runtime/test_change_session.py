@@ -29,6 +29,7 @@ from midstride.testing.clock import run
 from midstride.verify.verdict import Answer, Verdict
 from midstride.wire import commands
 from midstride.wire.commands import AttachCommand, AwaitWriteCommand, ModesCommand, RecordCommand, RecordsCommand
+from midstride.wire.state import ComponentState
 from tests.runtime.scripted import REFUSED, TIMEOUT, ReconcilingBench, reported
 from tests.runtime.systems import example, replace
 
@@ -196,9 +197,17 @@ def test_the_seconds_below_the_baseline_are_measured(tmp_path: Path) -> None:
 
 
 def test_a_verified_change_is_checked_after_each_step(tmp_path: Path) -> None:
-    """The scripted components report what they did at the beginning, which is not what was judged."""
+    """The new talker is attached where it should not be for a while, which is not what was judged."""
 
     async def body(s: SessionBench) -> None:
+        s.client.states["talker_2"] = elsewhere("degraded")
+        judge = s.verifier.configuration
+
+        async def judge_once(configuration: Configuration) -> Verdict:
+            s.client.states["talker_2"] = reported(TALKER.instance("talker", "talker_2"))
+            return await judge(configuration)
+
+        s.verifier.configuration = judge_once  # type: ignore[method-assign]
         outcome = await s.session.change(REPLACEMENT, verify=True)
         assert outcome.outcome == "done" and outcome.verdict == HOLDS
         assert outcome.plan is not None
@@ -267,8 +276,15 @@ def test_a_step_after_which_what_is_live_does_not_hold_is_taken_back(tmp_path: P
     session(tmp_path, body)
 
 
+def elsewhere(mode: str) -> ComponentState:
+    instance = TALKER.instance("talker", "talker_2")
+    return reported(instance, modes={"talk": mode}, gates={"out /elsewhere": "open"})
+
+
 def _unless(s: SessionBench) -> object:
+    """From now on, the new talker is attached where it should not be, and whether that is valid is unknown."""
     s.verifier.verdict = UNKNOWN
+    s.client.states["talker_2"] = elsewhere("normal")
     return commands.GatedWrites(gated=1, wrong_type=None)
 
 

@@ -102,7 +102,9 @@ def test_one_that_discovers_again_is_no_fault_any_longer(tmp_path: Path) -> None
     managed("talker", tmp_path, body)
 
 
-@pytest.mark.parametrize("strategy", ["minimal", "paper", "quiesce"])
+@pytest.mark.parametrize(
+    "strategy", ["minimal", *(pytest.param(name, marks=pytest.mark.full) for name in ("paper", "quiesce"))]
+)
 @pytest.mark.parametrize("how", ["replace", "restart", "apply"])
 def test_a_subscriber_is_replaced_before_the_publisher_that_it_must_hear(
     how: str, strategy: str, tmp_path: Path
@@ -143,6 +145,7 @@ def test_a_publisher_is_replaced_before_the_subscriber_that_must_hear_it(tmp_pat
     managed("talker", tmp_path, body)
 
 
+@pytest.mark.full
 def test_what_a_change_does_not_touch_is_left_alone(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:
         await noticed(manager, simulator, "source")

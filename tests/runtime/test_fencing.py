@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import pytest
 
 from midstride.backends.simulator import Simulator
+from midstride.backends.simulator.network import SimulatedWriter
 from midstride.codec.specification import decode_specification
 from midstride.model.contract import DEFAULT_QOS
 from midstride.model.rules import violations
@@ -23,7 +25,7 @@ from midstride.runtime.launcher import STOP_GRACE
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Outcome
 from midstride.runtime.workspace import Workspace
-from tests.runtime.systems import managed, replace
+from tests.runtime.systems import last_said, managed, replace, stateful_talkers
 
 # A talker at 10 Hz that does not return from its call number `at`, for `seconds`, and then says so.
 _TALKER = """
@@ -139,7 +141,7 @@ async def replaced(manager: Manager, **options: Any) -> Outcome:
     return outcome
 
 
-@pytest.mark.parametrize("strategy", ["minimal", "paper", "quiesce"])
+@pytest.mark.parametrize("strategy", ["minimal", "paper", pytest.param("quiesce", marks=pytest.mark.full)])
 def test_a_publisher_that_hangs_is_replaced(strategy: str, tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator, heard: Heard) -> None:
         await asyncio.sleep(10)
@@ -149,7 +151,8 @@ def test_a_publisher_that_hangs_is_replaced(strategy: str, tmp_path: Path) -> No
         assert outcome.outcome == "done", outcome.because
         [fenced] = outcome.fenced
         assert (fenced.instance, fenced.how) == ("talker", "gate")
-        assert "talker hangs: user code did not return" in fenced.words and "no state" in fenced.words
+        assert "talker hangs: user code did not return" in fenced.words and "state" not in fenced.words
+        assert outcome.own_state == {}
         assert [event.words for event in manager.log() if event.kind == "fenced"] == [fenced.words]
         assert outcome.ended == [] and outcome.silences == [] and outcome.lowered == []
         assert simulator.clock.steady() - begun < DEFAULT_WAIT + 12
@@ -159,6 +162,19 @@ def test_a_publisher_that_hangs_is_replaced(strategy: str, tmp_path: Path) -> No
         assert heard.words()[-1] == "new"
 
     hanging(tmp_path, body)
+
+
+def test_the_state_of_one_that_hangs_is_lost_and_the_outcome_says_so(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        simulator.faults.hang("talker", 1000.0)
+        await asyncio.sleep(1)
+        outcome = await manager.change(replace("talker", "NewTalker"))
+        assert outcome.outcome == "done", outcome.because
+        assert outcome.fenced[0].words.endswith("and its state could not be exported")
+        assert "talker_2 continues with its own state (talker hangs)" in outcome.own_state["talker_2"]
+        assert await last_said(simulator) == "the new one's"
+
+    managed("talker", tmp_path, body, specification=stateful_talkers(tmp_path))
 
 
 def test_the_report_is_that_of_a_bare_listener(tmp_path: Path) -> None:
@@ -233,6 +249,27 @@ def test_a_stopped_publisher_is_killed_and_never_continues(strategy: str, tmp_pa
     hanging(tmp_path, body, Old=_talker("old", 0, 0))
 
 
+def test_one_that_hangs_while_it_publishes_is_killed(tmp_path: Path) -> None:
+    """The middleware blocks, say: that message has passed the gate, and would be heard after the fence."""
+
+    async def body(manager: Manager, simulator: Simulator, heard: Heard) -> None:
+        [old], publish = simulator.network.topic("/chatter").writers, simulator.network.publish
+
+        def blocking(writer: SimulatedWriter, message: Any) -> None:
+            if writer is old:
+                time.sleep(20.0)
+            publish(writer, message)
+
+        simulator.network.publish = blocking  # type: ignore[method-assign]
+        await asyncio.sleep(1)
+        outcome = await replaced(manager, wait=1.0)
+        assert [(each.instance, each.how) for each in outcome.fenced] == [("talker", "killed")]
+        await asyncio.sleep(30)
+        assert set(heard.words()[heard.words().index("new") :]) == {"new"}
+
+    hanging(tmp_path, body, Old=_talker("old", 0, 0))
+
+
 class Acting(Simulator):
     """Does something just before the first request ``op`` for ``instance`` in a change."""
 
@@ -248,7 +285,7 @@ class Acting(Simulator):
 
 
 @pytest.mark.parametrize("op", ["observe", "grid", "attach", "meet", "cut_out", "cut_in", "await_cut", "detach"])
-@pytest.mark.parametrize("seconds", [8.0, 1000.0])
+@pytest.mark.parametrize("seconds", [pytest.param(8.0, marks=pytest.mark.full), 1000.0])
 def test_a_publisher_that_is_stopped_at_any_point_is_handed_over_or_fenced(
     op: str, seconds: float, tmp_path: Path
 ) -> None:
@@ -392,7 +429,7 @@ class Stopping(Simulator):
             self.ops.append(op)
 
 
-@pytest.mark.parametrize("strategy", ["minimal", "paper"])
+@pytest.mark.parametrize("strategy", ["minimal", pytest.param("paper", marks=pytest.mark.full)])
 def test_a_new_side_that_is_stopped_at_any_point_costs_a_few_seconds(strategy: str, tmp_path: Path) -> None:
     def change(at: int) -> tuple[Outcome, float, list[str]]:
         simulator = Stopping("talker_2", at)

@@ -61,15 +61,8 @@ IMPORT = "@comp.on_import_state\ndef import_state(state):\n    count.update(json
 RESTART = PlanRequest(restart=("sink",))
 
 
-def sinking(
-    folder: Path,
-    body: Callable[[Manager, Simulator], Awaitable[None]],
-    rate: float = 200,
-    export: str = EXPORT,
-    import_: str = IMPORT,
-    seed: int = 0,
-) -> None:
-    """A source, and a sink that notes what it receives in files."""
+def sink_system(folder: Path, rate: float = 200, export: str = EXPORT, import_: str = IMPORT) -> None:
+    """A source, and a sink that notes what it receives in files: their programs and their specification."""
     (folder / "source.py").write_text(SOURCE.format(rate=rate, prefix=""))
     (folder / "sink.py").write_text(SINK.format(export=export, import_=import_))
     contract = {"type": STRING, "rate": rate}
@@ -90,6 +83,17 @@ def sinking(
     }
     document = {"system": "sinking", "topics": {"/ticks": contract}, "components": components, "nodes": nodes}
     (folder / "counting.json").write_text(json.dumps(document))
+
+
+def sinking(
+    folder: Path,
+    body: Callable[[Manager, Simulator], Awaitable[None]],
+    export: str = EXPORT,
+    import_: str = IMPORT,
+    seed: int = 0,
+) -> None:
+    """Run ``body`` with that system on the simulator."""
+    sink_system(folder, export=export, import_=import_)
     counting(folder, body, Simulator(seed=seed, latency=0.0003, jitter=0.0003))
 
 

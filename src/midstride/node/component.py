@@ -213,7 +213,8 @@ class Component:
 
         False behind the gate: before this component takes over from another, and after another has taken over from it.
         Ask it on the data thread before you act otherwise than by an output, as with a device or a service. A component
-        without outputs has no gate, and is live while an input is attached (docs/semantics.md section 7, State).
+        without outputs has no gate, and is live while an input is attached; where its state moves, its modes are only
+        called while it is the one that works (docs/semantics.md section 7, State).
         """
         outputs = self._parts.outputs.values()
         if not outputs:

@@ -30,18 +30,20 @@ class _Constraint:
         self.last: Any = None
         self._read = attrgetter(path)
 
-    def check(self, message: Any) -> None:
+    def check(self, message: Any) -> bool:
         self.checked += 1
         try:
             value = self._read(message)
         except AttributeError:
             value = None
-        if value in self.values:
+        met = value in self.values
+        if met:
             self.run = 0
         else:
             self.violations += 1
             self.run += 1
             self.last = value
+        return met
 
     def samples(self) -> FieldSamples:
         last = self.last
@@ -54,10 +56,10 @@ class _Constraint:
 class FieldChecks:
     """The constraints that are in force for one port or attachment. Samples on the data thread; read on any.
 
-    ``active``: there are any.
+    ``active``: there are any. ``violated``: the last message that was checked did not meet them all.
     """
 
-    __slots__ = ("_constraints", "_due", "active")
+    __slots__ = ("_constraints", "_due", "active", "violated")
 
     def __init__(self, required: Sequence[tuple[str, ValueSet]] = ()) -> None:
         self._constraints: tuple[_Constraint, ...] = ()
@@ -69,14 +71,15 @@ class FieldChecks:
         known = {(each.path, each.values): each for each in self._constraints}
         self._constraints = tuple(known.get(pair) or _Constraint(*pair) for pair in required)
         self.active = bool(self._constraints)
+        self.violated = False
 
     def sample(self, message: Any, now: int) -> None:
         """A message comes or goes at ``now`` (ns): it is checked unless another one has just been."""
         if self._due - LONGEST <= now < self._due:  # earlier than that, the clock has jumped back
             return
         self._due = now + SHORTEST + now * _FACTOR % _PRIME
-        for constraint in self._constraints:
-            constraint.check(message)
+        met = [constraint.check(message) for constraint in self._constraints]
+        self.violated = not all(met)
 
     def samples(self) -> dict[str, FieldSamples]:
         """What the checks have found, by field."""

@@ -164,9 +164,13 @@ class OutputLink:
 
 
 class InputLink:
-    """One attachment of an input: a subscription without a gate, and the number and times of its messages."""
+    """One attachment of an input: a subscription without a gate, and the number and times of its messages.
 
-    __slots__ = ("count", "endpoint", "fields", "input", "times", "topic")
+    ``violating`` of them did not meet the constraints on their fields, or came after one that did not and before one
+    that did (they are sampled).
+    """
+
+    __slots__ = ("count", "endpoint", "fields", "input", "times", "topic", "violating")
     endpoint: Subscription
     gate: Final = None
     gated: Final = 0
@@ -177,7 +181,7 @@ class InputLink:
         self.topic = topic
         self.times = times
         self.fields = FieldChecks(input.assumption.fields)
-        self.count = 0
+        self.count = self.violating = 0
 
     def destroy(self) -> None:
         self.input.remove(self)
@@ -334,6 +338,7 @@ class Input(_Port[InputLink]):
             link.count += 1
             if fields.active:
                 fields.sample(message, now)
+                link.violating += fields.violated
             for listener in self.listeners:
                 listener(message, info)
 
@@ -346,8 +351,18 @@ class Input(_Port[InputLink]):
 
     @property
     def count(self) -> int:
-        """How many messages it has received since it was attached."""
-        return sum(link.count for link in self.links)
+        """How many messages it has received since it was attached, without those that violate its constraints."""
+        return sum(link.count - link.violating for link in self.links)
+
+    @property
+    def violations(self) -> list[str]:
+        """The constraints that the last messages did not meet, with the fields' values."""
+        return [
+            f"{path} is {samples.last}, {path} {samples.constraint} is assumed"
+            for link in self.links
+            for path, samples in link.fields.samples().items()
+            if samples.run
+        ]
 
     @property
     def recording(self) -> bool:

@@ -115,7 +115,8 @@ class Watch:
         came, seconds = self.inputs[port].words(rate)
         tolerated = f"silence is tolerated for {self.tolerated(port, speed) / rate:.2g} s"
         gone = "" if any(link.endpoint.matched() for link in port.links) else ", and its publisher is gone"
-        received = f"input {port.name} received {came} on {topics} for {seconds:.2f} s{gone}"
+        wrong = f" that meets its constraints ({'; '.join(port.violations)})" if port.violations else ""
+        received = f"input {port.name} received {came}{wrong} on {topics} for {seconds:.2f} s{gone}"
         return f"{received} ({rate:g} Hz is assumed; {tolerated})"
 
     def next_mode(self, speed: float) -> int:

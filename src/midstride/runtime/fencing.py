@@ -19,6 +19,7 @@ from midstride.runtime.events import EventLog
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.reports import FencedInstance
 from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.state_transfers import keeps_state
 from midstride.wire.commands import AwaitIdleCommand, FenceCommand
 
 # For how long a change tries without a fence, unless the request says otherwise (s).
@@ -81,7 +82,8 @@ class Fences:
             await self._kill(instance, error)
             killed = True
         what = "its process was killed" if killed else "its outputs were closed inside a call"
-        words = f"{because}; {what}, and no state could be exported from it"
+        lost = ", and its state could not be exported" if keeps_state(self.client, instance) else ""
+        words = f"{because}; {what}{lost}"
         self.fenced[instance] = FencedInstance(
             instance=instance, how="killed" if killed else "gate", because=because, words=words
         )

@@ -18,6 +18,10 @@ from midstride.simulation.oracle import Oracle, Shown
 from midstride.simulation.platform import Platform
 from midstride.simulation.stand_in import StandIn
 
+# How long at most until a component notices by itself that an input with a rate is silent, also during a change (s).
+REFLEX: Final = 6.5
+# After how long the old publisher continues at the latest if the new one does not take over (s).
+RESUMED: Final = 1.5
 # Two publishers that exchanged their topic this often within so many seconds were heard at once.
 EXCHANGES: Final = 3
 EXCHANGES_WITHIN: Final = 1.0
@@ -29,6 +33,7 @@ SAME_SLOT: Final = 0.25
 class Invariants:
     """``reaction()``: how long the manager may take to react now (s), infinite while it cannot.
 
+    ``uninterrupted()``: whether no plan and no fault has a reason to make a topic silent.
     ``punctual()``: whether no fault has made a call of a component late.
     ``violated`` is called once for each violation, with words.
     """
@@ -37,11 +42,14 @@ class Invariants:
     oracle: Oracle
     reaction: Callable[[], float]
     punctual: Callable[[], bool]
+    uninterrupted: Callable[[], bool]
     violated: Callable[[str], None]
     # Counted up with what is heard: part of the digest.
     heard: dict[str, int] = field(default_factory=dict)
     _shown: dict[str, Shown] = field(default_factory=dict)
+    # Since when the assumption of each functionality is broken, and since when the manager could have reacted (s).
     _broken: dict[FunctionalityRef, float] = field(default_factory=dict)
+    _free: dict[FunctionalityRef, float] = field(default_factory=dict)
     _changed: bool = False
     _publishers: dict[tuple[str, str], tuple[str, float]] = field(default_factory=dict)
     _exchanged: dict[tuple[str, str], deque[float]] = field(default_factory=dict)
@@ -71,6 +79,8 @@ class Invariants:
         self.heard[owner.instance] = self.heard.get(owner.instance, 0) + 1
         key, now = (writer.topic, owner.role), self.platform.time.steady()
         before, at = self._publishers.get(key, (owner.instance, now))
+        if now - at > RESUMED and self.oracle.period(writer.topic) and self.uninterrupted():
+            self._violation(f"{writer.topic} was silent for {now - at:.1f} s although its publishers were alive")
         self._publishers[key] = owner.instance, now
         if before == owner.instance:
             return
@@ -87,17 +97,27 @@ class Invariants:
             self._changed = False
             now = self.platform.time.steady()
             self._broken = {ref: self._broken.get(ref, now) for ref in self.oracle.broken(self._shown.values())}
+            self._free = {ref: self._free.get(ref, now) for ref in self._broken}
         if self._broken:
             self._check_reaction()
 
     def _check_reaction(self) -> None:
+        """The manager must react where it can; and the component itself, whatever the manager does."""
         now, reaction = self.platform.time.steady(), self.reaction()
         for ref, since in self._broken.items():
+            process = self.platform.standing(ref.instance)
             if reaction == math.inf:
-                self._broken[ref] = now
-            elif now - since > reaction:
-                mode = dict(self._shown[ref.instance].modes)[ref.functionality]
-                self._violation(f"{ref} stays in mode {mode} although what it assumes there is broken")
+                self._free[ref] = now
+            if process is None or process.thawed_at > now:
+                self._broken[ref] = now  # it cannot react
+            elif now - self._free[ref] > reaction:
+                self._violation(f"{self._stays(ref)} is broken, and the manager does not react")
+            elif now - since > REFLEX and self.oracle.reflex_applies(self._shown[ref.instance], ref.functionality):
+                self._violation(f"{self._stays(ref)} is broken for more than {REFLEX:g} s")
+
+    def _stays(self, ref: FunctionalityRef) -> str:
+        mode = dict(self._shown[ref.instance].modes)[ref.functionality]
+        return f"{ref} stays in mode {mode} although what it assumes there"
 
     def _violation(self, words: str) -> None:
         if words not in self._reported:

@@ -75,6 +75,12 @@ class Oracle:
                     found.append(FunctionalityRef(each.instance, functionality))
         return found
 
+    def reflex_applies(self, shown: Shown, functionality: str) -> bool:
+        """Whether each assumption of its mode is about inputs with a rate, whose silence shows."""
+        inputs, mode = shown.component.inputs, dict(shown.modes)[functionality]
+        needed = self._needed(shown, functionality, mode)
+        return all(inputs[name].rate for names in needed for name in names)
+
     def _provided(self, shown: Shown, functionality: str, mode: str, port: str, topic: str) -> bool:
         """Whether that output satisfies the topic in that mode."""
         key = (shown.key, mode, port, topic)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import gc
 import hashlib
 import logging
@@ -24,7 +25,7 @@ from midstride.runtime.state_store import SavedState, StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.simulation import loop as seeded
 from midstride.simulation.disk import SimulatedDisk
-from midstride.simulation.faults import LATE, Fault, draw, strike
+from midstride.simulation.faults import LATE, OF_THE_MANAGER, Fault, draw, strike
 from midstride.simulation.invariants import Invariants
 from midstride.simulation.lives import Life, ManagerKilled
 from midstride.simulation.oracle import Oracle
@@ -39,7 +40,7 @@ LONGEST_CHANGE: Final = 600.0
 REACTION: Final = 0.25
 REACTION_IF_REFUSED: Final = 2.0
 # How long to wait after the last command, for reports and messages to arrive (s).
-SETTLING: Final = 0.7
+SETTLING: Final = 0.6
 # A topic with a rate counts as silent after this time (s).
 SILENT: Final = 0.5
 # Names the files of the simulated disk.
@@ -80,13 +81,16 @@ class Simulation:
         self._random = random.Random(seed)
         self._seed = seed
         self._scenario = scenario or rover(self._random)
+        # Whether another command waits for each change, which then measures for three periods instead of twenty.
+        self._brief = self._random.random() < 0.8
         self._faults = draw(self._random, self._scenario.steps())
         # What it does not implement, sockets and processes, the simulation does not have.
         self._loop = seeded.SeededLoop(self._random.getrandbits(32))  # type: ignore[abstract]
         self._lives: list[Life] = []
         self._platform = Platform(self._random.getrandbits(32), self._on_change)
+        oracle = Oracle(self._scenario.specifications())
         self._invariants = Invariants(
-            self._platform, Oracle(self._scenario.specifications()), self._reaction, self._punctual, self._violated
+            self._platform, oracle, self._reaction, self._punctual, self._uninterrupted, self._violated
         )
         self._platform.network.on_publish = self._invariants.on_publish
         self._platform.control.before_request = self._before_request
@@ -96,6 +100,7 @@ class Simulation:
         self._since: dict[str, int] = {}  # requests since the change began, and since the first step of each kind
         self._waiting: list[Fault] = []
         self._struck: list[Struck] = []
+        self._waiting_command: asyncio.Task[None] | None = None
         self._busy = False
         self._faulty = False
         self._problems: list[str] = []
@@ -144,7 +149,7 @@ class Simulation:
         await asyncio.sleep(0.3)
         self._note("faults", "on: " + "; ".join(map(str, self._faults)))
         self._waiting, self._faulty = list(self._faults), True
-        self._since["change"] = 0
+        self._since, self._step = {"change": 0}, "none"
         for request in self._scenario.changes:
             await self._change(request)
         self._note("faults", "off")
@@ -201,7 +206,7 @@ class Simulation:
     async def _change(self, request: PlanRequest) -> None:
         assert self._manager is not None
         life, manager = self._lives[-1], self._manager
-        outcome = await self._ended(life, manager.change(request))
+        outcome = await self._ended(life, manager.change(request, brief=self._brief))
         if outcome is not None:
             self._outcomes.append(outcome.outcome)
             self._note("outcome", f"{outcome.outcome}: {outcome.because}" if outcome.because else outcome.outcome)
@@ -218,12 +223,16 @@ class Simulation:
     async def _converge(self) -> None:
         """Without faults: the system must be as specified after at most two commands of a user."""
         if not self._lives[-1].alive or not self._is_up():
-            await self._up()
+            try:
+                await self._up()
+            except MidstrideError as error:  # a process that was started before the faults ended
+                self._note("up", f"failed: {error}")
+                await self._up()
         await asyncio.sleep(SETTLING)
         manager = self._manager
         assert manager is not None
         request = self._again(manager)
-        outcome = await self._ended(self._lives[-1], manager.change(request))
+        outcome = await self._ended(self._lives[-1], manager.change(request, brief=self._brief))
         if outcome is None or outcome.outcome != "done":
             because = "the manager is dead" if outcome is None else outcome.because
             self._violated(f"without faults, `{request.describe()}` is not done: {because}")
@@ -318,6 +327,12 @@ class Simulation:
     def _punctual(self) -> bool:
         return not self._has_struck(*LATE)
 
+    def _uninterrupted(self) -> bool:
+        """Whether outputs are handed over, and at most the manager has failed."""
+        requests = self._scenario.changes
+        handed_over = all(each.strategy == "minimal" and (each.replace or each.restart) for each in requests)
+        return handed_over and all(each.fault in OF_THE_MANAGER for each in self._struck)
+
     def _has_struck(self, *faults: str) -> bool:
         return any(each.fault in faults for each in self._struck)
 
@@ -331,6 +346,8 @@ class Simulation:
             self._note(event.kind, "")
             return
         self._note(event.kind, event.words)
+        if event.kind == "measuring" and self._brief and self._manager is not None:
+            self._waiting_command = self._loop.create_task(_refused(self._manager))
         if event.kind == "step" and hasattr(event.step, "action"):
             self._step = event.step.action
             self._since.setdefault(self._step, 0)
@@ -381,3 +398,9 @@ class Simulation:
     def _violated(self, words: str) -> None:
         self._problems.append(words)
         self._note("VIOLATED", words)
+
+
+async def _refused(manager: Manager) -> None:
+    """Another client's command, which is refused when its turn comes."""
+    with contextlib.suppress(MidstrideError):
+        await manager.set_parameters("no_such_node", {})

@@ -23,22 +23,22 @@ system rover
 contract Data = std_msgs/msg/String @ 10 Hz
 contract Once = std_msgs/msg/String qos(durability = transient_local)
 
-topic /scan     : std_msgs/msg/String @ 20 Hz
+topic /scan     : std_msgs/msg/String @ 10 Hz
 topic /objects  : Data
 topic /map      : Once
 topic /alarms   : std_msgs/msg/String
 topic /path     : Data
-topic /velocity : std_msgs/msg/String @ 20 Hz { publishers <= 1 }
+topic /velocity : std_msgs/msg/String @ 10 Hz { publishers <= 1 }
 
 component Lidar {
   run "lidar"
   output out
-  functionality scan { produces out  mode normal { guarantee out : std_msgs/msg/String @ 20 Hz }  mode off { } }
+  functionality scan { produces out  mode normal { guarantee out : std_msgs/msg/String @ 10 Hz }  mode off { } }
 }
 component FastLidar {
   run "lidar"
   output out
-  functionality scan { produces out  mode normal { guarantee out : std_msgs/msg/String @ 25 Hz }  mode off { } }
+  functionality scan { produces out  mode normal { guarantee out : std_msgs/msg/String @ 12.5 Hz }  mode off { } }
 }
 component Detector {
   run "detector"
@@ -101,8 +101,8 @@ component Driver {
   output out
   functionality drive weight 10 {
     uses path  produces out
-    mode normal { assume path  guarantee out : std_msgs/msg/String @ 20 Hz }
-    mode stop   { guarantee out : std_msgs/msg/String @ 20 Hz }
+    mode normal { assume path  guarantee out : std_msgs/msg/String @ 10 Hz }
+    mode stop   { guarantee out : std_msgs/msg/String @ 10 Hz }
   }
   functionality listen { uses alarms  mode normal { assume alarms }  mode off { } }
 }

@@ -31,6 +31,9 @@ from midstride.node.service_gate import ServiceGate
 LOOK_BEFORE: Final = 0.5
 # A node's name that was lost on its way is sent again every 3 s (Fast DDS's heartbeat of `ros_discovery_info`).
 LOOK_AFTER: Final = 4.0
+# An instance that leaves may show one of its two nodes for longer than the other one, but not for so long (s): a data
+# node with a ROS action stays until its process ends.
+LEAVING: Final = 1.0
 # How long the threads may take to end (s).
 _JOIN: Final = 2.0
 
@@ -127,6 +130,7 @@ class ComponentNodes:
         self._full_name = self.data.get_fully_qualified_name()
         self.control_name = self._control.get_fully_qualified_name()
         self._checked_until = time.monotonic() + LOOK_AFTER
+        self._foreign_since: float | None = None  # since when the graph has shown another node of its name
         self._data_thread = ExecutorThread("midstride-data", self._context, failed)
         self._control_thread = ExecutorThread("midstride-control", self._context, failed)
         self.data_executor = self._data_thread.executor
@@ -148,10 +152,15 @@ class ComponentNodes:
         """
         if not self._context.ok():
             raise NodeError("rclpy was shut down from within the component; leave that to start()")
-        if time.monotonic() >= self._checked_until:
+        now = time.monotonic()
+        if now >= self._checked_until and self._foreign_since is None:
             return False
         in_graph = self._in_graph()  # once, since others may come and go between two looks
-        if in_graph.count(self._full_name) > max(1, names.instances_of(self._full_name, in_graph, self._system)):
+        if in_graph.count(self._full_name) <= max(1, names.instances_of(self._full_name, in_graph, self._system)):
+            self._foreign_since = None
+        elif self._foreign_since is None:
+            self._foreign_since = now
+        elif now - self._foreign_since > LEAVING:
             self._refuse_name()
         return True
 
