@@ -51,7 +51,7 @@ component Source {{
 }}
 component Stage {{
   run "python3 {NODES} stage {folder}"
-  input in : Text
+  input in : Text tolerates {TOLERATED * RATE - 1:.0f} missed
   output out
   functionality work {{
     uses in   produces out

@@ -47,8 +47,8 @@ listen.set_degraded_mode(lambda: None)
 comp.start()
 """
 
-# It tolerates ten missed messages, as any input by default.
-WATCHFUL = LISTENER.replace(", tolerates=200", "")
+# It tolerates ten missed messages.
+WATCHFUL = LISTENER.replace("tolerates=200", "tolerates=10")
 
 
 async def started(bench: Bench, listener: str = LISTENER) -> None:

@@ -87,7 +87,7 @@ def pair(
     rate: float = 50,
     pause: str = "0",
     count: str = "1",
-    arguments: str = ", rate=50",
+    arguments: str = ", rate=50, tolerates=49",  # a silence of 1 s
     more: str = "",
 ) -> None:
     async def main(bench: Bench) -> None:
@@ -193,6 +193,17 @@ def test_the_tolerance_of_the_manager_precedes_that_of_the_code(tmp_path: Path) 
     simulate(tmp_path, main)
 
 
+def test_without_a_stated_tolerance_only_long_silence_counts(tmp_path: Path) -> None:
+    async def silent(pair: Pair) -> None:
+        await pair.bench.sleep(3.0 - 0.004)
+        await pair.falls_within(LONG_FLOOR - 0.02, LONG_FLOOR + SLACK)
+
+    for name in ("silent", "slow"):
+        (tmp_path / name).mkdir()
+    pair(tmp_path / "silent", silent, count="n <= 150", arguments=", rate=50")
+    pair(tmp_path / "slow", lambda pair: pair.never_falls(60.0), count="n % 10 == 0", arguments=", rate=50")
+
+
 def test_a_deadline_is_a_rate(tmp_path: Path) -> None:
     async def body(pair: Pair) -> None:
         await pair.bench.sleep(3.0)
@@ -204,7 +215,7 @@ def test_a_deadline_is_a_rate(tmp_path: Path) -> None:
         )
         await bench.start("speaker", speaker.format(rate=50, pause="0", count="n <= 150"))
         listener = LISTENER.replace("any_of\n", "any_of, QoS\n")
-        await bench.start("listener", listener.format(arguments=", qos=QoS(deadline=0.1)", more=""))
+        await bench.start("listener", listener.format(arguments=", qos=QoS(deadline=0.1), tolerates=10", more=""))
         await bench.attach("listener", "in", "/chatter")
         await bench.attach("speaker", "out", "/chatter")
         await bench.mode("speaker", "talk", "normal")
@@ -329,7 +340,8 @@ from midstride import Component, any_of
 from std_msgs.msg import String
 
 comp = Component("fusion")
-left, right = comp.create_input("left", String, rate=50), comp.create_input("right", String, rate=50)
+left = comp.create_input("left", String, rate=50, tolerates=49)
+right = comp.create_input("right", String, rate=50, tolerates=49)
 chart = comp.create_input("chart", String)
 either = comp.create_functionality("either", inputs=[left, right])
 either.set_normal_mode(lambda message: None, inputs=[any_of(left, right)])
@@ -372,11 +384,11 @@ def test_a_hung_call_is_shown_at_once_and_the_mode_is_left_when_it_returns(tmp_p
     async def body(pair: Pair) -> None:
         await pair.bench.sleep(3.0)
         revision = pair.bench.state("speaker").revision
-        await pair.bench.sleep(FLOOR + SLACK)
+        await pair.bench.sleep(LONG_FLOOR + SLACK)
         assert pair.mode("talk", "speaker") == "degraded"
         assert pair.because("talk", "speaker").startswith(
-            "mode normal wrote nothing on output out for 1."
-        ) and "a call of talk has not returned for 1." in pair.because("talk", "speaker")
+            "mode normal wrote nothing on output out for 5."
+        ) and "a call of talk has not returned for 5." in pair.because("talk", "speaker")
         assert pair.bench.state("speaker").functionalities["talk"].busy is not None
         assert pair.bench.state("speaker").revision == revision + 1
         await pair.bench.sleep(20.0)
@@ -413,7 +425,7 @@ comp.start()
         await bench.mode("speaker", "talk", "normal")
         await bench.sleep(1.0)
         await bench.mode("speaker", "other", "normal")
-        await bench.sleep(FLOOR + SLACK)
+        await bench.sleep(LONG_FLOOR + SLACK)
         pair = Pair(bench)
         assert pair.mode("talk", "speaker") == "degraded"
         assert "a call of other has not returned" in pair.because("talk", "speaker")
@@ -426,7 +438,7 @@ from midstride import Component
 from std_msgs.msg import String
 
 comp = Component("speaker")
-inlet, out = comp.create_input("in", String, rate=50), comp.create_output("out", String)
+inlet, out = comp.create_input("in", String, rate=50, tolerates=49), comp.create_output("out", String)
 relay = comp.create_functionality("relay", inputs=[inlet], outputs=[out])
 
 async def normal(message):
@@ -451,7 +463,7 @@ def test_an_async_call_that_never_ends_does_not_disable_it(tmp_path: Path, count
         await bench.attach("speaker", "out", "/chatter")
         await bench.mode("speaker", "talk", "normal")
         await bench.mode("listener", "relay", "normal")
-        await bench.sleep(3.0 + FLOOR + 3 * SLACK)
+        await bench.sleep(3.0 + LONG_FLOOR + 3 * SLACK)
         pair = Pair(bench)
         assert pair.mode("relay") == "degraded"
         assert why in pair.because("relay")

@@ -76,7 +76,7 @@ class Component:
         - ``where`` constrains fields: ``{"width": at_least(640), "encoding": {"rgb8", "bgr8"}}``. A value is a set of
           values, a single value, ``at_least(…)``, ``at_most(…)`` or ``between(…, …)``.
         - ``tolerates`` is how many messages in succession may be missed before a mode that assumes this input is left
-          (docs/semantics.md section 7, Local reflex); None: 10, and silence of at least 1 s. It needs a rate. What the
+          (docs/semantics.md section 7, Local reflex); None: 10, and silence of at least 5 s. It needs a rate. What the
           specification states takes precedence.
 
         Raises NodeError.

@@ -80,13 +80,13 @@ class Watch:
         """For how many periods ``port`` may be silent; infinite where it has no rate."""
         if port.rate is None:
             return float("inf")
-        floor = LONG_FLOOR if port.recording else FLOOR if port.tolerates is None or self.inputs[port].fresh else 0.0
+        lenient = port.tolerates is None or port.recording
+        floor = LONG_FLOOR if lenient else FLOOR if self.inputs[port].fresh else 0.0
         return tolerated_periods(port.rate, port.tolerates, floor * speed)
 
     def due(self, output: Output, speed: float) -> float:
         """For how many periods ``output`` may be silent; infinite where nothing is promised."""
-        floor = FLOOR if self.runner.calls else LONG_FLOOR
-        return float("inf") if output.rate is None else tolerated_periods(output.rate, None, floor * speed)
+        return float("inf") if output.rate is None else tolerated_periods(output.rate, None, LONG_FLOOR * speed)
 
     def shortest(self, speed: float) -> float | None:
         """The shortest silence that is tolerated (s of the steady clock); None where nothing is due."""
@@ -101,10 +101,13 @@ class Watch:
     def broken_assumption(self, speed: float) -> str | None:
         """Which assumption of the mode does not hold any more, in words."""
         for group in self.runner.mode.assumptions:
-            broken = [port for port in group if self.inputs[port].exceeds(self.tolerated(port, speed))]
+            broken = [port for port in group if self._broken(port, self.tolerated(port, speed))]
             if broken and all(port in broken or not port.count for port in group):
                 return "; ".join(self._why(port, speed) for port in broken)
         return None
+
+    def _broken(self, port: Input, periods: float) -> bool:
+        return self.inputs[port].exceeds(periods, slow=port.tolerates is not None)
 
     def _why(self, port: Input, speed: float) -> str:
         rate, topics = port.rate, ", ".join(link.topic for link in port.links)
@@ -126,7 +129,7 @@ class Watch:
         def in_order(port: Input) -> bool:
             if port.rate is None:
                 return port in relied and port.attached
-            return port.count > 0 and not self.inputs[port].exceeds(self.tolerated(port, speed) / 2)
+            return port.count > 0 and not self._broken(port, self.tolerated(port, speed) / 2)
 
         for index in range(self.runner.index + 1, self.runner.last):
             if all(any(map(in_order, group)) for group in self.runner.chain[index].assumptions):
