@@ -88,6 +88,7 @@ def short_lease(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(dds_profiles.RANGE, "SYSTEM_DEFAULT")
 
 
+@pytest.mark.full
 @pytest.mark.usefixtures("short_lease")
 def test_a_killed_component_is_known_at_once_however_long_the_graph_shows_it(tmp_path: Path) -> None:
     async def scenario() -> None:
@@ -115,6 +116,7 @@ def graph_names(r: Rig) -> list[str]:
     return [f"{inside.rstrip('/')}/{name}" for name, inside in r.backend._node.get_node_names_and_namespaces()]
 
 
+@pytest.mark.full
 @pytest.mark.usefixtures("short_lease")
 def test_endpoints_of_the_dead_are_left_out_and_their_readers_are_counted(tmp_path: Path) -> None:
     async def scenario() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -67,25 +68,26 @@ def test_a_node_that_raises_right_after_a_change_is_named_with_exit_status_1(
 
 
 def test_up_that_cannot_restore_a_node_says_which_why_and_what_to_do(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its manager stays: tests/runtime/test_up_again.py."""
     missing = {"talker": "create talker (Talker): talker exited with status 1 before it registered:\nno device"}
     report = {"outcome": "incomplete", "components": ["listener"], "lowered": [], "missing": missing}
     file = EXAMPLES / "talker" / "talker.json"
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr(up, "bring_up", lambda *_: report)
     monkeypatch.setattr(Client, "get", lambda *_, **__: encode_specification(load(file)))
     monkeypatch.setattr(Client, "service", lambda *_, **__: None)
-    assert main(["up", str(file), "--backend", "sim", "--detach"]) == 1
-    assert capsys.readouterr().out.splitlines() == [
-        "talker is up without talker (listener).",
-        f"Missing: talker could not be restored: {missing['talker'].splitlines()[0]}",
-        "no device",
-        "Fix the cause, then `midstride restart talker`. The others go on meanwhile.",
-    ]
-    assert main(["up", str(file), "--backend", "sim", "--detach", "--json"]) == 1
-    assert json.loads(capsys.readouterr().out) == report
+    with tempfile.TemporaryDirectory(prefix="ms") as folder:  # a short name: sockets are in it
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        assert main(["up", str(file), "--backend", "sim", "--detach"]) == 1
+        assert capsys.readouterr().out.splitlines() == [
+            "talker is up without talker (listener).",
+            f"Missing: talker could not be restored: {missing['talker'].splitlines()[0]}",
+            "no device",
+            "Fix the cause, then `midstride restart talker`. The others go on meanwhile.",
+        ]
+        assert main(["up", str(file), "--backend", "sim", "--detach", "--json"]) == 1
+        assert json.loads(capsys.readouterr().out) == report
 
 
 def test_without_a_terminal_up_prints_each_step_once(midstride: Midstride) -> None:

@@ -109,7 +109,11 @@ def test_as_a_command(midstride: Midstride) -> None:
 
 @pytest.mark.parametrize(
     ("number", "moment"),
-    [(signal.SIGINT, "hand over"), (signal.SIGTERM, "hand over"), (signal.SIGINT, "watching the subscribers")],
+    [
+        (signal.SIGINT, "hand over"),
+        pytest.param(signal.SIGTERM, "hand over", marks=pytest.mark.full),
+        pytest.param(signal.SIGINT, "watching the subscribers", marks=pytest.mark.full),
+    ],
 )
 def test_an_interrupted_demo_shuts_down_in_order(midstride: Midstride, number: signal.Signals, moment: str) -> None:
     """In the middle of a plan's steps, and while it measures."""

@@ -6,6 +6,8 @@ import os
 import signal
 from pathlib import Path
 
+import pytest
+
 from tests.cli.conftest import EXAMPLES, Midstride
 
 TALKER = str(EXAMPLES / "talker" / "talker.json")
@@ -51,6 +53,7 @@ def test_a_change_is_shown_and_rolled_back(midstride: Midstride) -> None:
     assert unknown.status == 1 and "the history has no version 9 of the specification" in unknown.err
 
 
+@pytest.mark.full
 def test_the_next_manager_has_the_history_of_the_one_that_was_killed(midstride: Midstride) -> None:
     up(midstride)
     os.kill(midstride.manager("talker"), signal.SIGKILL)
@@ -61,6 +64,7 @@ def test_the_next_manager_has_the_history_of_the_one_that_was_killed(midstride: 
     assert document["damaged"] is None
 
 
+@pytest.mark.full
 def test_a_damaged_history_is_kept_aside(midstride: Midstride, tmp_path: Path) -> None:
     up(midstride)
     assert midstride("down").status == 0

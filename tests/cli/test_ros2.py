@@ -73,6 +73,7 @@ def test_a_system_from_up_to_down(midstride: Midstride) -> None:
     until(lambda: not any(map(alive, {*before, *after})), "components are left")
 
 
+@pytest.mark.full
 def test_components_outlive_their_manager_and_are_reattached(midstride: Midstride) -> None:
     assert midstride("up", TALKER, "-d").status == 0
     assert midstride("replace", "talker", "NewTalker", "--yes").status == 0

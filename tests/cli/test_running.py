@@ -352,12 +352,15 @@ def test_the_log_of_a_running_manager_is_cut(midstride: Midstride) -> None:
     ("program", "message"),
     [
         ("import nothing_of_the_kind\n", "No module named 'nothing_of_the_kind'"),
-        ("raise SystemExit(3)\n", "talker exited with status 3 before it registered"),
-        (
+        pytest.param(
+            "raise SystemExit(3)\n", "talker exited with status 3 before it registered", marks=pytest.mark.full
+        ),
+        pytest.param(
             (EXAMPLES / "talker" / "talker.py").read_text().replace('"out"', '"output"'),
             "output out is declared, but the node does not have it",
+            marks=pytest.mark.full,
         ),
-        (None, "can't open file"),
+        pytest.param(None, "can't open file", marks=pytest.mark.full),
     ],
 )
 def test_a_component_that_does_not_come_up(

@@ -146,9 +146,14 @@ def name_of(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
-MARKS = {"docs/how-to/verify.md": (pytest.mark.alloy, pytest.mark.full)}
+def marks(name: str) -> list[pytest.MarkDecorator]:
+    """In `make test` are the pages that lead to the others."""
+    alloy = [pytest.mark.alloy] if name == "docs/how-to/verify.md" else []
+    return alloy + ([pytest.mark.full] if name.startswith(("docs/how-to/", "examples/")) else [])
+
+
 WITH_CODE = [
-    pytest.param(page, marks=MARKS.get(name_of(page), ()), id=name_of(page))
+    pytest.param(page, marks=marks(name_of(page)), id=name_of(page))
     for page in PAGES
     if any(snippet.language in RUN for snippet in snippets(page))
 ]

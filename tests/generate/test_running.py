@@ -46,7 +46,7 @@ def modes(midstride: Midstride) -> dict[str, str]:
 @pytest.mark.parametrize(
     "backend",
     [
-        "sim",
+        pytest.param("sim", marks=pytest.mark.full),
         pytest.param("ros2", marks=(pytest.mark.ros2, pytest.mark.full)),
         pytest.param("ros1", marks=(pytest.mark.ros1, pytest.mark.full)),
     ],

@@ -24,7 +24,7 @@ from midstride.model.action import (
 from midstride.model.component import Connector
 from midstride.model.configuration import Configuration, SystemContext, configure
 from midstride.runtime.backend import Exited
-from midstride.runtime.handover import ATTACH_TIMEOUT, DETACH_TIMEOUT
+from midstride.runtime.new_publishers import ATTACH_TIMEOUT, DETACH_TIMEOUT
 from midstride.wire.commands import (
     AnswerCommand,
     AttachCommand,

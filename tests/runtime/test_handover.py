@@ -15,17 +15,14 @@ from midstride.model.action import Swap
 from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode, PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.agreed_cut import FIND_TIMEOUT, RESUME_PERIODS, RESUME_WITHOUT_RATE, SHORTEST_RESUME
-from midstride.runtime.handover import (
+from midstride.runtime.handover import LEADS, MEET_ATTEMPTS, MEET_TIMEOUT, LiveHandover
+from midstride.runtime.new_publishers import (
     ATTACH_TIMEOUT,
     CALLS,
     CALLS_PATIENCE,
     DETACH_TIMEOUT,
-    LEADS,
-    MEET_ATTEMPTS,
-    MEET_TIMEOUT,
     OUTSIDE_READERS_TIMEOUT,
     PROBATION,
-    LiveHandover,
 )
 from midstride.runtime.simulated_time import LONGEST_STRETCH
 from midstride.runtime.state_transfers import StateTransfers

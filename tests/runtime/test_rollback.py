@@ -88,7 +88,7 @@ async def differing(manager: Manager) -> list[str]:
 CASES = [
     ("talker", replace("talker", "NewTalker")),
     ("talker", replace("talker", "NewTalker", "paper")),
-    ("filter", replace("filter", "MedianFilter")),
+    pytest.param("filter", replace("filter", "MedianFilter"), marks=pytest.mark.full),
     ("obstacle", replace("detector", "StereoDetector", "quiesce")),
     ("obstacle", PlanRequest(remove=("detector",))),
 ]

@@ -375,7 +375,13 @@ def _moments() -> list[float]:
 
 @pytest.mark.parametrize("messages", [False, pytest.param(True, marks=pytest.mark.full)])
 @pytest.mark.parametrize(
-    "victims", [("counter",), ("counter_2",), ("manager",), ("counter", "manager"), ("counter_2", "manager")]
+    "victims",
+    [
+        ("counter",),
+        ("counter_2",),
+        *(pytest.param(those, marks=pytest.mark.full) for those in (("manager",), ("counter", "manager"))),
+        ("counter_2", "manager"),
+    ],
 )
 def test_whatever_dies_at_whichever_moment_no_number_is_missing_or_doubled(
     victims: tuple[str, ...], messages: bool, tmp_path: Path

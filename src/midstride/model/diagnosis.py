@@ -33,17 +33,18 @@ class Diagnosis:
     def chain(self, ref: FunctionalityRef, mode: int = 0, most: int = 4) -> tuple[str, ...]:
         """Why ``ref`` cannot be in its mode number ``mode``, then why its suppliers cannot help; () if it can.
 
-        Each functionality occurs once, so a cycle ends. After ``most`` reasons only the root cause on the first path.
+        Each mode of a functionality occurs once, so a cycle ends. After ``most`` reasons only the root cause on the
+        first path.
         """
         found: list[str] = []
-        seen = {ref}
+        seen = {(ref, mode)}
         waiting = deque([(ref, mode)])
         while waiting and len(found) < most:
             reasons, suppliers = self._step(waiting.popleft())
             found += reasons
             for other in suppliers:
-                if other[0] not in seen:
-                    seen.add(other[0])
+                if other not in seen:
+                    seen.add(other)
                     waiting.append(other)
         if waiting and (end := self._end(waiting[0])) and end not in found:
             found.append(f"… root cause: {end}")

@@ -184,7 +184,7 @@ class Attachments:
             if link.endpoint.matched() >= wanted and _missing(link, reader_ids) == 0:
                 break
             await self.host.sleep(TICK)
-        return max(0, link.endpoint.matched() - _missing(link, reader_ids))
+        return link.endpoint.matched() - _missing(link, reader_ids)
 
     # -- data thread -------------------------------------------------------------------------------
 

@@ -10,6 +10,8 @@ from collections.abc import Awaitable, Callable, Collection, Container, Mapping,
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
+from immutables import Map
+
 from midstride.errors import CallTimeout, CommandRefused, MidstrideError, StepFailed, Unreachable
 from midstride.model.action import (
     Action,
@@ -32,8 +34,9 @@ from midstride.runtime.backend import Backend
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
 from midstride.runtime.fencing import Fences
-from midstride.runtime.handover import ATTACH_TIMEOUT, DETACH_TIMEOUT, LiveHandover
+from midstride.runtime.handover import LiveHandover
 from midstride.runtime.launcher import Launcher
+from midstride.runtime.new_publishers import ATTACH_TIMEOUT, DETACH_TIMEOUT
 from midstride.runtime.observed_configuration import own_degradations_in
 from midstride.runtime.parameter_transfer import ParameterTransfer
 from midstride.runtime.probation import watch_after
@@ -382,10 +385,9 @@ class ActionDriver:
             self._is_gone,
             states,
             self.fences,
+            self._carry_parameters,
+            Map() if self.rolling_back else self.timing,
         )
-        handover.before_cut = self._carry_parameters
-        if not self.rolling_back:
-            handover.timing = self.timing
         self.last_numbers |= await handover.run()
         self.late |= states.late
 

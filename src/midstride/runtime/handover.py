@@ -32,8 +32,7 @@ from midstride.runtime.answering import have_answer
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
 from midstride.runtime.fencing import Fences
-from midstride.runtime.probation import require_rate
-from midstride.runtime.simulated_time import stretch
+from midstride.runtime.new_publishers import DETACH_TIMEOUT, NewPublishers
 from midstride.runtime.state_transfers import StateTransfers
 from midstride.wire import commands
 from midstride.wire.commands import CutResult
@@ -47,17 +46,6 @@ LONGEST_LEAD: Final = 10.0
 AT_ONCE: Final = 0.2
 # One that refuses a cut after this part of the time ahead of it was busy until then.
 SLOW: Final = 0.9
-# How long the new component may take to write once behind its gate (s), on top of 10 of its periods.
-PROBATION: Final = 5.0
-# From how many calls its code must have returned behind the gate, as far as they come within so many seconds of its
-# first message: what raises at once in most cases is not let in, and a slow component costs no time.
-CALLS: Final = 3
-CALLS_PATIENCE: Final = 0.5
-ATTACH_TIMEOUT: Final = 5.0
-# How long to wait for readers outside the model, such as `ros2 topic echo` (s). By default the middleware's discovery
-# announces every 3 s. The limit is for readers that were killed and that the middleware still counts.
-OUTSIDE_READERS_TIMEOUT: Final = 4.0
-DETACH_TIMEOUT: Final = 2.0
 # How often, and how long each time (s), the two sides try to connect to each other.
 MEET_ATTEMPTS: Final = 10
 MEET_TIMEOUT: Final = 0.5
@@ -104,11 +92,15 @@ class LiveHandover:
     fences: Fences
     before_cut: Callable[[str, str], Awaitable[None]] | None = None
     timing: Mapping[str, float] = field(default_factory=Map)  # of the specification
-    _begun: list[Swap] = field(default_factory=list)
-    _attached: list[Swap] = field(default_factory=list)
+    _new: NewPublishers = field(init=False)
     _cuts: list[Cut] = field(default_factory=list)
     _too_slow: bool = False  # the old side was not free until the last moment that was tried
     _published: bool = False  # the new side has published after the cut
+
+    def __post_init__(self) -> None:
+        self._new = NewPublishers(
+            self.client, self.events, self.configuration, self.lingering_readers, self.is_gone, self.timing
+        )
 
     async def run(self) -> dict[PortRef, int | None]:
         """The number of each old output's last message. Raises StepFailed with the reason.
@@ -129,7 +121,8 @@ class LiveHandover:
             if self.is_gone(swap.old.instance) or swap.old.instance in self.fences.fenced:
                 continue
             try:
-                await self.client.change(swap.old.instance, self._detachment(swap.old, swap))
+                detach = commands.DetachCommand(port=swap.old.port, topic=self._topic(swap), timeout=DETACH_TIMEOUT)
+                await self.client.change(swap.old.instance, detach)
             except MidstrideError as error:
                 words = f"{swap.old} could not be taken off {swap.connector} after the hand-over: {error}"
                 self.events.add("note", words)
@@ -167,7 +160,7 @@ class LiveHandover:
                 attempt = self._await_cuts
             else:
                 await self._undo()
-                self._begun, self._attached, self._cuts = [], [], []
+                self._cuts = []
                 attempt = partial(self._agree, (max(LEADS[-1], min(LONGEST_LEAD, deadline - self.fences.now())),))
 
     async def _have_exited(self) -> bool:
@@ -197,11 +190,13 @@ class LiveHandover:
             name: await publishers_found(self.client, self.configuration, name, self.is_gone) for name in connectors
         }
         for swap in self.swaps:
-            await self._attach_gated(swap)
+            with _old_side_needed():
+                readers, ids = await self._new.readers(swap)
+            await self._new.attach_beside(swap, readers, ids)
         for connector in connectors:
             await require_found(self.client, self.configuration, self.swaps, connector, found[connector], self.is_gone)
         for swap in self.swaps:
-            await self._await_probation(swap)
+            await self._new.await_probation(swap)
         for old, new in pairs:
             with _old_side_needed():
                 await self._meet(new, old)
@@ -232,10 +227,10 @@ class LiveHandover:
         waiting = [swap for swap in self.swaps if not any(swap in cut.swaps for cut in published)]
         await self._cancel(cut for cut in self._cuts if cut not in published)
         for swap in waiting:
-            if swap not in self._attached:
-                await self._attach(swap, readers=0)
+            if not self._new.attached(swap):
+                await self._new.attach(swap)
         for swap in waiting:
-            await self._await_probation(swap)
+            await self._new.await_probation(swap)
         if hung and not last:
             await self._before_cut()
             last = await self._fence(hung)
@@ -296,79 +291,6 @@ class LiveHandover:
     def _topic(self, swap: Swap) -> str:
         return self.configuration.topic(swap.connector)
 
-    async def _attach_gated(self, swap: Swap) -> None:
-        """Attach the new publisher with a closed gate, and wait until it is matched with the subscribers of the model.
-
-        It should also match as many readers as the old publisher does; if it does not, that is noted.
-        """
-        with _old_side_needed():
-            readers, ids = await self._readers(swap)
-        matched = await self._attach(swap, readers, ids)
-        # Asked again if some are missing: the old publisher may have counted readers whose lease was about to expire.
-        if matched < readers and matched < (readers := (await self._readers(swap))[0]):
-            self.events.add(
-                "note",
-                f"{swap.old} had {readers} readers on {swap.connector}, and {swap.new} has found {matched} of them: "
-                "subscribers outside this system may miss messages",
-            )
-
-    async def _readers(self, swap: Swap) -> tuple[int, list[str]]:
-        """How many living readers the old publisher has, and which, unless some of them are dead."""
-        topic = self._topic(swap)
-        grid = await self.client.read(swap.old.instance, commands.GridCommand(port=swap.old.port, topic=topic))
-        dead = await self.lingering_readers(topic)
-        return (grid.readers or 0) - dead, [] if dead else grid.reader_ids
-
-    async def _attach(self, swap: Swap, readers: int, ids: Sequence[str] = ()) -> int:
-        """Attach the new publisher with a closed gate; how many readers it is matched with."""
-        topic = self._topic(swap)
-        subscribers = self.configuration.subscribers_on(swap.connector)
-        attach = commands.AttachCommand(
-            port=swap.new.port,
-            topic=topic,
-            gate="closed",
-            peers=sum(not self.is_gone(port.instance) for port in subscribers),
-            everyone=readers,
-            reader_ids=list(ids),
-            patience=OUTSIDE_READERS_TIMEOUT,
-            timeout=ATTACH_TIMEOUT + OUTSIDE_READERS_TIMEOUT,
-        )
-        self._begun.append(swap)
-        matched = (await self.client.change(swap.new.instance, attach)).matched
-        self._attached.append(swap)
-        return matched
-
-    async def _await_probation(self, swap: Swap) -> None:
-        rate = self.configuration.rate(swap.new)
-        duration = self._stretch(swap.old.instance)  # of a second of its clock (s)
-        timeout = PROBATION + (10 / rate * duration if rate else 0.0)
-        # Without a rate, messages drive it, or it is called once.
-        calls = min(CALLS, 1 + int(rate / duration * CALLS_PATIENCE)) if rate else 1
-        await_write = commands.AwaitWriteCommand(
-            port=swap.new.port, topic=self._topic(swap), calls=calls, patience=CALLS_PATIENCE, timeout=timeout
-        )
-        seen = await self.client.read(swap.new.instance, await_write)
-        if seen.wrong_type:
-            raise StepFailed(f"{swap.new} wrote a message of the wrong type behind its gate: {seen.wrong_type}")
-        if seen.failed:
-            raise StepFailed(f"the code that writes {swap.new} has raised behind its gate")
-        if not seen.gated:
-            because = await self._waits_for(swap.new.instance)
-            raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over{because}")
-        if rate:
-            await require_rate(self.client, swap.new, self._topic(swap), rate, self.timing, duration)
-
-    def _stretch(self, instance: str) -> float:
-        latest = self.client.latest(instance)
-        return stretch(None if latest is None else latest.state)
-
-    async def _waits_for(self, instance: str) -> str:
-        """What the component waits for, if anything, as the end of a sentence."""
-        with contextlib.suppress(MidstrideError):
-            if (waiting := (await self.client.peek(instance)).waiting) is not None:
-                return f": {waiting}"
-        return ""
-
     async def _meet(self, new: str, old: str) -> None:
         """Have the new side connect to the old one.
 
@@ -418,7 +340,7 @@ class LiveHandover:
             because = incoming.because or outgoing.because
             reason = "" if because is None else f": {because}"
             if incoming.outcome != "done" and not any(incoming.first.values()):
-                reason = reason or await self._waits_for(cut.new)
+                reason = reason or await self._new.waits_for(cut.new)
                 what = "publish after the cut" if cut.swaps else "take over"
                 # An old side that is busy with exporting its state does not hang.
                 failed = OldSideFailed if because is None else StepFailed
@@ -432,7 +354,7 @@ class LiveHandover:
         return last
 
     def _await_cut(self, cut: Cut) -> commands.AwaitCutCommand:
-        timeout = max(each.timeout(self._stretch(each.old)) for each in self._cuts)
+        timeout = max(each.timeout(self._new.stretch(each.old)) for each in self._cuts)
         return commands.AwaitCutCommand(cut=cut.id, timeout=timeout)
 
     async def _cancel(self, cuts: Iterable[Cut]) -> None:
@@ -446,8 +368,4 @@ class LiveHandover:
         """Reopen the gates of the old publishers and detach the new ones, as far as they can be reached."""
         await self.fences.lift({old for old, _ in self._pairs})
         await self._cancel(self._cuts)
-        for swap in self._begun:
-            await self.client.undo(swap.new.instance, self._detachment(swap.new, swap))
-
-    def _detachment(self, port: PortRef, swap: Swap) -> commands.DetachCommand:
-        return commands.DetachCommand(port=port.port, topic=self._topic(swap), timeout=DETACH_TIMEOUT)
+        await self._new.detach()

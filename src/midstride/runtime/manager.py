@@ -12,25 +12,22 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import secrets
-from collections.abc import AsyncIterator, Collection, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Mapping
 from contextlib import AbstractAsyncContextManager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 from midstride.codec.configuration import ConfigurationForm
-from midstride.errors import CommandRefused, ManagerError, MidstrideError, PlanRefused, StepFailed
+from midstride.errors import ManagerError, MidstrideError
 from midstride.model.component import ParameterValue
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification, initial
-from midstride.plan.change_builder import change_between
 from midstride.plan.plan import Plan
-from midstride.plan.registry import planner
 from midstride.plan.request import PlanRequest
-from midstride.plan.runtime_values import of_change
 from midstride.runtime import status
 from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.backend import Backend
+from midstride.runtime.bring_up import BringUp
 from midstride.runtime.change_session import ChangeSession
 from midstride.runtime.component_client import ComponentClient, ComponentEvent
 from midstride.runtime.discovery_watch import DiscoveryWatch
@@ -40,14 +37,12 @@ from midstride.runtime.executor import Executor
 from midstride.runtime.fencing import DEFAULT_WAIT
 from midstride.runtime.history import History, SpecificationVersion
 from midstride.runtime.journal import Journal
-from midstride.runtime.journal_records import Interrupted, NewChange
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.lowered import in_words, lowered_functionalities
 from midstride.runtime.observed_configuration import observe
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.programs import Programs
 from midstride.runtime.reconciler import Reconciler
-from midstride.runtime.recovery import recover
 from midstride.runtime.reports import (
     Event,
     LiveConfiguration,
@@ -63,7 +58,7 @@ from midstride.runtime.respawn import Respawner
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.runtime_verification import Verifier
 from midstride.runtime.silence import SilenceMonitor
-from midstride.runtime.state_store import SavedState, StateStore
+from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import SetParametersCommand
 from midstride.wire.state import ComponentState
@@ -181,11 +176,12 @@ class Manager:
             interrupted = await self._journal.take_over()
             if self._journal.damaged is not None:
                 self.events.add("note", self._journal.damaged)
-            absent = set() if saved is None else await self._recover(saved, interrupted)
+            bring_up = self._bring_up()
+            absent = set() if saved is None else await bring_up.recover(saved, interrupted)
             try:
                 missing: dict[str, str] = {}
-                if saved is None or not await self._finish(absent, interrupted):
-                    missing = await self._restore_missing(absent, is_new=saved is None)
+                if saved is None or not await bring_up.finish(absent, interrupted):
+                    missing = await bring_up.restore_missing(absent, is_new=saved is None)
             except BaseException:
                 if saved is None and not self._launcher.handles:
                     self._store.forget()
@@ -201,107 +197,21 @@ class Manager:
             outcome: Literal["done", "incomplete"] = "incomplete" if missing else "done"
             return UpReport(outcome, sorted(self.configuration.instances), lowered, missing)
 
-    async def _restore_missing(self, absent: set[str], *, is_new: bool) -> dict[str, str]:
-        """Bring up what does not run, without the roles ``absent``; returns why each of the others could not be.
-
-        One that cannot be started does not keep the others down, or the manager from managing what runs. Raises
-        StepFailed or PlanRefused where nothing else runs, or all roles do.
-        """
-        present = self.configuration.instances_by_role
-        gone = [role for role in self.specification.roles() if role not in absent and not present.get(role)]
-        missing, alone = dict.fromkeys(gone, ""), not self.configuration.instances
-        for group in [gone, *([role] for role in gone if len(gone) > 1)]:
-            try:
-                without = {*absent, *missing}.difference(group)
-                await self._complete(without, self.specification, is_new=is_new)
-            except (PlanRefused, StepFailed) as error:
-                if alone or not gone:
-                    raise
-                missing |= dict.fromkeys(group, str(error))
-            else:
-                missing = {role: because for role, because in missing.items() if role not in group}
-                if not missing:
-                    break
-        return missing
-
-    async def _finish(self, absent: Collection[str], interrupted: Sequence[Interrupted]) -> bool:
-        """Finish the change that an earlier manager began, if that is the system's policy; whether that was possible.
-
-        If not, the caller rolls it back.
-        """
-        if not interrupted or not self._options.finish_interrupted:
-            return False
-        change = interrupted[-1]
-        if change.target == self.specification:
-            return False
-        try:
-            await self._complete(absent, change.target)
-        except (PlanRefused, StepFailed) as error:
-            if isinstance(error, StepFailed) and error.outcome != "rolled_back":
-                raise
-            self.events.add("note", f"`{change.command}` was interrupted, and cannot be finished: {error}")
-            return False
-        return True
-
-    async def _complete(self, absent: Collection[str], specification: Specification, *, is_new: bool = False) -> None:
-        """Bring up the part of ``specification`` that does not run, without the roles ``absent``; ``is_new``: none ran.
-
-        Raises StepFailed after a roll-back.
-        """
-        running = self.specification
-        target = specification
-        for role in absent:
-            if role in target.nodes:
-                target = target.without_node(role)
-        change = change_between(self.configuration, running, target)
-        parameters = of_change(change, self.system.values.by_role(self.configuration))
-        plan = replace(await asyncio.to_thread(planner("minimal"), change), parameters=parameters)
-        # Before any component has the token.
-        self._store.begin(self._backend.name, self._client.token, running, self._options, self._file)
-        if plan.steps or specification != running:
-            new = NewChange("up", None, None if is_new else running, specification, len(plan.steps))
-            entry = await self._journal.begin(new, required=False)
-            outcome = await self._session.carry_out(plan, specification, entry)
-            if outcome.outcome != "done":
-                raise StepFailed(str(outcome.because), outcome.outcome)
-        else:
-            self.system.configuration = change.settled(self.configuration)
-
-    async def _recover(self, saved: SavedState, interrupted: Iterable[Interrupted]) -> set[str]:
-        """Find what an earlier manager left, and degrade what has lost its support.
-
-        Returns the roles of components that are started by hand and do not run: nothing can restore these. Raises
-        ManagerError if a component hangs, or the earlier manager ran another system.
-        """
-        if saved.backend != self._backend.name:
-            raise ManagerError(
-                f"{self._workspace.name} runs on {saved.backend}; use that back end, or `midstride down` first"
-            )
-        if saved.specification != self.specification:
-            raise ManagerError(
-                f"{self._workspace.name} is running with another specification; "
-                "`midstride apply` changes a running system, `midstride down` ends it"
-            )
-        self.system.values.saved = dict(saved.values)
-        targets = [change.target for change in interrupted]
-        self.system.configuration = await recover(
-            saved.instances, self.specification, self._launcher, self._client, self.events, targets
+    def _bring_up(self) -> BringUp:
+        return BringUp(
+            self.system,
+            self._client,
+            self._launcher,
+            self._reconciler,
+            self._session,
+            self._store,
+            self._journal,
+            self.events,
+            self._options,
+            self._backend.name,
+            self._workspace.name,
+            self._file,
         )
-        gone = [each.instance for each in saved.instances if each.instance.name not in self.configuration.instances]
-        for instance in gone:
-            self._store.remove_instance(instance.name)
-            self.system.lost(instance)
-        self.system.forget_filled_roles()
-        self._reconciler.save_values()
-        names = ", ".join(instance.name for instance in gone)
-        await self._reconciler.reconcile_all(f"{names} exited" if names else "its input was lost")
-        if any(isinstance(error, CommandRefused) for error in self._reconciler.pending.values()):
-            await self._reconciler.reconcile()  # its state had just changed
-        if pending := self._reconciler.pending:
-            words = "; ".join(f"{ref} has lost its input and could not be degraded: {e}" for ref, e in pending.items())
-            raise ManagerError(f"{words}. End the process that hangs with `kill -9`, then run `midstride up` again")
-        present = self.configuration.instances_by_role
-        return {each.role for each in gone if each.component.run is None and not present.get(each.role)}
 
     async def close(self) -> None:
         """Disconnect; the components keep running."""
