@@ -89,6 +89,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                     for warning in _ROS_WARNINGS:
                         item.add_marker(pytest.mark.filterwarnings(warning))
                     if os.environ.get("MIDSTRIDE_RERUN_ROS"):
-                        item.add_marker(pytest.mark.flaky(reruns=1))
+                        item.add_marker(pytest.mark.flaky(reruns=2))
                 if reason := _unavailable(marker):
                     item.add_marker(pytest.mark.skip(reason=reason))

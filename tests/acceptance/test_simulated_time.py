@@ -121,10 +121,11 @@ def test_nothing_is_missed_in_simulated_time_and_a_bare_recorder_agrees(
         inside = [row for row in rows if begin <= row.received <= observed.ended]
         outside = report_on_ros_clock(changed(observed, rows=inside), moments)
         assert (swap.lost, swap.duplicates) == (outside.lost, outside.duplicates) == (0, 0)
-        # A message at either end of the window may have reached one of the two within it.
-        assert swap.missed is not None and outside.missed is not None and abs(swap.missed - outside.missed) <= 1
-    # A busy machine calls a publisher of 100 messages per second too late now and then. On the steady clock, most were
-    # missed at half the speed.
+        # A message at either end of the window may have reached one of the two within it. A busy machine calls a
+        # publisher of 100 messages per second too late now and then, and brings `/clock` too late to one of the two.
+        most = 1 if speed < 1 else 10
+        assert swap.missed is not None and outside.missed is not None and abs(swap.missed - outside.missed) <= most
+    # On the steady clock, most were missed at half the speed.
     assert all(swap.missed is not None and swap.missed <= (0 if speed < 1 else 10) for swap in swaps)
     publishers = {row.publisher for row in rows}
     assert len(publishers) == 4 or None in publishers  # jazzy identifies none
