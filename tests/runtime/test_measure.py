@@ -172,6 +172,16 @@ def test_a_last_message_late_by_more_than_a_period_is_not_taken_for_two_faults(l
     assert (seen.missed, seen.lost, seen.duplicates) == (0, 0, 0)
 
 
+def test_an_early_first_message_is_not_taken_for_two_faults() -> None:
+    recorder = Recorder()
+    for slot in range(40):
+        recorder.write("old", slot)
+    for slot in range(40, 80):
+        recorder.write("new", slot, late=-9 * MS if slot == 40 else 0)
+    seen = recorder.observe(35, 80, last=40)
+    assert (seen.missed, seen.lost, seen.duplicates) == (0, 0, 0)
+
+
 @pytest.mark.parametrize("phase", [0.1, 0.3, 0.5, 0.7, 0.74, 0.76, 0.9])
 def test_a_new_grid_of_another_phase_is_counted_evenly(phase: float) -> None:
     recorder = Recorder()

@@ -169,6 +169,7 @@ def _slots(rows: Sequence[Receipt], by_side: _Publishers, period: float, ended: 
     origin = _phase([_source(row) for row in by_side[old]], step)
     slots = {name: list(_assign([_source(row) for row in by_side[name]], origin, step)) for name in names}
     _shift_late(slots)
+    _shift_early(slots)
     taken: dict[int, set[str]] = {}
     for name, own in slots.items():
         for slot in own:
@@ -258,6 +259,22 @@ def _shift_late(written: dict[str, list[int]]) -> None:
         if not free or old[-1] not in new:
             return
         old[:] = [slot - 1 if slot > free[-1] else slot for slot in old]
+
+
+def _shift_early(written: dict[str, list[int]]) -> None:
+    """Assign early first messages of the new publisher to the slots after.
+
+    In simulated time, a message seems early whose subscriber received ``/clock`` late.
+    """
+    sides = sorted((own for own in written.values() if own), key=lambda own: own[0])
+    if len(sides) < 2:
+        return
+    old, new = set(sides[0]), sides[1]
+    for _ in range(_LATE):
+        free = [slot for slot in range(new[0] + 1, min(new[-1], new[0] + _LATE)) if slot not in old and slot not in new]
+        if not free or new[0] not in old:
+            return
+        new[:] = [slot + 1 if slot < free[0] else slot for slot in new]
 
 
 def _lost(by_publisher: _Publishers | None, by_side: _Publishers | None, seen: Observation) -> int | None:
