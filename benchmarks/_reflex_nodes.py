@@ -1,7 +1,7 @@
 """The nodes of benchmarks/reflex.py: a publisher with faults on request, components that rely on it, and bare rclpy.
 
 ``source FOLDER`` and ``stage FOLDER`` are components. ``speaker FOLDER`` and ``reader FOLDER`` are bare nodes: a
-publisher with the same faults and a heartbeat of its own, and a subscriber with the three usual remedies.
+publisher with the same faults and a heartbeat, and a subscriber with the three usual remedies.
 
 The publishers write at 50 Hz, or at MIDSTRIDE_REFLEX_RATE. While the file ``hung`` is in the folder their call does not
 return, while ``slow`` is they write every fifth message, and when ``crashed`` is they kill themselves. What notices it
@@ -66,7 +66,7 @@ def source(folder: Path) -> None:
 
 
 def stage(folder: Path) -> None:
-    """Writes at a rate of its own while its assumption holds."""
+    """Writes at a fixed rate while its assumption holds."""
     from std_msgs.msg import String
 
     from midstride import Component

@@ -328,7 +328,6 @@ def test_the_lease_is_taken_once_the_disk_has_room(tmp_path: Path) -> None:
     async def body() -> None:
         first, disk = journal(tmp_path), Unreliable()
         await first.take_over()
-        first.close()
         disk.full = True
         second = journal(tmp_path, disk)
         assert await second.take_over() == [] and "disk is full" in str(second.unwritten)
@@ -337,6 +336,8 @@ def test_the_lease_is_taken_once_the_disk_has_room(tmp_path: Path) -> None:
         assert second.unwritten is None and len(await changes(second)) == 1
         with pytest.raises(Superseded):
             await first.begin(new())
+        first.close()
+        second.close()
 
     run(body)
 
@@ -383,6 +384,31 @@ def test_a_slow_disk_does_not_hold_up_the_event_loop(tmp_path: Path) -> None:
         assert ticks > 10
         disk.seconds = 0.0
         found.close()
+
+    run(body)
+
+
+def test_what_is_being_written_is_in_the_file_when_it_is_closed_and_nothing_is_written_after(tmp_path: Path) -> None:
+    async def body() -> None:
+        disk = Unreliable()
+        found = journal(tmp_path, disk)
+        await found.take_over()
+        entry = await found.begin(new())
+        disk.seconds = 0.2
+        writing = [asyncio.ensure_future(entry.step(words)) for words in ("create talker_2", "attach it")]
+        await asyncio.sleep(0.05)
+        for each in writing:  # one is in the thread, one waits for it
+            each.cancel()
+        await asyncio.gather(*writing, return_exceptions=True)
+        found.close()
+        disk.seconds = 0.0
+        reader = journal(tmp_path)
+        assert [step.words for step in (await changes(reader))[0].steps] == ["create talker_2", "attach it"]
+        reader.close()
+        shutil.rmtree(tmp_path)
+        with pytest.raises(ManagerError, match="closed"):
+            await entry.step("hand over")
+        assert not tmp_path.exists()
 
     run(body)
 

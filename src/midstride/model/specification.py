@@ -45,6 +45,11 @@ HANDOVER_SECONDS: Final[Mapping[str, float]] = Map({"probation": 0.0, "probation
 TIMING: Final = (*DEFAULT_SECONDS, *HANDOVER_SECONDS)
 
 
+def handover_seconds(timing: Mapping[str, float], name: str) -> float:
+    """What ``timing`` states for one of HANDOVER_SECONDS, or its default (s)."""
+    return timing.get(name, HANDOVER_SECONDS[name])
+
+
 @dataclass(frozen=True, slots=True)
 class Node:
     """A role: its component, the topics its ports are attached to, and its own parameter values.

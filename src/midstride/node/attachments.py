@@ -178,13 +178,13 @@ class Attachments:
         The number alone may be right while one of the readers that are waited for is missing and another has come.
         """
         deadline = self.host.steady() + int(patience * 1e9)
-        while self.host.steady() < deadline:
-            if handed_over and isinstance(link, OutputLink) and link.output.owner.failed:
-                break  # it will not be
-            if link.endpoint.matched() >= wanted and _missing(link, reader_ids) == 0:
-                break
+        while True:
+            matched, missing = link.endpoint.matched(), _missing(link, reader_ids)
+            # An output whose code has failed will not be handed over to.
+            failed = handed_over and isinstance(link, OutputLink) and link.output.owner.failed
+            if failed or (matched >= wanted and not missing) or self.host.steady() >= deadline:
+                return matched - missing
             await self.host.sleep(TICK)
-        return link.endpoint.matched() - _missing(link, reader_ids)
 
     # -- data thread -------------------------------------------------------------------------------
 

@@ -16,7 +16,7 @@ from immutables import Map
 from midstride.model.action import Swap
 from midstride.model.component import ComponentSpec, FunctionalityRef, ParameterValue, PortRef
 from midstride.model.configuration import Configuration, Instance
-from midstride.model.specification import DEFAULT_SECONDS, Specification
+from midstride.model.specification import DEFAULT_SECONDS, Specification, handover_seconds
 
 Attachment = tuple[PortRef, str]
 
@@ -85,8 +85,8 @@ class Change:
         else:
             found = timing.get(kind, DEFAULT_SECONDS[kind])
             if kind == "handover":
-                found += timing.get("probation", 0.0)
-        return found + timing.get("watch_after", 0.0) if kind == "handover" else found
+                found += handover_seconds(timing, "probation")
+        return found + handover_seconds(timing, "watch_after") if kind == "handover" else found
 
     def sibling(self, connector: str) -> str | None:
         """The old connector of a topic whose contract changes, given the new one; else None."""

@@ -27,6 +27,7 @@ from midstride.model.action import (
 )
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
+from midstride.model.specification import handover_seconds
 from midstride.plan.plan import Plan
 from midstride.plan.state import left_behind, without_outputs
 from midstride.runtime.answering import have_answer
@@ -41,7 +42,7 @@ from midstride.runtime.observed_configuration import own_degradations_in
 from midstride.runtime.parameter_transfer import ParameterTransfer
 from midstride.runtime.probation import watch_after
 from midstride.runtime.running_system import RunningSystem
-from midstride.runtime.simulated_time import stretch
+from midstride.runtime.simulated_time import stretch_of
 from midstride.runtime.state_moves import StateMoves
 from midstride.runtime.state_transfers import StateTransfers, keeps_state, own_state
 from midstride.wire import commands
@@ -396,14 +397,13 @@ class ActionDriver:
 
         Raises StepFailed if one breaks what it guarantees.
         """
-        seconds = self.timing.get("watch_after", 0.0)
+        seconds = handover_seconds(self.timing, "watch_after")
         if not isinstance(action, Handover) or not seconds:
             return
         ports = sorted({(swap.new, self.configuration.topic(swap.connector)) for swap in action.swaps})
         self.events.add("watching", f"watching {', '.join(str(port) for port, _ in ports)} for {seconds:g} s")
         outputs = [(port, topic, self.configuration.rate(port) or 0.0) for port, topic in ports]
-        latest = [self.client.latest(port.instance) for port, _ in ports]
-        slowest = max(stretch(None if each is None else each.state) for each in latest)
+        slowest = max(stretch_of(self.client, port.instance) for port, _ in ports)
         try:
             await watch_after(self.client, outputs, seconds, slowest)
         except StepFailed as error:

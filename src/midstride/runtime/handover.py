@@ -33,6 +33,7 @@ from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
 from midstride.runtime.fencing import Fences
 from midstride.runtime.new_publishers import DETACH_TIMEOUT, NewPublishers
+from midstride.runtime.simulated_time import stretch_of
 from midstride.runtime.state_transfers import StateTransfers
 from midstride.wire import commands
 from midstride.wire.commands import CutResult
@@ -354,7 +355,7 @@ class LiveHandover:
         return last
 
     def _await_cut(self, cut: Cut) -> commands.AwaitCutCommand:
-        timeout = max(each.timeout(self._new.stretch(each.old)) for each in self._cuts)
+        timeout = max(each.timeout(stretch_of(self.client, each.old)) for each in self._cuts)
         return commands.AwaitCutCommand(cut=cut.id, timeout=timeout)
 
     async def _cancel(self, cuts: Iterable[Cut]) -> None:

@@ -14,10 +14,10 @@ import os
 import secrets
 import sqlite3
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from threading import Lock
 from typing import Final, TypeVar
 
 import msgspec
@@ -62,8 +62,8 @@ class Journal:
         self._holder = f"{os.getpid()} {secrets.token_hex(8)}"
         self._holds = False  # the lease: taken with the first write to a file
         self._backlog: list[Statement] = []
-        self._lock = Lock()
         self._flushing: asyncio.Task[None] | None = None
+        self._writer = ThreadPoolExecutor(1, "journal")  # one thread: writes happen in order
         self._closed = False
 
     async def take_over(self) -> list[Interrupted]:
@@ -83,15 +83,15 @@ class Journal:
             return []
 
     def close(self) -> None:
-        """Write what is left, if the disk takes it."""
+        """Write what is left, if the disk takes it. Nothing is written after this returns."""
         self._closed = True
         if self._flushing is not None:
             self._flushing.cancel()
+        self._writer.shutdown()  # waits for the writes that have begun, also where nobody awaits them any more
         with suppress(Superseded):
             if self._backlog:
                 self._write(())
-        with self._lock:
-            self._disconnect()
+        self._disconnect()
 
     # -- writing -----------------------------------------------------------------------------------------
 
@@ -139,18 +139,20 @@ class Journal:
             self._backlog.clear()
 
     async def write(self, *statements: Statement) -> None:
-        """Write ``statements``: now, or with a later write if the disk refuses them. Raises Superseded."""
-        await asyncio.to_thread(self._write, statements)
+        """Write ``statements``: now, or with a later write if the disk refuses them.
+
+        Raises Superseded, and ManagerError if the journal is closed.
+        """
+        await self._on_thread(lambda: self._write(statements))
 
     def _write(self, statements: Sequence[Statement]) -> None:
-        with self._lock:
-            try:
-                self._on_database(lambda database: self._commit(database, statements))
-            except Superseded:
-                raise
-            except ManagerError:
-                self._backlog += statements
-                del self._backlog[:-BACKLOG]
+        try:
+            self._on_database(lambda database: self._commit(database, statements))
+        except Superseded:
+            raise
+        except ManagerError:
+            self._backlog += statements
+            del self._backlog[:-BACKLOG]
 
     def _commit(self, database: Database, statements: Sequence[Statement]) -> None:
         waiting = self._backlog[:]
@@ -192,11 +194,13 @@ class Journal:
     # -- the file ----------------------------------------------------------------------------------------
 
     async def _beside(self, use: Callable[[Database], T]) -> T:
-        def locked() -> T:
-            with self._lock:
-                return self._on_database(use)
+        return await self._on_thread(lambda: self._on_database(use))
 
-        return await asyncio.to_thread(locked)
+    async def _on_thread(self, work: Callable[[], T]) -> T:
+        if self._closed:
+            raise ManagerError(f"the journal {self.path} is closed")
+        # What is to be recorded is recorded, also if the caller is cancelled.
+        return await asyncio.shield(asyncio.get_running_loop().run_in_executor(self._writer, work))
 
     def _on_database(self, use: Callable[[Database], T]) -> T:
         """What ``use`` returns. A damaged journal is kept aside. Raises ManagerError, and sets ``unwritten``."""

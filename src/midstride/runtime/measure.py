@@ -244,13 +244,18 @@ def _answers(by_side: _Publishers, inputs: Sequence[int]) -> tuple[int, int] | N
     return missed, sum(1 for count in answered.values() if count > 1)
 
 
+def _sides(written: dict[str, list[int]]) -> list[list[int]]:
+    """What each publisher wrote, the old one first."""
+    return sorted((own for own in written.values() if own), key=lambda own: own[0])
+
+
 def _shift_late(written: dict[str, list[int]]) -> None:
     """Assign late last messages of the old publisher to the slots (or inputs) before.
 
     By time alone, one written after the next slot began counts as a duplicate of the new publisher's message in that
     slot, and the slot that it belongs to as missed.
     """
-    sides = sorted((own for own in written.values() if own), key=lambda own: own[0])
+    sides = _sides(written)
     if len(sides) < 2:
         return
     old, new = sides[0], {slot for own in sides[1:] for slot in own}
@@ -266,7 +271,7 @@ def _shift_early(written: dict[str, list[int]]) -> None:
 
     In simulated time, a message seems early whose subscriber received ``/clock`` late.
     """
-    sides = sorted((own for own in written.values() if own), key=lambda own: own[0])
+    sides = _sides(written)
     if len(sides) < 2:
         return
     old, new = set(sides[0]), sides[1]

@@ -17,7 +17,7 @@ from midstride.model.configuration import Configuration
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
 from midstride.runtime.probation import require_rate
-from midstride.runtime.simulated_time import stretch
+from midstride.runtime.simulated_time import stretch_of
 from midstride.wire import commands
 
 # How long the new component may take to write once behind its gate (s), on top of 10 of its periods.
@@ -103,7 +103,7 @@ class NewPublishers:
     async def await_probation(self, swap: Swap) -> None:
         """Wait until the new publisher has written behind its gate. Raises StepFailed with what it lacks."""
         rate = self.configuration.rate(swap.new)
-        duration = self.stretch(swap.old.instance)  # of a second of its clock (s)
+        duration = stretch_of(self.client, swap.old.instance)  # of a second of its clock (s)
         timeout = PROBATION + (10 / rate * duration if rate else 0.0)
         # Without a rate, messages drive it, or it is called once.
         calls = min(CALLS, 1 + int(rate / duration * CALLS_PATIENCE)) if rate else 1
@@ -120,11 +120,6 @@ class NewPublishers:
             raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over{because}")
         if rate:
             await require_rate(self.client, swap.new, self._topic(swap), rate, self.timing, duration)
-
-    def stretch(self, instance: str) -> float:
-        """By which factor to stretch time-outs that wait for periods of ``instance``."""
-        latest = self.client.latest(instance)
-        return stretch(None if latest is None else latest.state)
 
     async def waits_for(self, instance: str) -> str:
         """What the component waits for, if anything, as the end of a sentence."""

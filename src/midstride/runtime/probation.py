@@ -11,7 +11,7 @@ from typing import Final
 
 from midstride.errors import MidstrideError, StepFailed
 from midstride.model.component import PortRef
-from midstride.model.specification import HANDOVER_SECONDS
+from midstride.model.specification import handover_seconds
 from midstride.runtime.component_client import ComponentClient
 from midstride.wire.commands import AwaitRateCommand, RateVerdict
 
@@ -27,11 +27,11 @@ async def require_rate(
 
     ``stretch`` is how long a second of its clock takes. Raises StepFailed if it has not within the time-out.
     """
-    stated = timing.get("probation", HANDOVER_SECONDS["probation"])
+    stated = handover_seconds(timing, "probation")
     if not stated:
         return
     window = max(stated, SHORTEST_PERIODS / rate)
-    timeout = (window + timing.get("probation_timeout", HANDOVER_SECONDS["probation_timeout"])) * stretch
+    timeout = (window + handover_seconds(timing, "probation_timeout")) * stretch
     command = AwaitRateCommand(port=port.port, topic=topic, rate=rate, window=window, until="met", timeout=timeout)
     verdict = await client.read(port.instance, command)
     if verdict.failed:

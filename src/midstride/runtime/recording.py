@@ -18,7 +18,7 @@ from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.measure import WINDOW_PERIODS, Observation, SwapReport, report, unknown_report
 from midstride.runtime.reports import SilenceFault
 from midstride.runtime.silence import UNRECEIVED, not_receiving
-from midstride.runtime.simulated_time import report_on_ros_clock, stretch
+from midstride.runtime.simulated_time import report_on_ros_clock, stretch_of
 from midstride.wire.commands import Grid, GridCommand, RecordCommand, Records, RecordsCommand
 
 _PortOnTopic: TypeAlias = tuple[PortRef, str]
@@ -158,8 +158,7 @@ class Recording:
         if not self.recorded:
             return self.unknown
         periods = [each.observation.guaranteed_period for each in self.recorded]
-        latest = [self.client.latest(each.input.instance) for each in self.recorded]
-        factor = max(stretch(None if known is None else known.state) for known in latest)
+        factor = max(stretch_of(self.client, each.input.instance) for each in self.recorded)
         tails = [TAIL_WITHOUT_RATE if period is None else WINDOW_PERIODS * period * factor for period in periods]
         begun, before, after = self.clock.steady(), dict[_PortOnTopic, int](), dict[_PortOnTopic, int]()
         records: dict[PortRef, Records] = {}

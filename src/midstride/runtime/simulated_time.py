@@ -15,6 +15,7 @@ from typing import Final
 
 from msgspec import structs
 
+from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.measure import Observation, SwapReport, report
 from midstride.wire.commands import ClockMoment
 from midstride.wire.state import ComponentState
@@ -28,6 +29,12 @@ def stretch(state: ComponentState | None) -> float:
     if state is None or not state.simulated_time or state.clock_speed <= 0:
         return 1.0
     return min(max(1.0, 1 / state.clock_speed), LONGEST_STRETCH)
+
+
+def stretch_of(client: ComponentClient, instance: str) -> float:
+    """As :func:`stretch`, for the state that ``instance`` last reported."""
+    latest = client.latest(instance)
+    return stretch(None if latest is None else latest.state)
 
 
 def report_on_ros_clock(seen: Observation, moments: Sequence[ClockMoment], *, ros_sources: bool = False) -> SwapReport:

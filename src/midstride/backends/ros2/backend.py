@@ -154,7 +154,7 @@ class Ros2Backend(ProcessBackend):
 
     @asynccontextmanager
     async def probe(self) -> AsyncIterator[str | None]:
-        """In threads of their own: a middleware that has deadlocked returns from neither."""
+        """In separate threads: a middleware that has deadlocked returns from neither."""
         if self._probe_stuck:
             yield None
             return
