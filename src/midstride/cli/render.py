@@ -215,7 +215,7 @@ def _fallen_lines(document: Document) -> list[str]:
     if degraded := document.get("degraded"):
         lines.append(f"Degraded unexpectedly meanwhile: {', '.join(degraded)}; see `midstride why {degraded[0]}`.")
     lines += [f"Fenced: {each['words']}." for each in document.get("fenced") or ()]
-    lines += map(_silence, document.get("silences") or ())
+    lines += map(silence, document.get("silences") or ())
     swaps = document.get("swaps") or ()
     lines += [line for swap in swaps if (line := _faults(swap))]
     if lines:
