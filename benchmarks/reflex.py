@@ -199,12 +199,13 @@ def table(runs: Runs) -> list[dict[str, Any]]:
     return rows
 
 
-async def healthy(system: System, falls: Falls, seconds: float) -> list[dict[str, Any]]:
-    """Both cores busy, and no fault."""
+async def healthy(system: System, falls: Falls, seconds: float, nice: int) -> list[dict[str, Any]]:
+    """Every processor busy, and no fault. ``nice``: the niceness of the busy processes."""
     await system.restored()
     names = {**{name: name for name in CHAIN[1:]}, **REMEDIES}
     before = {words: falls.count(name) for words, name in names.items()}
-    burners = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2 * (os.cpu_count() or 2))]
+    burn = ["nice", "-n", str(nice), sys.executable, "-c", "while True: pass"]
+    burners = [subprocess.Popen(burn) for _ in range(2 * (os.cpu_count() or 2))]
     try:
         await asyncio.sleep(seconds)
     finally:
@@ -222,7 +223,9 @@ async def healthy(system: System, falls: Falls, seconds: float) -> list[dict[str
     return rows
 
 
-async def measure(folder: Path, count: int, faults: list[str], managers: list[str], seconds: float) -> Any:
+async def measure(
+    folder: Path, count: int, faults: list[str], managers: list[str], seconds: float, nice: int = 0
+) -> Any:
     falls, runs, bare, system = Falls(folder), Runs(), Bare(folder), System(folder)
     bare.start("speaker", "reader")
     try:
@@ -232,7 +235,7 @@ async def measure(folder: Path, count: int, faults: list[str], managers: list[st
                 for manager in managers:
                     await one_run(system, bare, falls, runs, fault, manager)
         rows = table(runs)
-        return rows + (await healthy(system, falls, seconds) if seconds else [])
+        return rows + (await healthy(system, falls, seconds, nice) if seconds else [])
     finally:
         bare.close()
         for flag in ("hung", "slow"):
@@ -249,6 +252,7 @@ def main() -> None:
     parser.add_argument("--faults", nargs="+", choices=FAULTS, default=list(FAULTS))
     parser.add_argument("--managers", nargs="+", choices=("alive", "dead"), default=["alive", "dead"])
     parser.add_argument("--healthy", type=float, default=60.0, metavar="SECONDS")
+    parser.add_argument("--nice", type=int, default=0, help="the niceness of the busy processes of --healthy")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "reflex.json")
     options = parser.parse_args()
     from midstride.backends.ros2.dds_profiles import tuned_environment
@@ -258,7 +262,8 @@ def main() -> None:
     os.environ.update(tuned_environment(dict(os.environ)))
     print(f"silence is tolerated for {TOLERATED:g} s, a missing heartbeat for {BOND_TIMEOUT:g} s\n")
     with tempfile.TemporaryDirectory() as folder:
-        rows = asyncio.run(measure(Path(folder), options.runs, options.faults, options.managers, options.healthy))
+        wanted = (options.runs, options.faults, options.managers, options.healthy, options.nice)
+        rows = asyncio.run(measure(Path(folder), *wanted))
     options.out.parent.mkdir(exist_ok=True)
     options.out.write_text(json.dumps(rows, indent=1))
 
