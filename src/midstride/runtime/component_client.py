@@ -68,7 +68,7 @@ class ComponentClient:
 
     A component refuses a change at any other revision. It recognizes its manager by ``token``. ``on_event`` is called
     for each reported state and each disconnection. Once another manager has taken over, as ``superseded`` says, nothing
-    is changed any more, and only what was begun is undone. Not thread-safe: use it on one event loop.
+    is changed or undone any more. Not thread-safe: use it on one event loop.
     """
 
     transport: Transport
@@ -223,9 +223,6 @@ class ComponentClient:
         """Send a command that changes the component. Raises as ``read``, and Superseded."""
         if self.superseded():
             raise Superseded("another manager of this system has taken over")
-        return await self._change(instance, command)
-
-    async def _change(self, instance: str, command: Command[R]) -> R:
         if instance not in self._revisions:
             await self.observe(instance)
         return await self._send(instance, command, self._revisions.get(instance))
@@ -248,17 +245,18 @@ class ComponentClient:
         """Send a change that undoes another one, at whatever revision the component is; failures are ignored.
 
         A command that timed out may still be in progress at the component. It completes first and changes the revision,
-        so a refused undo is sent again. A silent component is not waited for.
+        so a refused undo is sent again. A silent component is not waited for. Nothing is sent once another manager has
+        taken over.
         """
-        if self._is_silent(instance):
+        if self._is_silent(instance) or self.superseded():
             return
         for _ in range(UNDO_ATTEMPTS):
             self.forget(instance)
             try:
-                await self._change(instance, command)
+                await self.change(instance, command)
             except CommandRefused:
                 continue
-            except BackendError:
+            except (BackendError, Superseded):
                 pass
             return
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from midstride.backends.simulator.backend import Simulator
 from midstride.errors import Unreachable
-from midstride.runtime.backend import Exited
+from midstride.runtime.backend import Exited, Handle, Launch
 from midstride.wire import frames
 from midstride.wire.transport import Connection, Serve, StopListening
 
@@ -78,8 +78,6 @@ class Life:
     async def call(self, function: Callable[..., Awaitable[Any]], *args: Any) -> Any:
         """What ``function`` returns, if it still lives then."""
         await self.breath()
-        if function.__name__ in ("start", "end_unexpectedly"):
-            self.on_change(f"{function.__name__}s {getattr(args[0], 'instance', args[0])}")
         task = asyncio.ensure_future(function(*args))
         self._under_way.add(task)
         try:
@@ -124,8 +122,17 @@ class _Backend(_Guarded):
 
         await self._life.call(self._inner.open, exited)
 
+    async def start(self, launch: Launch) -> Handle:
+        await self._life.breath()
+        self._life.on_change(f"starts {launch.instance}")
+        handle: Handle = await self._life.call(self._inner.start, launch)
+        return handle
+
     async def end(self, instance: str, grace: float) -> None:
-        await self._life.call(self._inner.end if self._life.cut_off is None else self._inner.end_unexpectedly, instance, grace)
+        await self._life.breath()
+        self._life.on_change(f"ends {instance}")
+        end = self._inner.end if self._life.cut_off is None else self._inner.end_unexpectedly
+        await self._life.call(end, instance, grace)
 
 
 class _Clock(_Guarded):
@@ -168,6 +175,5 @@ class _Connection:
 
     def _examine(self, frame: bytes) -> None:
         request = frames.decode_from_client(frame)
-        if isinstance(request, frames.Request) and (command := frames.decode_command(request)).kind == "changing":
-            if command.name != "record":  # a recording that it has begun may end
-                self._life.on_change(f"sends `{command.name}`")
+        if isinstance(request, frames.Request) and frames.decode_command(request).kind == "changing":
+            self._life.on_change(f"sends `{frames.command_name(request)}`")

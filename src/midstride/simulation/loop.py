@@ -68,7 +68,7 @@ class SeededLoop(asyncio.AbstractEventLoop):
         return self._now
 
     # False; asked for each future and task, so not a function in Python.
-    get_debug = bool  # type: ignore[assignment]
+    get_debug = bool
 
     def is_running(self) -> bool:
         return self._running

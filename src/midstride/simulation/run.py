@@ -401,7 +401,6 @@ class Simulation:
         if superseded.acts and event.kind in ("step", "step_failed", "step_done", "rollback"):
             superseded.life.on_change = lambda words: self._violated(f"a superseded manager {words}")
 
-
     async def _before_request(self, instance: str, op: str) -> None:
         for key in self._since:
             self._since[key] += 1
