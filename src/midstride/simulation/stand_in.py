@@ -94,7 +94,7 @@ class _Program(SimulatedProgram):
     def run(self) -> None:
         Puppet(self._description, _message_type).start()
 
-    def interpreter_state(self) -> contextlib.AbstractContextManager[None]:
+    def interpreter_state(self) -> contextlib.AbstractContextManager[None]:  # type: ignore[override]
         return contextlib.nullcontext()
 
 
