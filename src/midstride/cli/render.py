@@ -29,6 +29,8 @@ _STYLES: Final = {
     "fenced": "red",
     "degraded": "yellow",
     "rollback": "yellow",
+    "restore": "yellow",
+    "restore_ended": "red",
     "respawn": "yellow",
     "respawn_ended": "red",
 }
@@ -288,6 +290,8 @@ def _functionality(row: Document, component: Document) -> tuple[Text, Text, Text
         return name, Text(UNKNOWN, style="red"), Text(f"last known mode: {row['mode']}")
     mode = Text(row["mode"], style="green" if row["normal"] else "yellow")
     why = [] if row["normal"] or not row.get("because") else [str(row["because"]).strip().splitlines()[0]]
+    if row.get("restoring"):
+        why.append(row["restoring"])
     if component["waiting"]:
         why.append(f"waiting: {component['waiting']}")
     if row.get("busy") is not None:
