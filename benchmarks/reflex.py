@@ -112,12 +112,13 @@ class Runs:
 class System:
     """The chain, with a manager in this process. A manager that is closed is as good as dead to the components."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, text: str = "") -> None:
+        """``text``: another specification of the chain."""
         from midstride.lang import load
 
         self.folder = folder
         file = folder / "reflex.stride"
-        file.write_text(specification(folder))
+        file.write_text(text or specification(folder))
         self.specification = load(file).require()
         self.manager: Any = None
 
