@@ -190,7 +190,7 @@ async def one_run(system: System, falls: Falls, seconds: float) -> dict[str, Any
         found = await modes(system)
         return len(found) == len(CHAIN) and set(found.values()) == {"normal"}
 
-    commands = len([event for event in system.manager.log() if event.kind == "command"])
+    before = len(system.manager.log())
     begun = time.monotonic_ns()
     link("down")
     try:
@@ -202,8 +202,9 @@ async def one_run(system: System, falls: Falls, seconds: float) -> dict[str, Any
     await until(restored, "all are restored")
     row: dict[str, Any] = {name: falls.since(name, begun) for name in REMOTE}
     row |= {"cut": seconds, "restored": time.monotonic() - back}
-    given = [event.words for event in system.manager.log() if event.kind == "command"][commands:]
-    return row | {"commands": given}
+    events = system.manager.log()[before:]
+    row["events"] = [(event.at, event.kind, event.words) for event in events]
+    return row | {"commands": [event.words for event in events if event.kind == "command"]}
 
 
 async def measure(folder: Path, other: str, runs: int, cuts: list[float], calm: float) -> list[dict[str, Any]]:

@@ -68,7 +68,7 @@ def test_what_fell_comes_back_without_a_command_and_says_so(tmp_path: Path, faul
         await asyncio.sleep(3.0)
         assert modes(chain) == NORMAL and (await chain.manager.status()).valid
         first = "a.work" if fault == "hung" else "b.work"
-        assert words(chain, "restore")[0] == f"what {first} relies on is back: it is restored (1 of 5 in 60 s)"
+        assert f"what {first} relies on is back: it is restored (1 of 5 in 60 s)" in words(chain, "restore")
         assert words(chain, "command")[1:] == [f"restore {first}"] and words(chain, "outcome")[-1] == "done"
         history = await chain.manager.history(9)
         assert history.changes[-1].command.startswith(f"restore {first}") and history.changes[-1].outcome == "done"
@@ -260,5 +260,23 @@ def test_with_keep_degraded_only_a_command_restores(tmp_path: Path) -> None:
             assert modes(chain)[1:] == ["degraded"] * 3 and await restoring(chain) is None
         finally:
             await chain.manager.close()
+
+    in_chain(tmp_path, body)
+
+
+def test_a_chain_that_falls_again_and_again_while_the_manager_is_cut_off_comes_back_as_a_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each time, each falls by its own reflex; what is further down does not wait once more for what is before it."""
+
+    async def body(chain: Chain) -> None:
+        for number in range(1, 4):
+            with monkeypatch.context() as cut:
+                cut.setattr(ComponentClient, "_on_report", lambda *_: None)
+                await fall(chain)
+            (chain.folder / "silent").unlink()
+            assert await restored(chain, 10.0) < RESTORED + 2 ** (number - 1)
+            await asyncio.sleep(3.0)
+            assert words(chain, "command")[1:] == ["restore b.work"] * number
 
     in_chain(tmp_path, body)

@@ -55,7 +55,7 @@ class _Record:
 
     def due(self) -> float | None:
         """When it is to be restored, if what it relies on stays (steady s)."""
-        if self.left is not None or self.supported_since is None:
+        if not self.fallen or self.left is not None or self.supported_since is None:
             return None
         return self.supported_since + POLICY.delay_before(self.number)
 
@@ -165,7 +165,9 @@ class Restorer:
         try:
             async with self.turn(words):
                 self._carrying = self.improved([ref for ref in refs if self._is_fallen(ref)])
-                records = {ref: self._records[ref] for ref in self._carrying if ref in self._records}
+                records = {
+                    ref: record for ref, record in self._records.items() if ref in self._carrying and record.fallen
+                }
                 for ref in refs:
                     if ref not in self._carrying and ref in self._records:
                         self._records[ref].supported_since = None
@@ -193,10 +195,11 @@ class Restorer:
 
     def improved(self, refs: Collection[FunctionalityRef]) -> dict[FunctionalityRef, int]:
         """The better modes of ``refs`` that are supported, and of what is raised with them."""
-        return rebalanced(self.system.configuration, refs, lambda ref: self._highest(ref, ref in refs))
+        attempts = max((self._records[ref].number for ref in refs if ref in self._records), default=1)
+        return rebalanced(self.system.configuration, refs, lambda ref: self._highest(ref, ref in refs, attempts))
 
-    def _highest(self, ref: FunctionalityRef, asked: bool) -> int:
-        """The best mode that only the model may forbid. Unless ``asked``, what has fallen before comes later.
+    def _highest(self, ref: FunctionalityRef, asked: bool, attempts: int) -> int:
+        """The best mode that only the model may forbid. Unless ``asked``, what has fallen more often comes later.
 
         What was degraded because its publisher was is raised with that: whether its other inputs keep what they promise
         is up to its own reflex.
@@ -205,7 +208,7 @@ class Restorer:
         now, state = configuration.modes[ref], self.client.responsive(ref.instance)
         if not now or ref in self._held or state is None or state.waiting is not None:
             return now
-        if not asked and record is not None and record.fallen and (record.number > 1 or record.left is not None):
+        if not asked and record is not None and record.fallen and (record.number > attempts or record.left is not None):
             return now
         if not state.functionalities[ref.functionality].reflex:
             return 0
