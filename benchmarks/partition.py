@@ -159,7 +159,8 @@ async def greets(far: Callable[[], Awaitable[Opened]]) -> bool:
 def two_computers(folder: Path, other: str) -> str:
     """The specification of the chain, with all but ``a`` in the namespace ``other``."""
     here = f'run "python3 {NODES} stage {folder}"'
-    there = f'run "env MIDSTRIDE_CONTROL={folder}/far nsenter --net=/run/netns/{other} python3 {NODES} stage {folder}"'
+    command = " ".join(inside(other, sys.executable, NODES, "stage", folder))
+    there = f'run "env MIDSTRIDE_CONTROL={folder}/far {command}"'
     text = specification(folder)
     assert text.count(here) == 1
     return text.replace(here, there)
@@ -283,6 +284,7 @@ def main() -> int:
         return 0
     if (why := missing()) is not None:
         raise SystemExit(f"this needs network namespaces: {why}")
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that the namespaces are removed
     with tempfile.TemporaryDirectory() as folder:
         return run(Path(folder), options)
 
