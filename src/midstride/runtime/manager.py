@@ -198,6 +198,7 @@ class Manager:
                 self.events.add("note", self._journal.damaged)
             bring_up = self._bring_up()
             absent = set() if saved is None else await bring_up.recover(saved, interrupted)
+            self._backend.keep_spares(self._spares, self._client.token)
             try:
                 missing: dict[str, str] = {}
                 if saved is None or not await bring_up.finish(absent, interrupted):
