@@ -280,3 +280,16 @@ def test_a_chain_that_falls_again_and_again_while_the_manager_is_cut_off_comes_b
             assert words(chain, "command")[1:] == ["restore b.work"] * number
 
     in_chain(tmp_path, body)
+
+
+def test_a_dependant_that_does_not_answer_when_the_others_are_restored_is_restored_later(tmp_path: Path) -> None:
+    async def body(chain: Chain) -> None:
+        await fall(chain)
+        chain.simulator.faults.freeze("c", 12.0)
+        await asyncio.sleep(4.0)
+        (chain.folder / "silent").unlink()
+        await seconds_until(chain, lambda: chain.mode("b") == "normal", RESTORED)
+        await restored(chain, 20.0)
+        assert words(chain, "command")[1:] == ["restore b.work", "restore c.work"]
+
+    in_chain(tmp_path, body)
