@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 
 from midstride.plan.request import PlanRequest
 from midstride.runtime.component_client import ComponentClient
@@ -15,7 +16,9 @@ from midstride.runtime.manager import Manager
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.timeouts import within
 from midstride.runtime.workspace import Workspace
+from midstride.wire.channel import Report
 from midstride.wire.commands import ModesCommand
+from midstride.wire.frames import StateChanged
 from tests.runtime.systems import request
 from tests.runtime.test_reflex import CHAIN, Chain, in_chain
 
@@ -291,5 +294,28 @@ def test_a_dependant_that_does_not_answer_when_the_others_are_restored_is_restor
         await seconds_until(chain, lambda: chain.mode("b") == "normal", RESTORED)
         await restored(chain, 20.0)
         assert words(chain, "command")[1:] == ["restore b.work", "restore c.work"]
+
+    in_chain(tmp_path, body)
+
+
+@pytest.mark.parametrize(("busy", "hangs"), [(0.05, False), (2.0, True)])
+def test_a_degraded_mode_that_is_at_work_is_no_call_that_hangs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, busy: float, hangs: bool
+) -> None:
+    """Each report shows a call under way, of which only a long one may hang."""
+    on_report = ComponentClient._on_report
+
+    def at_work(client: ComponentClient, instance: str, frame: Report) -> None:
+        if isinstance(frame, StateChanged):
+            views = {name: structs.replace(view, busy=busy) for name, view in frame.state.functionalities.items()}
+            frame = StateChanged(state=structs.replace(frame.state, functionalities=views))
+        on_report(client, instance, frame)
+
+    async def body(chain: Chain) -> None:
+        monkeypatch.setattr(ComponentClient, "_on_report", at_work)
+        await fall(chain)
+        (chain.folder / "silent").unlink()
+        await asyncio.sleep(RESTORED)
+        assert (modes(chain) != NORMAL) is hangs
 
     in_chain(tmp_path, body)

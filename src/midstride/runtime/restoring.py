@@ -36,6 +36,8 @@ log = logging.getLogger(__name__)
 POLICY: Final = RespawnPolicy(delay=1.0)
 # What is due so soon is restored together (s): components report twice a second.
 TOGETHER: Final = 0.6
+# A call that takes longer than this may hang (s).
+HANGS: Final = 0.5
 
 
 @dataclass(slots=True)
@@ -110,7 +112,8 @@ class Restorer:
                 continue
             since = record.attempts.runs_since
             lasts = not record.fallen and since is not None and now - since > POLICY.window
-            if ref not in modes or lasts or (record.fallen and not self._is_fallen(ref)):
+            raised = record.fallen and self.client.latest(ref.instance) is not None and not self._is_fallen(ref)
+            if ref not in modes or lasts or raised:
                 del self._records[ref]
 
     def on_report(self, state: ComponentState) -> None:
@@ -137,7 +140,7 @@ class Restorer:
             record.attempts.stopped(now)
             self._count(ref, record)
         gone, record.seen = now - record.seen, now
-        if view.busy is not None or ref not in self.improved([ref]):
+        if (view.busy or 0.0) > HANGS or ref not in self.improved([ref]):
             record.supported_since = None
         elif record.supported_since is None or gone > SILENCE:
             record.supported_since = now
@@ -190,6 +193,8 @@ class Restorer:
                         self._count(ref, record, failed)
                     else:
                         record.fallen, record.attempts.runs_since = False, self.clock.steady()
+        except Exception:  # nothing awaits this task, so errors are logged here
+            log.exception("%s failed", words)
         finally:
             self._carrying = {}
 
