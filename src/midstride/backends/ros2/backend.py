@@ -113,7 +113,7 @@ class Ros2Backend(ProcessBackend):
             raise StartFailed(f"{launch.instance}: a node {node} is running already; end it, or use another name")
         graph.starts(full_name)
         environment = launching.environment(launch, self._control, command[0], self.settings, os.environ)
-        return self._spawn(launch, full_name, command, environment)
+        return await self._spawn(launch, full_name, command, environment)
 
     def _python(self) -> str:
         return sys.executable
