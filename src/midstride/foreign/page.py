@@ -164,8 +164,10 @@ class Page:
 
     def allocate(self, instance: str) -> int:
         """The index of an unused node, which now is that of ``instance``. Raises BackendError where all are used."""
-        for index, node in enumerate(self.layout.nodes):
-            if not node.used:
+        nodes = list(enumerate(self.layout.nodes))
+        # One that is used by a process that has ended: its manager had been killed.
+        for index, node in sorted(nodes, key=lambda each: bool(each[1].used)):
+            if not node.used or self.is_dead(index):
                 ctypes.memset(ctypes.addressof(node), 0, ctypes.sizeof(node))
                 node.instance = instance.encode()[: NAME - 1]
                 node.used = 1
