@@ -22,7 +22,7 @@ from msgspec.structs import replace
 from midstride.codec.component import NamedComponentForm
 from midstride.errors import CommandRefused, MidstrideError
 from midstride.foreign.gates import Gates
-from midstride.foreign.page import BatonState, Step
+from midstride.foreign.page import BatonState, BatonStep
 from midstride.foreign.record import ForeignRecord
 from midstride.model.component import ComponentSpec
 from midstride.node.message_times import window_of
@@ -114,7 +114,7 @@ class ForeignAgent:
         """
         if self._gates is not None:
             for baton in {self._gates.baton(port) for port in self._component.outputs} - {0}:
-                self._gates.step(baton, Step.WITHDRAW)
+                self._gates.step(baton, BatonStep.WITHDRAW)
         await self._server.open(transport)
         loop = asyncio.get_running_loop()
         self._tasks = [loop.create_task(self._register()), loop.create_task(self._heartbeat())]
@@ -360,7 +360,7 @@ class ForeignAgent:
             await self._comes_true(lambda: not self._gates_of().has_it(port) or not self._writers(baton), PUBLISHING)
             word = self._gates.page.word(baton)
             if word.predecessor == self._gates.index + 1:  # it has been handed over, for good
-                self._gates.page.step(baton, Step.SETTLE, word.holder - 1)
+                self._gates.page.step(baton, BatonStep.SETTLE, word.holder - 1)
         return commands.Detached(acknowledged=None, last=self._gates.entry(port).passed)
 
     def _writers(self, baton: int) -> int:
@@ -449,7 +449,7 @@ class ForeignAgent:
         self._change_record(links={**self.record.links, **dict.fromkeys(ports, "open")})
         for port in ports:
             self._adjust(port)
-        gates.page.step(baton, Step.NAME_SUCCESSOR, old, gates.index, at_once=gates.timed(ports))
+        gates.page.step(baton, BatonStep.NAME_SUCCESSOR, old, gates.index, at_once=gates.timed(ports))
         gates.page.ring(gates.index)
         word = gates.page.word(baton)
         if gates.index + 1 not in (word.successor, word.holder):
@@ -503,7 +503,7 @@ class ForeignAgent:
             await self._withdraw(cut)
         elif cut is not None:
             gates = self._gates_of()
-            gates.step(cut.baton, Step.WITHDRAW)
+            gates.step(cut.baton, BatonStep.WITHDRAW)
             self._restore(cut)
         return commands.Done()
 
@@ -515,12 +515,12 @@ class ForeignAgent:
         self._change_record(links={**self.record.links, **dict.fromkeys(ports, "closed")})
         for port in ports:
             self._adjust(port)
-        gates.page.step(cut.baton, Step.WITHDRAW, cut.other)
+        gates.page.step(cut.baton, BatonStep.WITHDRAW, cut.other)
         if gates.page.word(cut.baton).holder == gates.index + 1:
-            gates.step(cut.baton, Step.FENCE)
+            gates.step(cut.baton, BatonStep.FENCE)
             if not await self._comes_true(lambda: not self._writers(cut.baton), PUBLISHING):
                 raise CommandRefused(f"{self.record.instance} is publishing, and that does not end")
-            gates.page.step(cut.baton, Step.GIVE, cut.other)
+            gates.page.step(cut.baton, BatonStep.GIVE, cut.other)
         self._restore(cut)
 
     def _restore(self, cut: _Cut) -> None:
@@ -533,7 +533,7 @@ class ForeignAgent:
             self._attached(port, topic)
         batons = {baton for port, _ in command.attachments if (baton := gates.baton(port))}
         for baton in batons:
-            gates.step(baton, Step.LIFT if command.lift else Step.FENCE)
+            gates.step(baton, BatonStep.LIFT if command.lift else BatonStep.FENCE)
         for port, _ in command.attachments:
             if not gates.baton(port):
                 gates.set_gate(port, command.lift)
@@ -541,7 +541,7 @@ class ForeignAgent:
             free = await self._comes_true(lambda: not any(map(self._writers, batons)), command.timeout)
             if not free:
                 for baton in batons:
-                    gates.step(baton, Step.LIFT)
+                    gates.step(baton, BatonStep.LIFT)
                 raise CommandRefused("a message is being published, and that does not end")
         self._report()
         last = {f"{port} {topic}": int(gates.entry(port).passed) for port, topic in command.attachments}

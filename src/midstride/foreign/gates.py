@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
-from midstride.foreign.page import CLOSED, INPUT, OPEN, OUTPUT, BatonState, BatonWord, NodeEntry, Page, PortEntry, PortFlag, Step
+from midstride.foreign.page import CLOSED, INPUT, OPEN, OUTPUT, BatonState, BatonWord, PageNode, Page, PagePort, PortFlag, BatonStep
 from midstride.model.component import ComponentSpec
 
 # For how long a writer without a rate leaves the baton to its successor (s).
@@ -26,12 +26,12 @@ class Gates:
         self._numbers = {port: number for number, port in enumerate(self.component.ports())}
 
     @property
-    def node(self) -> NodeEntry:
-        node: NodeEntry = self.page.layout.nodes[self.index]
+    def node(self) -> PageNode:
+        node: PageNode = self.page.layout.nodes[self.index]
         return node
 
-    def entry(self, port: str) -> PortEntry:
-        entry: PortEntry = self.node.ports[self._numbers[port]]
+    def entry(self, port: str) -> PagePort:
+        entry: PagePort = self.node.ports[self._numbers[port]]
         return entry
 
     def prepare(self, topics: dict[str, str]) -> None:
@@ -103,7 +103,7 @@ class Gates:
     def fenced(self, port: str) -> bool:
         return bool(self.baton(port)) and self.has_it(port) and self.word(port).state is BatonState.FENCED
 
-    def step(self, baton: int, step: Step, successor: int = -1, at_once: bool = False) -> BatonWord:
+    def step(self, baton: int, step: BatonStep, successor: int = -1, at_once: bool = False) -> BatonWord:
         """Take ``step`` as this node; the word after it."""
         self.page.step(baton, step, self.index, successor, at_once)
         self.page.ring(self.index)

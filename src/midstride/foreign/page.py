@@ -45,7 +45,7 @@ class BatonState(IntEnum):
     FENCED = 2
 
 
-class Step(IntEnum):
+class BatonStep(IntEnum):
     """What the manager does with a baton (``baton_*`` in baton.h)."""
 
     NAME_SUCCESSOR = 0
@@ -56,7 +56,7 @@ class Step(IntEnum):
     GIVE = 5
 
 
-class PortEntry(ctypes.Structure):
+class PagePort(ctypes.Structure):
     _fields_ = [
         ("direction", c_uint32),
         ("flags", c_uint32),
@@ -74,18 +74,18 @@ class PortEntry(ctypes.Structure):
     ]
 
 
-class NodeEntry(ctypes.Structure):
+class PageNode(ctypes.Structure):
     _fields_ = [
         ("pid", c_uint32),
         ("bell", c_uint32),
         ("beat", c_uint32),
         ("used", c_uint32),
         ("instance", c_char * NAME),
-        ("ports", PortEntry * PORTS),
+        ("ports", PagePort * PORTS),
     ]
 
 
-class BatonEntry(ctypes.Structure):
+class PageBaton(ctypes.Structure):
     _fields_ = [("word", c_uint64), ("laid", c_int64), ("patience", c_int64), ("padding", c_uint64 * 5)]
 
 
@@ -95,8 +95,8 @@ class PageLayout(ctypes.Structure):
         ("version", c_uint32),
         ("size", c_uint32),
         ("padding", c_uint64 * 6),
-        ("batons", BatonEntry * NODES),
-        ("nodes", NodeEntry * NODES),
+        ("batons", PageBaton * NODES),
+        ("nodes", PageNode * NODES),
     ]
 
 
@@ -131,10 +131,10 @@ def load_library(path: Path) -> Any:
     library.midstride_leave.restype = c_uint64
     library.midstride_step.argtypes = [c_uint64, c_int, c_uint32, c_uint32, c_int]
     library.midstride_step.restype = c_uint64
-    library.midstride_take_step.argtypes = [ctypes.POINTER(BatonEntry), c_int, c_uint32, c_uint32, c_int]
+    library.midstride_take_step.argtypes = [ctypes.POINTER(PageBaton), c_int, c_uint32, c_uint32, c_int]
     library.midstride_take_step.restype = c_uint64
     library.midstride_is_dead.argtypes = [c_int, c_uint32]
-    library.midstride_ring.argtypes = [ctypes.POINTER(NodeEntry)]
+    library.midstride_ring.argtypes = [ctypes.POINTER(PageNode)]
     library.midstride_ring.restype = None
     return library
 
@@ -192,13 +192,13 @@ class Page:
         """The index + 1 of a baton that no port of a node in use has; the node ``holder`` (index) holds it."""
         used = {port.baton for node in self.layout.nodes if node.used for port in node.ports}
         number = next(number for number in range(1, NODES + 1) if number not in used)
-        self.step(number, Step.GIVE, holder)
+        self.step(number, BatonStep.GIVE, holder)
         return number
 
     def word(self, baton: int) -> BatonWord:
         return BatonWord.of(self.layout.batons[baton - 1].word)
 
-    def step(self, baton: int, step: Step, node: int, successor: int = -1, at_once: bool = False) -> BatonWord:
+    def step(self, baton: int, step: BatonStep, node: int, successor: int = -1, at_once: bool = False) -> BatonWord:
         """Take ``step``; the word before. ``node`` and ``successor`` are indices."""
         entry = self.layout.batons[baton - 1]
         return BatonWord.of(

@@ -18,9 +18,9 @@ def gate_problems(component: ComponentSpec, path: Path) -> Iterator[Problem]:
     for port in component.topics:
         where = (*path, "topics", port)
         if port not in component.inputs and not component.has_output(port):
-            yield Problem(_CODE, where, f"{name} has no port {port} that could have a topic of another name")
+            yield Problem(_CODE, where, f"{name} has no port {port}, for which a name of a topic is stated")
         elif component.gate is None:
-            message = f"port {port} of {name} has a name of its own for its topic, but {name} has no gate"
+            message = f"port {port} of {name} states what the program calls its topic, but {name} has no gate"
             yield Problem(_CODE, where, message, 'omit it, or state the gate: `run "…" gate preload`')
     if component.gate is None:
         return
