@@ -135,7 +135,9 @@ class Explorer:
         yield replace(world, manager=rest)
         match world.manager[0]:
             case "n":
-                yield replace(world, word=self.step(world.word, BatonStep.NAME_SUCCESSOR, OLD, NEW, timed), manager=rest)
+                yield replace(
+                    world, word=self.step(world.word, BatonStep.NAME_SUCCESSOR, OLD, NEW, timed), manager=rest
+                )
             case "w":
                 yield replace(world, word=self.step(world.word, BatonStep.WITHDRAW, OLD), manager=rest)
             case "s":  # once the new one has been seen to have it

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import ctypes
-import mmap
 import os
 import signal
 import struct
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from pathlib import Path
@@ -20,10 +19,8 @@ from midstride.errors import BackendError, StartFailed
 from midstride.foreign import build
 from midstride.foreign.page import (
     OPEN,
-    OUTPUT,
     BatonState,
     BatonStep,
-    BatonWord,
     Page,
     PageBaton,
     PageLayout,
@@ -31,96 +28,10 @@ from midstride.foreign.page import (
     PagePort,
     PortFlag,
 )
+from tests.foreign.lab import LOG_SIZE, Lab, until
 
-HERE = Path(__file__).parent
-RECORD = struct.Struct("QQq")
-LOG_SIZE = 16 + 4_000_000 * RECORD.size
 RATED, TIMED = PortFlag.RATED | PortFlag.LAYS, PortFlag.TIMED | PortFlag.LAYS
 MS = 1_000_000
-
-
-def until(condition: Callable[[], bool], what: str) -> None:
-    deadline = time.monotonic() + 30
-    while not condition():
-        assert time.monotonic() < deadline, what
-        time.sleep(0.002)
-
-
-@pytest.fixture(scope="session")
-def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the node and of the library that it is linked with."""
-    folder = tmp_path_factory.mktemp("fake")
-    compiler = build.compiler()
-    assert compiler is not None
-    options = [*compiler, "-std=c11", "-O2"]
-    subprocess.run([*options, "-shared", "-fPIC", "-o", folder / "librcl.so", HERE / "fake_rcl.c"], check=True)
-    (folder / "librmw_implementation.so").symlink_to("librcl.so")
-    link = ["-L", str(folder), "-lrcl", f"-Wl,-rpath,{folder}"]
-    subprocess.run([*options, "-o", folder / "node", HERE / "fake_node.c", *link], check=True)
-    return folder
-
-
-class Lab:
-    """Nodes that publish on one topic behind their gates."""
-
-    def __init__(self, folder: Path, programs: Path, library: Path) -> None:
-        self.page = Page(folder / "page", library)
-        self.programs, self.library = programs, library
-        self.log = folder / "log"
-        self.log.touch()
-        os.truncate(self.log, LOG_SIZE)
-        with open(self.log, "r+b") as file:
-            self.memory = mmap.mmap(file.fileno(), LOG_SIZE)
-        self.processes: dict[int, subprocess.Popen[bytes]] = {}
-
-    def node(self, period: int, flags: PortFlag, *, baton: int = 0, messages: int = 10**12) -> int:
-        """Start a node, with an open gate if it is to share a baton, and wait until it has joined; its index."""
-        index = self.page.allocate(f"node_{len(self.processes)}")
-        self.page.set_ports(index, [("/chat", OUTPUT)])
-        port = self.port(index)
-        port.flags, port.baton = flags, baton or self.page.new_baton(index)
-        port.gate = OPEN if baton else 0
-        environment = {
-            **os.environ,
-            "LD_PRELOAD": str(self.library),
-            "LD_LIBRARY_PATH": str(self.programs),
-            "FAKE_LOG": str(self.log),
-            "MIDSTRIDE_GATE_PAGE": str(self.page.path),
-            "MIDSTRIDE_GATE_NODE": str(index),
-        }
-        command = [str(self.programs / "node"), str(index + 1), "/chat", str(period), str(messages)]
-        self.processes[index] = subprocess.Popen(command, env=environment)
-        until(lambda: bool(port.endpoints and port.tried), f"node {index} has not written")
-        return index
-
-    def port(self, index: int) -> PagePort:
-        port: PagePort = self.page.layout.nodes[index].ports[0]
-        return port
-
-    def word(self, baton: int) -> BatonWord:
-        return self.page.word(baton)
-
-    def count(self) -> int:
-        return int(struct.unpack_from("Q", self.memory)[0])
-
-    def overlaps(self) -> int:
-        return int(struct.unpack_from("I", self.memory, 12)[0])
-
-    def records(self) -> list[tuple[int, int, int]]:
-        """Writer, number and time of each message, in the order of publication."""
-        return [RECORD.unpack_from(self.memory, 16 + index * RECORD.size) for index in range(self.count())]
-
-    def written_by(self, index: int) -> int:
-        return int(self.port(index).passed)
-
-    def kill(self, index: int) -> None:
-        self.processes[index].kill()
-        self.processes[index].wait()
-
-    def close(self) -> None:
-        for process in self.processes.values():
-            process.kill()
-            process.wait()
 
 
 @pytest.fixture

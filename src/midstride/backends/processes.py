@@ -147,7 +147,11 @@ class ProcessBackend(abc.ABC):
         Raises StartFailed.
         """
         log = self._log_folder(launch.token) / f"{node.strip('/').replace('/', '.')}.log"
-        process = None if self._spares is None or own_process else self._spares.run(command, launch.directory, environment, log)
+        process = (
+            None
+            if self._spares is None or own_process
+            else self._spares.run(command, launch.directory, environment, log)
+        )
         if process is None:
             process = spawn(command, launch.directory, environment, log)
         self._watch(launch.instance, process)

@@ -32,7 +32,15 @@ from midstride.wire.command_server import CommandServer
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply, Request
 from midstride.wire.program import Program
-from midstride.wire.state import NOT_WELCOMED, ComponentState, FunctionalityState, GateState, LinkState, Measured, WireValue
+from midstride.wire.state import (
+    NOT_WELCOMED,
+    ComponentState,
+    FunctionalityState,
+    GateState,
+    LinkState,
+    Measured,
+    WireValue,
+)
 from midstride.wire.transport import Transport
 
 HEARTBEAT: Final = 0.5
@@ -459,7 +467,7 @@ class ForeignAgent:
         return commands.Done()
 
     async def _await_cut(self, command: commands.AwaitCutCommand) -> commands.CutResult:
-        """Both sides: until the new one has written, or the old one has taken the baton back."""
+        """Both sides: until the new one has written, or the old one has taken the baton back, or is fenced."""
         cut, gates = self._cuts.get(command.cut), self._gates_of()
         if cut is None:
             raise CommandRefused(f"there is no cut {command.cut}")
@@ -470,22 +478,19 @@ class ForeignAgent:
         def taken() -> bool:
             return gates.page.word(cut.baton).holder != old
 
-        def taken_back() -> bool:
+        def over() -> bool:
             word = gates.page.word(cut.baton)
-            return word.holder == old and not word.successor and word.state is BatonState.HELD
+            return word.holder == old and not word.successor
 
         def done() -> bool:
             return taken() and (not new or any(gates.entry(port).passed > cut.before[port] for port in ports))
 
-        # The old side's cut begins when the new side has been named, which is later.
-        if new:
-            await self._comes_true(lambda: done() or taken_back(), command.timeout)
-        else:
-            await self._comes_true(done, command.timeout)
+        await self._comes_true(lambda: done() or over(), command.timeout)
         if not done():
-            back = f"{self.record.instance} has not written within two slots of the old one" if new else None
-            resumed = taken_back()
-            return commands.CutResult(outcome="resumed" if resumed else "waiting", because=back if resumed else None)
+            if not over() or gates.page.word(cut.baton).state is BatonState.FENCED:
+                return commands.CutResult(outcome="waiting")
+            because = f"{self.record.instance} has not written within two slots of the old one" if new else None
+            return commands.CutResult(outcome="resumed", because=because)
         writes = {f"{swap.port} {swap.topic}": self._last_write(swap.port, cut) for swap in cut.swaps}
         if new:
             return commands.CutResult(outcome="done", first=writes)

@@ -7,7 +7,19 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
-from midstride.foreign.page import CLOSED, INPUT, OPEN, OUTPUT, BatonState, BatonWord, PageNode, Page, PagePort, PortFlag, BatonStep
+from midstride.foreign.page import (
+    CLOSED,
+    INPUT,
+    OPEN,
+    OUTPUT,
+    BatonState,
+    BatonStep,
+    BatonWord,
+    Page,
+    PageNode,
+    PagePort,
+    PortFlag,
+)
 from midstride.model.component import ComponentSpec
 
 # For how long a writer without a rate leaves the baton to its successor (s).

@@ -275,9 +275,12 @@ MODEL: Final = (
         component without a `gate` has a name for the topic of a port (`as`).""",
         "correct the statement that the message names",
         STARTED.replace("output out", "output out as chat") + NODE,
-        STARTED.replace('talker"', 'talker" gate preload').replace("mode silent", "mode quiet { }\n    mode silent") + NODE,
+        STARTED.replace('talker"', 'talker" gate preload').replace("mode silent", "mode quiet { }\n    mode silent")
+        + NODE,
         STARTED.replace('talker"\n', 'talker" gate none\n  parameters { changeable volume = 1 }\n') + NODE,
-        STARTED.replace('talker"', 'talker" gate preload').replace("component", "topic /talk : std_msgs/msg/String\ncomponent")
+        STARTED.replace('talker"', 'talker" gate preload').replace(
+            "component", "topic /talk : std_msgs/msg/String\ncomponent"
+        )
         + "node talker : Talker { out -> /chatter, /talk }\n",
         _json(
             '{"system": "s", "components": {"T": {"gate": "none", "topics": {"in": "chat"},\n'

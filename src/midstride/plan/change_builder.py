@@ -143,7 +143,10 @@ class ChangeBuilder:
         """Whether it would get other topics, and has those that it was started with for good."""
         if instance.component.gate is None:
             return False
-        want = {(port, self.target.connectors[key].topic) for port, key in self.target.attachments_of(instance.role, instance.name)}
+        want = {
+            (port, self.target.connectors[key].topic)
+            for port, key in self.target.attachments_of(instance.role, instance.name)
+        }
         connectors = self.start.context.connectors
         return want != {(port, connectors[key].topic) for port, key in self.start.attached_ports(instance.name)}
 

@@ -136,7 +136,11 @@ class Launcher:
             arguments = shlex.split(instance.component.run or "")
         except ValueError:
             return False
-        return instance.component.gate is None and bool(arguments) and self._backend.takes_spare(arguments, self._directory)
+        return (
+            instance.component.gate is None
+            and bool(arguments)
+            and self._backend.takes_spare(arguments, self._directory)
+        )
 
     def starting(self) -> int:
         """How many processes have been started and have neither registered nor exited."""

@@ -45,7 +45,10 @@ def with_stand_ins(specification: Specification) -> Specification:
 def _stand_in(component: ComponentSpec) -> ComponentSpec:
     if component.run is None:
         return component
-    described = {"component": encode_component(replace(component, run=None, gate=None, topics=Map())), "keeps_state": True}
+    described = {
+        "component": encode_component(replace(component, run=None, gate=None, topics=Map())),
+        "keeps_state": True,
+    }
     word = f"{component.name}-{zlib.crc32(json.dumps(described).encode()):08x}"
     _described[word] = component, described
     return replace(component, run=" ".join([*_PROGRAM, word]), gate=None, topics=Map())
