@@ -97,7 +97,7 @@ class Nodes:
         return await asyncio.gather(*(self.client.read(each, await_cut) for each in instances))
 
     async def handed_over(self, old: str, new: str) -> commands.CutResult:
-        """Hand over, again where the machine kept the new one from running for two slots; the result on the old side."""
+        """Hand over, again where the machine kept the new one from running for two slots; the old side's result."""
         while True:
             await self.cut(old, new)
             incoming, outgoing = await self.results(new, old)

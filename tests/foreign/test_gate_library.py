@@ -10,6 +10,7 @@ import subprocess
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -62,6 +63,9 @@ def test_one_writer_at_each_moment_and_nothing_missing(lab: Lab, period: int, fl
     lab.page.layout.batons[baton - 1].patience = 10**12
     swaps = 0
 
+    def published(index: int, before: int) -> bool:
+        return lab.written_by(index) > before
+
     def answered() -> bool:
         return lab.word(baton).holder == new + 1 or not lab.word(baton).successor
 
@@ -70,7 +74,7 @@ def test_one_writer_at_each_moment_and_nothing_missing(lab: Lab, period: int, fl
         lab.page.step(baton, BatonStep.NAME_SUCCESSOR, old, new)
         until(answered, "no answer")
         if lab.word(baton).holder == new + 1:  # else the machine kept the new one from running for two slots
-            until(lambda before=before: lab.written_by(new) > before, "the new one does not publish")
+            until(partial(published, new, before), "the new one does not publish")
             old, new, swaps = new, old, swaps + 1
     lab.page.step(baton, BatonStep.SETTLE, old)  # the other one does not go on when this one is ended
     lab.close()

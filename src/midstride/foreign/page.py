@@ -28,7 +28,7 @@ CLOSED, OPEN = range(2)
 
 
 class PortFlag(IntFlag):
-    """RATED: its writes are slots. LAYS: the baton is laid down after one of them. TIMED: no port of its baton is rated.
+    """RATED: its writes are slots. LAYS: the baton is laid down after one. TIMED: no port that shares it is rated.
 
     KEEPS: of what is written behind the gate, the last message is kept, and published when the gate lets it pass.
     """
@@ -185,7 +185,7 @@ class Page:
         """The topics of a node, each with OUTPUT or INPUT; closed. Raises BackendError where there are too many."""
         if len(topics) > PORTS or any(len(topic.encode()) >= NAME for topic, _ in topics):
             raise BackendError(f"a node with a gate has at most {PORTS} ports, of at most {NAME - 1} bytes each")
-        for entry, (topic, direction) in zip(self.layout.nodes[index].ports, topics):
+        for entry, (topic, direction) in zip(self.layout.nodes[index].ports, topics, strict=False):
             entry.topic, entry.direction = topic.encode(), direction
 
     def new_baton(self, holder: int) -> int:

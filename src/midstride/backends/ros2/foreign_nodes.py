@@ -1,4 +1,4 @@
-"""Nodes that do not use Midstride's API: how they are started behind their gates, and the agents that answer for them."""
+"""Nodes that do not use Midstride's API: how they are started behind their gates, and the agents in their place."""
 
 from __future__ import annotations
 
