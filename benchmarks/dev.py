@@ -15,13 +15,14 @@ import statistics
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
+
+from _recorder import recording
 
 SPECIFICATION = """system dev_bench
 
@@ -192,7 +193,7 @@ class Bench:
         """`midstride dev`, up and heard; ended by Ctrl-C."""
         command = [sys.executable, "-m", "midstride", "dev", "dev_bench.stride", "--backend", "ros2"]
         with (
-            self._recording(),
+            recording("/counted", self._hear),
             (self.folder / "screen.txt").open("wb") as screen,
             subprocess.Popen(
                 command,
@@ -210,35 +211,6 @@ class Bench:
             finally:
                 process.send_signal(signal.SIGINT)
                 process.wait(PATIENCE)
-
-    @contextmanager
-    def _recording(self) -> Iterator[None]:
-        import rclpy
-        from rclpy.executors import SingleThreadedExecutor
-        from std_msgs.msg import String
-
-        context = rclpy.Context()
-        rclpy.init(context=context, args=[])
-        node = rclpy.create_node("recorder", context=context)
-        node.create_subscription(String, "/counted", self._hear, 100)
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(node)
-        ended = threading.Event()
-
-        def spin() -> None:
-            while not ended.is_set():
-                executor.spin_once(timeout_sec=0.05)
-
-        thread = threading.Thread(target=spin)
-        thread.start()
-        try:
-            yield
-        finally:
-            ended.set()
-            thread.join()
-            executor.shutdown()
-            node.destroy_node()
-            context.try_shutdown()
 
     def _hear(self, message: Any) -> None:
         version, number = message.data.split()

@@ -15,14 +15,13 @@ import signal
 import statistics
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from _recorder import recording
 from swap import Platform, specification
 
 from midstride import backends
@@ -39,37 +38,6 @@ PAUSE = 3.0
 FIGURES = ("safe", "restored", "heard")
 # At once, however often.
 POLICY = RespawnPolicy(delay=0.0, max_delay=0.0, max_retries=1_000_000)
-
-
-@contextmanager
-def hearing(topic: str) -> Iterator[list[float]]:
-    """The times (monotonic s) at which a bare subscriber receives a message."""
-    import rclpy
-    from rclpy.executors import SingleThreadedExecutor
-    from std_msgs.msg import String
-
-    context, heard = rclpy.Context(), list[float]()
-    rclpy.init(context=context, args=[])
-    node = rclpy.create_node("recorder", context=context)
-    node.create_subscription(String, topic, lambda _: heard.append(time.monotonic()), 100)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    ended = threading.Event()
-
-    def spin() -> None:
-        while not ended.is_set():
-            executor.spin_once(timeout_sec=0.05)
-
-    thread = threading.Thread(target=spin)
-    thread.start()
-    try:
-        yield heard
-    finally:
-        ended.set()
-        thread.join()
-        executor.shutdown()
-        node.destroy_node()
-        context.try_shutdown()
 
 
 async def until(holds: Callable[[], Any], what: str) -> float:
@@ -109,8 +77,8 @@ async def measure(crashes: int, options: SystemOptions) -> list[dict[str, float]
         manager = Manager(wanted, backends.make("ros2", workspace), workspace, FOLDER, options=options)
         try:
             await manager.up()  # before the subscriber: it sets transports and discovery for this process
-            found = []
-            with hearing("/swap") as heard:
+            found, heard = [], list[float]()
+            with recording("/swap", lambda _: heard.append(time.monotonic())):
                 for _ in range(crashes):
                     await asyncio.sleep(PAUSE)
                     found.append(await crash(manager, heard))

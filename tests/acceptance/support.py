@@ -37,6 +37,8 @@ RUN = "MIDSTRIDE_TEST_RUN"
 
 def benchmark(name: str) -> ModuleType:
     """A benchmark as a module: its nodes and its specification serve here too."""
+    if str(BENCHMARKS) not in sys.path:
+        sys.path.append(str(BENCHMARKS))  # for what it imports beside itself
     spec = importlib.util.spec_from_file_location(f"benchmark_{name}", BENCHMARKS / f"{name}.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from midstride.node.shortfall import FLOOR
-from tests.acceptance.support import BENCHMARKS, benchmark, ended
+from tests.acceptance.support import benchmark, ended
 from tests.backends.ros2_support import run
 
 pytestmark = pytest.mark.ros2
@@ -22,11 +22,7 @@ SLACK = 10.0
 
 @pytest.mark.full
 @pytest.mark.timeout(240)
-def test_dependants_of_a_stopped_publisher_fall_without_a_manager_and_are_restored(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.syspath_prepend(BENCHMARKS)
-
+def test_dependants_of_a_stopped_publisher_fall_without_a_manager_and_are_restored(tmp_path: Path) -> None:
     async def body() -> None:
         reflex = benchmark("reflex")
         system, falls = reflex.System(tmp_path), reflex.Falls(tmp_path)
@@ -63,9 +59,8 @@ def test_dependants_of_a_stopped_publisher_fall_without_a_manager_and_are_restor
 
 @pytest.mark.long
 @pytest.mark.timeout(1800)
-def test_faults_are_noticed_in_time_and_nothing_else_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_faults_are_noticed_in_time_and_nothing_else_is(tmp_path: Path) -> None:
     """As often as `MIDSTRIDE_REFLEX_RUNS` says; then `MIDSTRIDE_REFLEX_HEALTHY` seconds with both cores busy."""
-    monkeypatch.syspath_prepend(BENCHMARKS)
     count = int(os.environ.get("MIDSTRIDE_REFLEX_RUNS", "5"))
     seconds = float(os.environ.get("MIDSTRIDE_REFLEX_HEALTHY", "300"))
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from rich.console import Console, RenderableType
 
-from midstride.cli import render
+from midstride.cli import render, render_status
 from midstride.cli.files import as_typed_here
 
 
@@ -135,10 +135,10 @@ def test_the_mode_of_an_unresponsive_component_is_unknown() -> None:
         "topics": [],
         "silences": [],
     }
-    live = shown(render.status({**state, "violations": []}))
+    live = shown(render_status.status({**state, "violations": []}))
     assert live[2].split() == ["talker", "Talker", "7", "talk", "normal"]
     silent = {**component, "reachable": False}
-    lines = shown(render.status({**state, "valid": False, "violations": [], "components": [silent]}))
+    lines = shown(render_status.status({**state, "valid": False, "violations": [], "components": [silent]}))
     assert " ".join(lines[2].split()) == "talker Talker 7, not responding talk unknown last known mode: normal"
 
 
@@ -158,7 +158,7 @@ def test_after_a_crash_the_remedy_is_named() -> None:
         "crashed": [crash, {**crash, "status": None, "remedy": None}],
         "file": "/r/robot.stride",
     }
-    lines = shown(render.status(document))
+    lines = shown(render_status.status(document))
     assert lines[:2] == ["s on sim, valid", "brought up from /r/robot.stride"]
     assert lines[-2:] == [
         "talker exited unexpectedly (status -9); `midstride restart talker` restores it",
@@ -181,7 +181,7 @@ def test_the_reason_for_a_mode_is_the_error_and_not_the_end_of_its_traceback() -
         "violations": [],
         "silences": [],
     }
-    text = "\n".join(shown(render.status(document)))
+    text = "\n".join(shown(render_status.status(document)))
     assert "mode normal raised: ValueError: no map" in text
     assert "^^^" not in text
 
@@ -191,7 +191,7 @@ def test_silence_and_waiting_are_shown() -> None:
     component = {"name": "talker", "component": "Talker", "pid": 5, "reachable": True, "functionalities": [row]} | QUIET
     fault = {"kind": "not_receiving", "words": "sink.in receives nothing of what is published on /t", "seconds": 4.5}
     document = {"system": "s", "backend": "sim", "valid": False, "topics": [], "violations": [], "silences": [fault]}
-    lines = shown(render.status({**document, "components": [{**component, "waiting": "no /clock"}]}))
+    lines = shown(render_status.status({**document, "components": [{**component, "waiting": "no /clock"}]}))
     assert "waiting: no /clock" in lines[2]
     assert lines[-1] == "sink.in receives nothing of what is published on /t (for 4.50 s)"
     assert shown(render.outcome(done(silences=[{**fault, "seconds": None}])))[1:] == [fault["words"]]
@@ -208,27 +208,27 @@ def with_attachment(gate: str | None = None, fields: Any = (), **figures: Any) -
 
 
 def test_what_is_measured_is_shown_where_it_differs_from_what_is_declared() -> None:
-    assert len(shown(render.status(with_attachment()))) == 3
+    assert len(shown(render_status.status(with_attachment()))) == 3
     slow: dict[str, Any] = {"rate": 9.87, "met": False}
-    lines = shown(render.status(with_attachment(**slow)))
+    lines = shown(render_status.status(with_attachment(**slow)))
     assert lines[3:] == ["talker.out on /chatter: 9.87 Hz measured, 50 Hz declared (last message 19 ms ago)"]
-    assert len(shown(render.status(with_attachment(gate="closed", **slow)))) == 3
-    lines = shown(render.status(with_attachment(rate=0.0, met=False, age=None)))
+    assert len(shown(render_status.status(with_attachment(gate="closed", **slow)))) == 3
+    lines = shown(render_status.status(with_attachment(rate=0.0, met=False, age=None)))
     assert lines[3:] == ["talker.out on /chatter: 0 Hz measured, 50 Hz declared (no message yet)"]
-    assert len(shown(render.status(with_attachment(rate=None, met=None, age=None)))) == 3
+    assert len(shown(render_status.status(with_attachment(rate=None, met=None, age=None)))) == 3
 
 
 def test_a_field_is_shown_while_it_violates_its_constraint() -> None:
     field = {"field": "visibility", "constraint": ">= 1.5", "checked": 50, "violations": 7, "run": 2, "last": 0.5}
-    lines = shown(render.status(with_attachment(fields=[field])))
+    lines = shown(render_status.status(with_attachment(fields=[field])))
     assert lines[3:] == ["talker.out on /chatter: visibility is 0.5, visibility >= 1.5 declared"]
-    assert len(shown(render.status(with_attachment(fields=[{**field, "run": 0}])))) == 3
-    (row,) = shown(render.measured(with_attachment(fields=[{**field, "run": 0}])))[2:]
+    assert len(shown(render_status.status(with_attachment(fields=[{**field, "run": 0}])))) == 3
+    (row,) = shown(render_status.measured(with_attachment(fields=[{**field, "run": 0}])))[2:]
     assert row.endswith("visibility >= 1.5: 7 of 50 violate it, last 0.5")
 
 
 def test_every_attachment_is_in_the_table_of_what_is_measured() -> None:
-    (row,) = shown(render.measured(with_attachment()))[2:]
+    (row,) = shown(render_status.measured(with_attachment()))[2:]
     assert row.split() == "talker.out /chatter 50 Hz 50 Hz 1.00 s 19 ms 0 ms 21 ms –".split()
 
 

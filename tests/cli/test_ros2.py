@@ -115,8 +115,9 @@ def test_up_restores_what_has_died_with_the_manager(midstride: Midstride) -> Non
     up = midstride("up", TALKER, "-d")
     assert up.status == 0, up.err
     lines = [" ".join(line.split()[1:]) for line in up.out.splitlines()]
-    found = ["listener was reattached unchanged", "talker is no longer running"]
-    assert lines[:3] == [*found, "degrade listener.listen from normal to degraded"]
+    assert lines[:2] == ["listener was reattached unchanged", "talker is no longer running"]
+    degraded = lines[2] == "degrade listener.listen from normal to degraded"
+    assert degraded or lines[2].startswith("1/4 create talker"), "unless the listener has degraded itself meanwhile"
     assert any(line.startswith("4/4 upgrade listener.listen from degraded to normal") for line in lines)
     assert midstride("status", "--json").json["valid"]
     assert listener in midstride.saved("talker").instances, "the same process"

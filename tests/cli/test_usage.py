@@ -14,7 +14,7 @@ import pytest
 
 import midstride as package
 from midstride.backends import NAMES
-from midstride.cli import main, render
+from midstride.cli import main, render, render_status
 from midstride.cli.app import COMMANDS, GROUPS
 from midstride.cli.change_options import parse_value
 from midstride.cli.output import console
@@ -317,7 +317,7 @@ def test_a_topic_that_the_environment_satisfies_has_a_publisher(capsys: pytest.C
     ]
     document = {"system": "s", "backend": "sim", "valid": True, "components": [], "topics": topics}
     document |= {"violations": [], "silences": []}
-    console().print(render.status(document))
+    console().print(render_status.status(document))
     shown = capsys.readouterr().out
     assert "/odom: the environment → amcl.odom" in shown
     assert "/map: no publisher → amcl.odom  (not satisfied)" in shown

@@ -342,6 +342,26 @@ def test_the_lease_is_taken_once_the_disk_has_room(tmp_path: Path) -> None:
     run(body)
 
 
+def test_what_was_interrupted_is_found_on_a_full_disk_and_settled_once_it_has_room(tmp_path: Path) -> None:
+    async def body() -> None:
+        first, disk = journal(tmp_path), Unreliable()
+        await carried_out(first)
+        await (await first.begin(new(FIRST, SECOND))).step("create talker_3")
+        first.close()
+        disk.full = True
+        second = journal(tmp_path, disk)
+        [found] = await second.take_over()
+        assert (found.number, found.step, second.estimates != {}) == (2, 1, True)
+        await second.settle(found, SECOND)
+        assert "disk is full" in str(second.unwritten) and (await changes(second))[1].outcome is None
+        disk.full = False
+        assert [change.outcome for change in await changes(second)] == ["done", "rolled_back"]
+        assert second.unwritten is None
+        second.close()
+
+    run(body)
+
+
 def test_what_the_disk_refuses_during_a_change_is_written_later(tmp_path: Path) -> None:
     async def body() -> None:
         disk = Unreliable()

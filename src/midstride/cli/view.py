@@ -10,7 +10,7 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from midstride.cli import render
+from midstride.cli import render, render_status
 from midstride.cli.client import Client, Event
 from midstride.cli.follow import last_event_number
 from midstride.cli.output import console
@@ -69,7 +69,7 @@ def _live(client: Client, out: Console, shown: deque[Event], since: int) -> None
     with Live(console=out, auto_refresh=False, transient=False) as live:
         while not over.is_set():
             try:
-                status = render.status(client.get("/status"))
+                status = render_status.status(client.get("/status"))
             except MidstrideError:
                 break
             hint = Text("Ctrl-C leaves the view; the system keeps running.", style="dim")

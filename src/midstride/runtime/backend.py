@@ -108,7 +108,8 @@ class Backend(Protocol):
     def keep_spares(self, number: int, token: str) -> None:
         """Keep so many processes ready for later starts: what is missing starts in the background.
 
-        To be called when nothing else is going on. A platform without processes, or that cannot start them, has none.
+        To be called when nothing else is going on, or before many starts. A platform without processes, or that cannot
+        start them, has none.
         """
 
     def spares(self) -> int:

@@ -35,7 +35,8 @@ T = TypeVar("T")
 
 # The kinds of events that are incidents.
 INCIDENTS: Final = frozenset(
-    "up down exited silence fenced degraded reflex respawn respawn_ended parameters rollback_failed".split()
+    """up down exited silence fenced degraded restore restore_ended respawn respawn_ended parameters
+    rollback_failed""".split()
 )
 # How many statements are kept in memory while the disk refuses them.
 BACKLOG: Final = 2_000
@@ -67,18 +68,18 @@ class Journal:
         self._closed = False
 
     async def take_over(self) -> list[Interrupted]:
-        """Take the lease; returns the changes that were interrupted, oldest first.
+        """Take the lease, with a later write if the disk refuses it; returns what was interrupted, oldest first.
 
         Raises nothing: without a journal, a running system can be recovered, too. ``unwritten`` then says why.
         """
 
-        def take(database: Database) -> list[Interrupted]:
-            self._commit(database, ())
+        def read(database: Database) -> list[Interrupted]:
             self.estimates = journal_records.estimates(database, self._backend)
             return journal_records.interrupted(database)
 
+        await self.write()
         try:
-            return await self._beside(take)
+            return await self._beside(read)
         except ManagerError:
             return []
 

@@ -117,11 +117,11 @@ class Ros2Backend(ProcessBackend):
         graph.starts(full_name)
         environment = launching.environment(launch, self._control, command[0], self.settings, os.environ)
         if launch.foreign is None:
-            return self._spawn(launch, full_name, command, environment)
+            return await self._spawn(launch, full_name, command, environment)
         environment, record = await self._foreign_nodes.prepare(launch, launch.foreign, full_name, environment)
         try:
             command = (*command, *ros_arguments(launch, launch.foreign, full_name))
-            handle = self._spawn(launch, full_name, command, environment, own_process=True)
+            handle = await self._spawn(launch, full_name, command, environment)
         except BackendError:
             self._foreign_nodes.discard(record)
             raise

@@ -35,12 +35,12 @@ def status_command(nodes: tuple[str, ...], verbose: bool, system: str | None) ->
     if wants_json():
         print_json(document)
     else:
-        from midstride.cli import render
+        from midstride.cli import render_status
 
-        console().print(render.status(document))
+        console().print(render_status.status(document))
         if verbose:
-            console().print(render.measured(document))
-            console().print(render.platform(document))
+            console().print(render_status.measured(document))
+            console().print(render_status.platform(document))
     return 0 if document["valid"] else 1
 
 
