@@ -210,6 +210,7 @@ def _node(
         details.append(became + (", set in place" if in_place else ""))
         replaced = not in_place
     wiring = list(_wiring(before, after))
+    replaced = replaced or (bool(wiring) and was.gate is not None)  # its topics are fixed at its start
     policy = [] if before.respawn == after.respawn else [_became("respawn", before.respawn, after.respawn)]
     if details or wiring or policy:
         kind: Kind = "replaced" if replaced or why is not None else "rewired" if wiring else "set"
