@@ -19,10 +19,9 @@ from midstride.runtime.workspace import Workspace
 from tests.acceptance.support import ROOT, ended
 from tests.backends.ros2_support import Bare, run
 
-pytestmark = [pytest.mark.ros2, pytest.mark.full]
-
 PAGE = ROOT / "docs" / "how-to" / "unmodified-nodes.md"
 SWAPS = int(os.environ.get("MIDSTRIDE_UNMODIFIED_SWAPS", "4"))
+pytestmark = [pytest.mark.ros2, pytest.mark.full, pytest.mark.timeout(120 + 10 * SWAPS)]
 
 
 def specification(folder: Path) -> Specification:
@@ -74,7 +73,7 @@ def test_nothing_is_missed_and_one_is_heard_at_each_moment(tmp_path: Path) -> No
         await manager.close()
 
     with ended():
-        run(scenario(), 120)
+        run(scenario(), 90 + 10 * SWAPS)
     changes = [(old, new) for (old, _), (new, _) in pairwise(heard) if old != new]
     assert len(changes) == SWAPS
     # One that has the topic writes all of its messages, and after the change none.

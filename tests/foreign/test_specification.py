@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
+from typing import Any
 
 import pytest
 from immutables import Map
@@ -15,12 +16,15 @@ from midstride.errors import StepFailed
 from midstride.foreign.page import Page
 from midstride.generate.project import project
 from midstride.lang.load import load
+from midstride.model.action import Swap
+from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.specification_diff import differences
-from midstride.runtime.agreed_cut import early_publishers, require_same_gate
+from midstride.runtime.agreed_cut import early_publishers, publishers_found, require_found, require_same_gate
 from midstride.runtime.backend import Launch
+from midstride.wire.commands import Attached, AwaitMatchCommand
 from midstride.wire.sockets import SocketFolder
 
 TEXT = """system chat
@@ -161,3 +165,51 @@ def test_a_hand_over_is_between_two_of_one_kind(tmp_path: Path) -> None:
         require_same_gate(both, "talker", "talker_2")
     port = initial(specification).attached_ports("talker")[0][0]
     assert early_publishers(both, [port]) == 1
+
+
+class Counting:
+    """Subscribers that count so many publishers."""
+
+    def __init__(self, matched: int) -> None:
+        self.matched = matched
+        self.wanted: list[int] = []
+
+    async def read(self, instance: str, command: AwaitMatchCommand) -> Attached:
+        self.wanted.append(command.peers)
+        return Attached(matched=self.matched)
+
+
+@pytest.mark.parametrize(("matched", "found"), [(1, False), (2, True), (3, True)])
+def test_a_publisher_that_exists_before_it_is_attached_is_counted_once(
+    tmp_path: Path, matched: int, found: bool
+) -> None:
+    """The subscriber may count the new one already, and one that has left without a word."""
+    listener = """component Listener {
+  run "python3 listener.py"
+  input in : std_msgs/msg/String @ 50 Hz
+  functionality listen {
+    uses in
+    mode normal { assume in }
+    mode degraded { }
+  }
+}
+node listener : Listener { in <- /chat }
+"""
+    specification = parsed(
+        TEXT.partition("component Other")[0] + listener + "node talker : Talker { out -> /chat }\n", tmp_path
+    )
+    configuration = initial(specification).with_instance(specification.instance("talker", "talker_2"))
+    old, new = PortRef("talker", "out"), PortRef("talker_2", "out")
+
+    async def scenario() -> None:
+        client: Any = Counting(matched)
+        before = await publishers_found(client, configuration, "/chat", lambda _: False, early=1)
+        assert client.wanted == [0]
+        await require_found(client, configuration, [Swap("/chat", old, new)], "/chat", before, lambda _: False)
+        assert client.wanted == [0, 2]
+
+    if found:
+        asyncio.run(scenario())
+    else:
+        with pytest.raises(StepFailed, match="has found only 1 of 2 publishers"):
+            asyncio.run(scenario())

@@ -210,7 +210,7 @@ class ForeignAgent:
             case commands.PingCommand() | commands.MeetCommand() | commands.AnswerCommand():
                 pass
             case commands.ProgramCommand():
-                return Program(files=[], started=self.record.started, complete=False)
+                return Program(files=[], started=self.record.started)
             case commands.ExportStateCommand():
                 return commands.ExportedState(state=None)
             case commands.PrepareStateCommand() | commands.OfferStateCommand():

@@ -76,9 +76,7 @@ class _ProjectBuilder:
         if component.run is None:
             skipped[component.name] = "it has no `run` command: it is started elsewhere"
         elif component.gate is not None:
-            skipped[component.name] = (
-                f"it has a gate (`gate {component.gate}`): its program does not use Midstride's API"
-            )
+            skipped[component.name] = "its program does not use Midstride's API: it has a gate"
         elif run is None:
             skipped[component.name] = f"`{component.run}` does not run a Python file in this folder"
         elif run.path in self.programs:

@@ -185,14 +185,14 @@ async def publishers_found(
     """How many publishers each subscriber of ``connector`` that answers is matched with, before new ones attach.
 
     A publisher that has just left may still be counted, so a subscriber that counts more than there are in the model is
-    asked again for a while. ``early``: how many of the new ones have existed since their processes started.
+    asked again for a while. That is not done if some of the new ones are ``early``: they may be counted as well.
     """
-    living = sum(not is_gone(port.instance) for port in configuration.publishers_on(connector)) + early
+    living = sum(not is_gone(port.instance) for port in configuration.publishers_on(connector))
     found: dict[PortRef, int] = {}
     for port in sorted(configuration.subscribers_on(connector)):
         asked = AwaitMatchCommand(port=port.port, topic=configuration.topic(connector), peers=0, timeout=0.0)
         with contextlib.suppress(CallTimeout, Unreachable):  # reported as a silence
-            for _ in range(LEAVE_ATTEMPTS):
+            for _ in range(1 if early else LEAVE_ATTEMPTS):
                 found[port] = (await client.read(port.instance, asked)).matched
                 if found[port] <= living:
                     break
@@ -218,16 +218,15 @@ async def require_found(
     That the publishers have found them is not enough: a subscriber whose middleware does not discover endpoints any
     more would receive nothing after the cut. ``before`` is what :func:`publishers_found` returned. Such a subscriber
     may also not have noticed who left, so the number of publishers there are would not do. New publishers of nodes
-    without Midstride's API have existed since their processes started, and may have been found before.
+    without Midstride's API have existed since their processes started, and may have been counted before. Such a node
+    may also have left without a word, and be counted for long. So for them that number has to do.
     """
     new = {swap.new for swap in swaps if swap.connector == connector}
     gone = sum(is_gone(port.instance) for port in configuration.publishers_on(connector))
     topic, early = configuration.topic(connector), early_publishers(configuration, new)
-    living = len(configuration.publishers_on(connector)) - gone
     for port, counted in before.items():
-        if early:
-            counted = max(counted - early, living)
-        wanted = counted + len(new) - gone  # whether one that has exited is still counted is not known
+        # Whether one that has exited is still counted is not known.
+        wanted = (len(configuration.publishers_on(connector)) if early else counted) + len(new) - gone
         await_match = AwaitMatchCommand(port=port.port, topic=topic, peers=wanted, timeout=FIND_TIMEOUT)
         try:
             matched = (await client.read(port.instance, await_match)).matched

@@ -77,7 +77,10 @@ class ForeignNodes:
     async def _opened(self, environment: Mapping[str, str]) -> tuple[Page, Path]:
         library = await asyncio.to_thread(build.library, environment)
         if self._page is None:
-            self._page = Page(self._folder / _PAGE, library)
+            path = self._folder / _PAGE
+            if not any(self._folder.glob("*.json")):
+                path.unlink(missing_ok=True)  # nothing uses it, and an earlier version may have made it
+            self._page = Page(path, library)
         return self._page, library
 
     def discard(self, record: ForeignRecord) -> None:
