@@ -106,7 +106,7 @@ class Explorer:
                     holder = BatonWord.of(writer.seen).holder
                     yield world.with_writer(index, knows=int(not world.living(holder)))
                 else:
-                    skipped = min(2, writer.skipped + 1) if verdict == SKIP else 0
+                    skipped = writer.skipped + bool(writer.flags & PortFlag.RATED) if verdict == SKIP else 0
                     yield world.with_writer(index, at="idle", skipped=skipped, seen=0, knows=-1)
         elif writer.at == "entering":
             if world.word != writer.seen:
@@ -114,7 +114,8 @@ class Explorer:
             else:
                 before, after = BatonWord.of(writer.seen), BatonWord.of(writer.next)
                 again = before.state is BatonState.LAID and before.holder == writer.node and bool(after.successor)
-                entered = world.with_writer(index, at="publishing", again=again, skipped=0, seen=0, knows=-1)
+                skipped = (2 if writer.flags & PortFlag.TIMED else writer.skipped) if again else 0
+                entered = world.with_writer(index, at="publishing", again=again, skipped=skipped, seen=0, knows=-1)
                 yield replace(entered, word=writer.next)
         elif writer.at == "publishing":
             yield world.with_writer(index, at="leaving", seen=world.word, wrote=min(2, writer.wrote + 1))
@@ -243,8 +244,12 @@ def test_the_old_one_takes_it_back_at_its_second_slot(explorer: Explorer) -> Non
     assert explorer.enter(laid, old, False)[0] == SKIP
     verdict, word = explorer.enter(laid, replace(old, skipped=1), False)
     assert verdict == PASS
-    assert (BatonWord.of(word).holder, BatonWord.of(word).successor) == (OLD, 0)
-    assert explorer.enter(word, Writer(NEW, RATED), False)[0] == HOLD_BACK
+    assert (BatonWord.of(word).holder, BatonWord.of(word).successor) == (OLD, NEW)
+    assert explorer.enter(word, Writer(NEW, RATED, knows=0), False)[0] == HOLD_BACK
+    again = int(explorer.library.midstride_leave(word, word, RATED, True))
+    assert BatonWord.of(again).state is BatonState.LAID
+    assert explorer.enter(again, replace(old, skipped=1), False)[0] == PASS  # one slot is missed, and no more
+    assert explorer.enter(again, Writer(NEW, RATED), False)[0] == PASS
 
 
 def test_the_exploration_finds_a_missing_count_of_writers(explorer: Explorer) -> None:

@@ -67,15 +67,14 @@ def test_one_writer_at_each_moment_and_nothing_missing(lab: Lab, period: int, fl
         return lab.written_by(index) > before
 
     def answered() -> bool:
-        return lab.word(baton).holder == new + 1 or not lab.word(baton).successor
+        return lab.word(baton).holder == new + 1
 
     while swaps < 10:
         before = lab.written_by(new)
         lab.page.step(baton, BatonStep.NAME_SUCCESSOR, old, new)
         until(answered, "no answer")
-        if lab.word(baton).holder == new + 1:  # else the machine kept the new one from running for two slots
-            until(partial(published, new, before), "the new one does not publish")
-            old, new, swaps = new, old, swaps + 1
+        until(partial(published, new, before), "the new one does not publish")
+        old, new, swaps = new, old, swaps + 1
     lab.page.step(baton, BatonStep.SETTLE, old)  # the other one does not go on when this one is ended
     lab.close()
     assert lab.overlaps() == 0
@@ -86,8 +85,8 @@ def test_one_writer_at_each_moment_and_nothing_missing(lab: Lab, period: int, fl
     for (before, last, _), (writer, number, _) in pairwise(records):
         if writer == before:
             held_back += number != last + 1
-    # While it has the baton, nothing of it is held back; one that has taken it back had left a slot to its successor.
-    assert held_back == 0 or flags == RATED
+    # While it has the baton, nothing of it is held back, but for one slot that it may have left to its successor.
+    assert held_back <= (swaps if flags == RATED else 0)
 
 
 def test_the_old_one_goes_on_if_the_new_one_dies_with_the_baton(lab: Lab) -> None:
@@ -123,13 +122,16 @@ def test_the_new_one_takes_over_if_the_old_one_dies(lab: Lab) -> None:
     until(lambda: lab.written_by(new) > 10, "the new one does not take over")
 
 
-def test_the_old_one_takes_it_back_if_the_new_one_does_not_write(lab: Lab) -> None:
+def test_the_old_one_misses_one_slot_if_the_new_one_does_not_write(lab: Lab) -> None:
     old, new, baton = started(lab, MS, RATED)
     os.kill(lab.processes[new].pid, signal.SIGSTOP)
-    before = lab.written_by(old)
+    before, gated = lab.written_by(old), lab.port(old).gated
     lab.page.step(baton, BatonStep.NAME_SUCCESSOR, old, new)
-    until(lambda: lab.word(baton).holder == old + 1 and not lab.word(baton).successor, "it is not taken back")
     until(lambda: lab.written_by(old) > before + 10, "the old one does not go on")
+    assert lab.port(old).gated == gated + 1
+    os.kill(lab.processes[new].pid, signal.SIGCONT)
+    until(lambda: lab.written_by(new) > 10, "the new one does not take it when it goes on")
+    assert lab.overlaps() == 0
 
 
 def test_one_that_is_stopped_is_fenced_and_held_back_when_it_goes_on(lab: Lab) -> None:
@@ -156,8 +158,9 @@ def test_without_a_rate_it_is_left_to_the_successor_for_a_stated_time(lab: Lab) 
     until(lambda: lab.word(baton).state is BatonState.LAID, "it is not laid down")
     gated = lab.port(old).gated
     until(lambda: lab.port(old).gated > gated + 10, "the old one does not wait")
+    before = lab.written_by(old)
     lab.page.layout.batons[baton - 1].patience = 0
-    until(lambda: not lab.word(baton).successor, "it is not taken back")
+    until(lambda: lab.written_by(old) > before + 10, "the old one does not go on")
 
 
 def test_a_message_written_once_is_kept_and_published_when_the_gate_opens(lab: Lab) -> None:

@@ -22,7 +22,7 @@ from msgspec.structs import replace
 from midstride.codec.component import NamedComponentForm
 from midstride.errors import CommandRefused, MidstrideError
 from midstride.foreign.gates import Gates
-from midstride.foreign.page import BatonState, BatonStep
+from midstride.foreign.page import BatonStep
 from midstride.foreign.record import ForeignRecord
 from midstride.model.component import ComponentSpec
 from midstride.node.message_times import window_of
@@ -467,7 +467,7 @@ class ForeignAgent:
         return commands.Done()
 
     async def _await_cut(self, command: commands.AwaitCutCommand) -> commands.CutResult:
-        """Both sides: until the new one has written, or the old one has taken the baton back, or is fenced."""
+        """Both sides: until the new one has written, or that is withdrawn, or the old one is fenced."""
         cut, gates = self._cuts.get(command.cut), self._gates_of()
         if cut is None:
             raise CommandRefused(f"there is no cut {command.cut}")
@@ -487,10 +487,7 @@ class ForeignAgent:
 
         await self._comes_true(lambda: done() or over(), command.timeout)
         if not done():
-            if not over() or gates.page.word(cut.baton).state is BatonState.FENCED:
-                return commands.CutResult(outcome="waiting")
-            because = f"{self.record.instance} has not written within two slots of the old one" if new else None
-            return commands.CutResult(outcome="resumed", because=because)
+            return commands.CutResult(outcome="waiting")
         writes = {f"{swap.port} {swap.topic}": self._last_write(swap.port, cut) for swap in cut.swaps}
         if new:
             return commands.CutResult(outcome="done", first=writes)

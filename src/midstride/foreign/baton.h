@@ -83,7 +83,7 @@ enum { HELD = 0, LAID = 1, FENCED = 2 };
 #define PREDECESSOR(word) FIELD(word, 36, 12)
 #define GENERATION(word) FIELD(word, 48, 16)
 #define MOST_WRITERS 255u
-/* A writer that finds its baton still lying after so many of its slots takes it back. */
+/* A writer whose baton still lies leaves its slots to its successor, all but the one of this number and later ones. */
 #define SLOTS 2u
 
 static inline uint64_t baton_word(unsigned generation, unsigned predecessor, unsigned successor, unsigned holder,
@@ -101,6 +101,9 @@ enum verdict { PASS, HOLD_BACK, SKIP, ASK, BUSY };
  * baton to its successor; `waited`: whether `patience` is over; `dead`: whether the holder is (-1: not known). For PASS,
  * `next` is what the word must become before it publishes.
  *
+ * `skipped` goes on from SKIP to SKIP (of a port with a rate), is SLOTS once `patience` was over, and is 0 again after a
+ * message that the baton did not lie for.
+ *
  * RATED: the port has a rate, so its writes are slots. TIMED: no port that shares the baton has one. */
 static inline enum verdict baton_enter(uint64_t word, unsigned me, unsigned flags, unsigned skipped, int waited, int dead,
                                        uint64_t *next)
@@ -115,13 +118,10 @@ static inline enum verdict baton_enter(uint64_t word, unsigned me, unsigned flag
     }
     if (state != LAID)
       return HOLD_BACK;
-    if (!(flags & (RATED | TIMED))) { /* beside the rate: nothing is lost, and it is laid down again afterwards */
-      *next = baton_word(generation + 1, PREDECESSOR(word), SUCCESSOR(word), me, HELD, 1);
-      return PASS;
-    }
-    if (flags & RATED ? skipped + 1 < SLOTS : !waited)
+    if (flags & RATED ? skipped + 1 < SLOTS : flags & TIMED && !waited && skipped < SLOTS)
       return SKIP;
-    *next = baton_word(generation + 1, PREDECESSOR(word), 0, me, HELD, 1); /* the successor has not come: take it back */
+    /* The successor has not come, or nothing of this output may be lost: publish, and lay it down again afterwards. */
+    *next = baton_word(generation + 1, PREDECESSOR(word), SUCCESSOR(word), me, HELD, 1);
     return PASS;
   }
   if (SUCCESSOR(word) == me && state == LAID && flags & (RATED | TIMED)) {

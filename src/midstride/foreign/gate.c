@@ -287,10 +287,14 @@ static bool enter(struct entry *entry, struct pass *pass)
       pass->baton = baton;
       pass->entered = next;
       pass->again = STATE(seen) == LAID && HOLDER(seen) == me && SUCCESSOR(next) != 0;
-      entry->skipped = 0;
+      if (!pass->again)
+        entry->skipped = 0;
+      else if (pass->flags & TIMED)
+        entry->skipped = SLOTS;
       return true;
     case SKIP:
-      entry->skipped++;
+      if (pass->flags & RATED)
+        entry->skipped++;
       return false;
     case ASK:
       dead = is_dead(descriptor, HOLDER(seen));
