@@ -8,14 +8,22 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 
+from midstride.codec.specification import decode_specification
+from midstride.model.component import FunctionalityRef
+from midstride.model.specification import initial
 from midstride.plan.request import PlanRequest
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.manager import Manager
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
+from midstride.runtime.restoring import lacking
 from midstride.runtime.timeouts import within
 from midstride.runtime.workspace import Workspace
+from midstride.wire.channel import Report
 from midstride.wire.commands import ModesCommand
+from midstride.wire.frames import StateChanged
+from midstride.wire.state import ComponentState, FieldSamples, FunctionalityState, LinkState, Measured
 from tests.runtime.systems import request
 from tests.runtime.test_reflex import CHAIN, Chain, in_chain
 
@@ -280,3 +288,121 @@ def test_a_chain_that_falls_again_and_again_while_the_manager_is_cut_off_comes_b
             assert words(chain, "command")[1:] == ["restore b.work"] * number
 
     in_chain(tmp_path, body)
+
+
+def test_a_dependant_that_does_not_answer_when_the_others_are_restored_is_restored_later(tmp_path: Path) -> None:
+    async def body(chain: Chain) -> None:
+        await fall(chain)
+        chain.simulator.faults.freeze("c", 12.0)
+        await asyncio.sleep(4.0)
+        (chain.folder / "silent").unlink()
+        await seconds_until(chain, lambda: chain.mode("b") == "normal", RESTORED)
+        await restored(chain, 20.0)
+        assert words(chain, "command")[1:] == ["restore b.work", "restore c.work"]
+
+    in_chain(tmp_path, body)
+
+
+@pytest.mark.parametrize(("busy", "hangs"), [(0.05, False), (2.0, True)])
+def test_a_degraded_mode_that_is_at_work_is_no_call_that_hangs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, busy: float, hangs: bool
+) -> None:
+    """Each report shows a call under way, of which only a long one may hang."""
+    on_report = ComponentClient._on_report
+
+    def at_work(client: ComponentClient, instance: str, frame: Report) -> None:
+        if isinstance(frame, StateChanged):
+            views = {name: structs.replace(view, busy=busy) for name, view in frame.state.functionalities.items()}
+            frame = StateChanged(state=structs.replace(frame.state, functionalities=views))
+        on_report(client, instance, frame)
+
+    async def body(chain: Chain) -> None:
+        monkeypatch.setattr(ComponentClient, "_on_report", at_work)
+        await fall(chain)
+        (chain.folder / "silent").unlink()
+        await asyncio.sleep(RESTORED)
+        assert (modes(chain) != NORMAL) is hangs
+
+    in_chain(tmp_path, body)
+
+
+# -- which inputs lack what they assume ----------------------------------------------------------------------
+
+IMAGE = {"type": "sensor_msgs/msg/Image", "rate": 20, "where": {"width": {">=": 640}}}
+CAMERAS = {
+    "system": "cameras",
+    "topics": {"/left": IMAGE, "/right": IMAGE},
+    "components": {
+        "Camera": {
+            "outputs": ["out"],
+            "functionalities": {
+                "look": {"produces": ["out"], "modes": {"normal": {"guarantees": {"out": IMAGE}}, "off": {}}}
+            },
+        },
+        "Pilot": {
+            "inputs": {"left": IMAGE, "right": IMAGE},
+            "functionalities": {
+                "drive": {
+                    "uses": ["left", "right"],
+                    "modes": {
+                        "stereo": {"assumes": ["left", "right"]},
+                        "mono": {"assumes": [{"any_of": ["left", "right"]}]},
+                        "image": {"assumes": [IMAGE]},
+                        "stop": {},
+                    },
+                }
+            },
+        },
+    },
+    "nodes": {
+        "left": {"component": "Camera", "attachments": {"out": ["/left"]}},
+        "right": {"component": "Camera", "attachments": {"out": ["/right"]}},
+        "pilot": {"component": "Pilot", "attachments": {"left": ["/left"], "right": ["/right"]}},
+    },
+}
+PILOT = FunctionalityRef("pilot", "drive")
+
+
+def link(rate: float | None, violating: int = 0, covered: float = 1.0, count: int = 100) -> LinkState:
+    width = FieldSamples(constraint="width >= 640", checked=100, violations=5, run=violating)
+    measured = Measured(window=1.0, covered=covered, rate=rate)
+    return LinkState(gate=None, count=count, measured=measured, fields={"width": width})
+
+
+GOOD, SLOW = link(19.0), link(16.0)
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "expected"),
+    [
+        (GOOD, GOOD, 0),
+        (GOOD, SLOW, 1),
+        (SLOW, GOOD, 1),
+        (SLOW, SLOW, 3),
+        (link(0.0), link(None), 3),
+        (link(20.0, violating=1), link(20.0, covered=0.9), 3),  # not what is assumed; not measured for long enough
+        (link(20.0, violating=1), GOOD, 1),
+        (GOOD, link(None, covered=0.0, count=0), 0),  # nothing is concluded of what has never been received
+    ],
+)
+def test_the_best_mode_is_restored_whose_inputs_are_back(left: LinkState, right: LinkState, expected: int) -> None:
+    configuration = initial(decode_specification(CAMERAS)).with_modes({PILOT: 3})
+    state = reported(left, right)
+    missing = [list(lacking(configuration, PILOT, index, state)) for index in range(3)]
+    assert [*map(bool, missing), False].index(False) == expected
+    # What the model does not support is not judged by what is measured.
+    dark = configuration.with_modes({FunctionalityRef(name, "look"): 1 for name in ("left", "right")})
+    assert not any(list(lacking(dark, PILOT, index, state)) for index in range(3))
+
+
+def reported(left: LinkState, right: LinkState) -> ComponentState:
+    return ComponentState(
+        instance="pilot",
+        uuid="",
+        pid=1,
+        revision=1,
+        functionalities={"drive": FunctionalityState(mode="stop", since=1.0, because="", reflex=True)},
+        ports={"left": {"/left": left}, "right": {"/right": right}},
+        parameters={},
+        stopping=1.0,
+    )

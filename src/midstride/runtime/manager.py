@@ -94,6 +94,7 @@ class Manager:
         self._journal = Journal(workspace.journal, backend.name, disk)
         self.events.on_event = self._journal.note
         self._client = ComponentClient(backend.transport, backend.clock, secrets.token_hex(16))
+        self._client.superseded = lambda: self._journal.superseded or self._store.superseded
         self._options = options
         self._spares = options.spares
         self._launcher = Launcher(backend, self._client, directory, options)
@@ -196,6 +197,8 @@ class Manager:
             interrupted = await self._journal.take_over()
             if self._journal.damaged is not None:
                 self.events.add("note", self._journal.damaged)
+            if saved is not None:
+                self._store.take_over()
             bring_up = self._bring_up()
             absent = set() if saved is None else await bring_up.recover(saved, interrupted)
             self._backend.keep_spares(self._spares, self._client.token)

@@ -36,6 +36,8 @@ log = logging.getLogger(__name__)
 POLICY: Final = RespawnPolicy(delay=1.0)
 # What is due so soon is restored together (s): components report twice a second.
 TOGETHER: Final = 0.6
+# A call that takes longer than this may hang (s).
+HANGS: Final = 0.5
 
 
 @dataclass(slots=True)
@@ -77,6 +79,7 @@ class Restorer:
     _records: dict[FunctionalityRef, _Record] = field(default_factory=dict)
     # What has degraded by an exception or by another client's command, and to which mode: a command restores these.
     _held: dict[FunctionalityRef, int] = field(default_factory=dict)
+    _left_out: set[FunctionalityRef] = field(default_factory=set)  # did not answer when they could have been restored
     _running: bool = False  # the system is up
     _restoring: asyncio.Task[None] | None = None
     _carrying: dict[FunctionalityRef, int] = field(default_factory=dict)  # what is being restored now
@@ -102,13 +105,15 @@ class Restorer:
         """A command has ended, or the model follows what has happened: forget what has been restored or removed."""
         modes, self._running = self.system.configuration.modes, True
         self._held = {ref: index for ref, index in self._held.items() if modes.get(ref, -1) >= index}
+        self._left_out = {ref for ref in self._left_out if modes.get(ref)}
         now = self.clock.steady()
         for ref, record in list(self._records.items()):
             if ref in self._carrying:
                 continue
             since = record.attempts.runs_since
             lasts = not record.fallen and since is not None and now - since > POLICY.window
-            if ref not in modes or lasts or (record.fallen and not self._is_fallen(ref)):
+            raised = record.fallen and self.client.latest(ref.instance) is not None and not self._is_fallen(ref)
+            if ref not in modes or lasts or raised:
                 del self._records[ref]
 
     def on_report(self, state: ComponentState) -> None:
@@ -117,16 +122,16 @@ class Restorer:
             return
         for name, view in state.functionalities.items():
             ref = FunctionalityRef(state.instance, name)
-            if view.reflex and ref not in self._carrying and self._is_fallen(ref):
+            if ref not in self._carrying and self._is_fallen(ref):
                 self._look(ref, view)
 
     def _is_fallen(self, ref: FunctionalityRef) -> bool:
-        """Whether the local reflex has degraded it, and the model has followed."""
+        """Whether the local reflex has degraded it, or it was left out, and the model has followed."""
         latest, configuration = self.client.latest(ref.instance), self.system.configuration
         if latest is None or ref not in configuration.modes:
             return False
         view = latest.state.functionalities[ref.functionality]
-        return view.reflex and configuration.mode(ref).name == view.mode
+        return (view.reflex or ref in self._left_out) and configuration.mode(ref).name == view.mode
 
     def _look(self, ref: FunctionalityRef, view: FunctionalityState) -> None:
         now, record = self.clock.steady(), self._records.setdefault(ref, _Record())
@@ -135,7 +140,7 @@ class Restorer:
             record.attempts.stopped(now)
             self._count(ref, record)
         gone, record.seen = now - record.seen, now
-        if view.busy is not None or ref not in self.improved([ref]):
+        if (view.busy or 0.0) > HANGS or ref not in self.improved([ref]):
             record.supported_since = None
         elif record.supported_since is None or gone > SILENCE:
             record.supported_since = now
@@ -188,6 +193,8 @@ class Restorer:
                         self._count(ref, record, failed)
                     else:
                         record.fallen, record.attempts.runs_since = False, self.clock.steady()
+        except Exception:  # nothing awaits this task, so errors are logged here
+            log.exception("%s failed", words)
         finally:
             self._carrying = {}
 
@@ -206,6 +213,8 @@ class Restorer:
         """
         configuration, record = self.system.configuration, self._records.get(ref)
         now, state = configuration.modes[ref], self.client.responsive(ref.instance)
+        if now and state is None and not asked:
+            self._left_out.add(ref)
         if not now or ref in self._held or state is None or state.waiting is not None:
             return now
         if not asked and record is not None and record.fallen and (record.number > attempts or record.left is not None):

@@ -54,6 +54,7 @@ class _Database(Database):
         if self._life is not None:
             self._life.require()
         if self._disk.full:
+            super().write((), *args, **named)  # to look at the lease takes no room
             raise sqlite3.OperationalError("database or disk is full")
         killed, self._disk.kill_at = self._disk.kill_at, None
         if killed == "before":
