@@ -247,6 +247,10 @@ class Simulation:
         await asyncio.sleep(SETTLING)
         manager = self._manager
         assert manager is not None
+        if not self._has_struck("full disk"):  # what was refused is written with the next write
+            running = {process.instance for process in self._platform.stand_ins()}
+            if unrecorded := running - set(self._recorded()):
+                self._violated(f"{sorted(unrecorded)} run, and are not saved")
         request = self._again(manager)
         outcome = await self._ended(self._lives[-1], manager.change(request, brief=self._brief))
         if outcome is None or outcome.outcome != "done":
@@ -306,15 +310,16 @@ class Simulation:
             modelled = {(port.port, configuration.topic(name)) for port, name in configuration.attached_ports(name)}
             if shown != modelled:
                 found.append(f"{name} is attached to {sorted(shown)}, the model has {sorted(modelled)}")
-        saved = self._saved()
-        if saved is None:
-            found.append("no state is saved")
-        else:
-            if sorted(each.instance.name for each in saved.instances) != sorted(processes):
-                found.append(f"saved are {sorted(each.instance.name for each in saved.instances)}")
-            if saved.specification != manager.specification:
-                found.append("another specification is saved")
+        if self._recorded() != sorted(processes):
+            found.append(f"saved are {self._recorded()}")
+        if (saved := self._saved()) is not None and saved.specification != manager.specification:
+            found.append("another specification is saved")
         return found
+
+    def _recorded(self) -> list[str]:
+        """The instances that the next manager would find."""
+        saved = self._saved()
+        return [] if saved is None else sorted(each.instance.name for each in saved.instances)
 
     def _uncaught(self) -> list[str]:
         """What no task has caught. Tasks of a process that was killed end where they were."""
