@@ -251,6 +251,9 @@ class Simulation:
             running = {process.instance for process in self._platform.stand_ins()}
             if unrecorded := running - set(self._recorded()):
                 self._violated(f"{sorted(unrecorded)} run, and are not saved")
+        if self._outcomes[-1] == "rolled_back":
+            for name in self._closed():
+                self._violated(f"{name} is closed after a roll-back")
         request = self._again(manager)
         outcome = await self._ended(self._lives[-1], manager.change(request, brief=self._brief))
         if outcome is None or outcome.outcome != "done":
@@ -315,6 +318,18 @@ class Simulation:
         if (saved := self._saved()) is not None and saved.specification != manager.specification:
             found.append("another specification is saved")
         return found
+
+    def _closed(self) -> list[str]:
+        """The outputs whose gate is closed, where no other instance of their role publishes instead."""
+        roles = [process.role for process in self._platform.stand_ins()]
+        return [
+            f"{process.instance}.{port} on {topic}"
+            for process in self._platform.stand_ins()
+            if process.state is not None and roles.count(process.role) == 1
+            for port, topics in process.state.ports.items()
+            for topic, link in topics.items()
+            if link.gate == "closed"
+        ]
 
     def _recorded(self) -> list[str]:
         """The instances that the next manager would find."""
