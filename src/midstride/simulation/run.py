@@ -264,8 +264,7 @@ class Simulation:
         for problem in self._differences(manager):
             self._violated(f"not converged: {problem}")
         for change in (await manager.history(10)).changes:
-            # A manager that cannot write to the journal when it takes over does not know what was interrupted.
-            if change.outcome is None and not self._has_struck("full disk"):
+            if change.outcome is None:
                 self._violated(f"not converged: `{change.command}` has no outcome in the journal")
         for problem in self._uncaught():
             self._violated(problem)
