@@ -41,6 +41,8 @@ REACTION: Final = 0.25
 REACTION_IF_REFUSED: Final = 2.0
 # How long to wait after the last command, for reports and messages to arrive (s).
 SETTLING: Final = 0.4
+# How many writes come first where one kills the manager: several are made without a request between them.
+SPARED: Final = (0, 0, 1, 2, 4, 6)
 # Names the files of the simulated disk.
 _WORKSPACE: Final = Workspace(Path("simulated"))
 
@@ -435,8 +437,9 @@ class Simulation:
                 self._lives[-1].kill()
             case "manager killed at a write":
                 self._disk.kill_at = self._random.choice(("before", "after"))
+                self._disk.spared = self._random.choice(SPARED)
             case "torn write":
-                self._disk.kill_at = "torn"
+                self._disk.kill_at, self._disk.spared = "torn", self._random.choice(SPARED)
             case "full disk":
                 self._disk.full = True
             case "manager superseded":
