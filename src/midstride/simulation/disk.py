@@ -12,11 +12,15 @@ from midstride.simulation.lives import Life, ManagerKilled
 
 
 class SimulatedDisk(Disk):
-    """``kill_at``: the next write kills the manager before it, after it, or half-way, which undoes it."""
+    """``kill_at``: a write kills the manager before it, after it, or half-way, which undoes it.
+
+    ``spared`` writes come first.
+    """
 
     def __init__(self) -> None:
         self.full = False
         self.kill_at: Literal["before", "after", "torn"] | None = None
+        self.spared = 0
         # Counts the writes.
         self.writes = 0
         # The manager that writes; None for a reader.
@@ -56,7 +60,10 @@ class _Database(Database):
         if self._disk.full:
             super().write((), *args, **named)  # to look at the lease takes no room
             raise sqlite3.OperationalError("database or disk is full")
-        killed, self._disk.kill_at = self._disk.kill_at, None
+        self._disk.spared -= 1
+        killed = None
+        if self._disk.spared < 0:
+            killed, self._disk.kill_at = self._disk.kill_at, None
         if killed == "before":
             self._kill()
         if killed == "torn":  # half of it is in the file, and not committed

@@ -85,7 +85,7 @@ class Fault:
 
 def draw(random: random.Random, steps: Sequence[str]) -> list[Fault]:
     """At least two faults, most of them during the steps of these kinds; in some runs only the manager fails."""
-    kinds = sorted(OF_THE_MANAGER) if random.random() < 0.1 else KINDS
+    kinds = sorted(OF_THE_MANAGER) if random.random() < 0.2 else KINDS
     return [_draw(random, steps, kinds) for _ in range(random.choice((2, 2, 2, 3, 4)))]
 
 

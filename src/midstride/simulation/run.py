@@ -41,6 +41,8 @@ REACTION: Final = 0.25
 REACTION_IF_REFUSED: Final = 2.0
 # How long to wait after the last command, for reports and messages to arrive (s).
 SETTLING: Final = 0.4
+# How many writes come first where one kills the manager: several are made without a request between them.
+SPARED: Final = (0, 0, 1, 2, 4, 6)
 # Names the files of the simulated disk.
 _WORKSPACE: Final = Workspace(Path("simulated"))
 
@@ -247,6 +249,13 @@ class Simulation:
         await asyncio.sleep(SETTLING)
         manager = self._manager
         assert manager is not None
+        if not self._has_struck("full disk"):  # what was refused is written with the next write
+            running = {process.instance for process in self._platform.stand_ins()}
+            if unrecorded := running - set(self._recorded()):
+                self._violated(f"{sorted(unrecorded)} run, and are not saved")
+        if self._outcomes[-1] == "rolled_back":
+            for name in self._closed():
+                self._violated(f"{name} is closed after a roll-back")
         request = self._again(manager)
         outcome = await self._ended(self._lives[-1], manager.change(request, brief=self._brief))
         if outcome is None or outcome.outcome != "done":
@@ -305,15 +314,28 @@ class Simulation:
             modelled = {(port.port, configuration.topic(name)) for port, name in configuration.attached_ports(name)}
             if shown != modelled:
                 found.append(f"{name} is attached to {sorted(shown)}, the model has {sorted(modelled)}")
-        saved = self._saved()
-        if saved is None:
-            found.append("no state is saved")
-        else:
-            if sorted(each.instance.name for each in saved.instances) != sorted(processes):
-                found.append(f"saved are {sorted(each.instance.name for each in saved.instances)}")
-            if saved.specification != manager.specification:
-                found.append("another specification is saved")
+        if self._recorded() != sorted(processes):
+            found.append(f"saved are {self._recorded()}")
+        if (saved := self._saved()) is not None and saved.specification != manager.specification:
+            found.append("another specification is saved")
         return found
+
+    def _closed(self) -> list[str]:
+        """The outputs whose gate is closed, where no other instance of their role publishes instead."""
+        roles = [process.role for process in self._platform.stand_ins()]
+        return [
+            f"{process.instance}.{port} on {topic}"
+            for process in self._platform.stand_ins()
+            if process.state is not None and roles.count(process.role) == 1
+            for port, topics in process.state.ports.items()
+            for topic, link in topics.items()
+            if link.gate == "closed"
+        ]
+
+    def _recorded(self) -> list[str]:
+        """The instances that the next manager would find."""
+        saved = self._saved()
+        return [] if saved is None else sorted(each.instance.name for each in saved.instances)
 
     def _uncaught(self) -> list[str]:
         """What no task has caught. Tasks of a process that was killed end where they were."""
@@ -415,8 +437,9 @@ class Simulation:
                 self._lives[-1].kill()
             case "manager killed at a write":
                 self._disk.kill_at = self._random.choice(("before", "after"))
+                self._disk.spared = self._random.choice(SPARED)
             case "torn write":
-                self._disk.kill_at = "torn"
+                self._disk.kill_at, self._disk.spared = "torn", self._random.choice(SPARED)
             case "full disk":
                 self._disk.full = True
             case "manager superseded":
