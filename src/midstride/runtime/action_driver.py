@@ -6,6 +6,7 @@ each component that can be reached.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Awaitable, Callable, Collection, Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
@@ -82,6 +83,7 @@ class ActionDriver:
     leaving: Container[str] = ()  # the instances that the plan removes
     change: Change | None = None  # what the plan does
     fences: Fences = field(init=False)
+    _settled: float = -math.inf  # when the inputs have settled that were attached (steady s)
     _keeping: set[str] = field(default_factory=set)  # instances that keep state, also where they have exited since
     _before_setting: dict[str, commands.PreviousParameters] = field(default_factory=dict)  # by instance
     _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
@@ -169,6 +171,8 @@ class ActionDriver:
         return {port.port: specification.connectors[connector].topic for port, connector in attachments}
 
     async def _perform(self, action: Action, because: str) -> None:
+        if not isinstance(action, Attach):
+            await self.settle()
         match action:
             case Create(instance):
                 standby = self.system.has_instance(instance.role)
@@ -303,10 +307,17 @@ class ActionDriver:
         others = (configuration.subscribers_on if output else configuration.publishers_on)(action.connector)
         peers = sum(not self._is_gone(other.instance) for other in others)
         attach = commands.AttachCommand(
-            port=port.port, topic=topic, peers=peers, timeout=ATTACH_TIMEOUT, **self._relied_on(port)
+            port=port.port, topic=topic, peers=peers, timeout=ATTACH_TIMEOUT, settle=False, **self._relied_on(port)
         )
         detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
-        await self._or_undo(port.instance, attach, detach)
+        reply = await self._or_undo(port.instance, attach, detach)
+        self._settled = max(self._settled, self.backend.clock.steady() + reply.settling)
+
+    async def settle(self) -> None:
+        """Wait until all inputs that were attached have settled: those of many attachments in a row do so together."""
+        clock = self.backend.clock
+        if self._settled > clock.steady():
+            await clock.sleep(self._settled - clock.steady())
 
     async def _detach(self, action: Detach) -> None:
         port, topic = action.port, self.configuration.topic(action.connector)
