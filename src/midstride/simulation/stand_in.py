@@ -51,13 +51,13 @@ def _stand_in(component: ComponentSpec, keeps_state: bool) -> ComponentSpec:
     if component.run is None:
         return component
     described = {
-        "component": encode_component(replace(component, run=None)),
+        "component": encode_component(replace(component, run=None, gate=None, topics=Map())),
         "keeps_state": keeps_state,
         "stateless": not keeps_state,
     }
     word = f"{component.name}-{zlib.crc32(json.dumps(described).encode()):08x}"
     _described[word] = component, described
-    return replace(component, run=" ".join([*_PROGRAM, word]))
+    return replace(component, run=" ".join([*_PROGRAM, word]), gate=None, topics=Map())
 
 
 @cache
