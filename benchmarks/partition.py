@@ -220,8 +220,11 @@ async def measure(folder: Path, other: str, runs: int, cuts: list[float], calm: 
             rows.append(row)
             print("".join(f"{name} {row[name]:6.2f}  " for name in (*REMOTE, "cut", "restored")), row["commands"])
             sys.stdout.flush()
-        status = await system.manager.status()
-        assert status.valid, status
+
+        async def valid() -> bool:
+            return bool((await system.manager.status()).valid)
+
+        await until(valid, "the system is valid")
         return rows
     except BaseException:
         for event in system.manager.log()[-40:]:

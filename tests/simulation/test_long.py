@@ -31,7 +31,7 @@ MASKED = {
     "lost reply not repeated": "what was carried out is done; else the manager takes over what the component reports",
     "new side not closed": "the roll-back or the next manager ends it before it is heard a second time",
     "never resumes": "the manager cancels the cut; it shows only if one is killed between its two commands and is away",
-    "gate not reopened": "it shows only after a roll-back from between the agreed moment and the first write",
+    "repetition carried out": "most commands have the same effect when they are carried out twice",
 }
 STEPS = ("create", "remove", "attach", "detach", "degrade", "upgrade", "handover", "set")
 BRANCHES = ("done", "refused", "rolled_back", "failed", "manager killed", "recovered")

@@ -41,8 +41,8 @@ REACTION: Final = 0.25
 REACTION_IF_REFUSED: Final = 2.0
 # How long to wait after the last command, for reports and messages to arrive (s).
 SETTLING: Final = 0.4
-# How many writes come first where one kills the manager: several are made without a request between them.
-SPARED: Final = (0, 0, 1, 2, 4, 6)
+# Where a write kills the manager: at any, or at one that records what has just been started or removed, or is done.
+TABLES: Final = ("", "", "instances", "changes")
 # Names the files of the simulated disk.
 _WORKSPACE: Final = Workspace(Path("simulated"))
 
@@ -437,9 +437,9 @@ class Simulation:
                 self._lives[-1].kill()
             case "manager killed at a write":
                 self._disk.kill_at = self._random.choice(("before", "after"))
-                self._disk.spared = self._random.choice(SPARED)
+                self._disk.kill_in = self._random.choice(TABLES)
             case "torn write":
-                self._disk.kill_at, self._disk.spared = "torn", self._random.choice(SPARED)
+                self._disk.kill_at, self._disk.kill_in = "torn", self._random.choice(TABLES)
             case "full disk":
                 self._disk.full = True
             case "manager superseded":
