@@ -175,13 +175,13 @@ async def first_reply(plane: Any, name: str, folder: Path, times: int) -> Sample
 class Session:
     """A manager with its system."""
 
-    def __init__(self, plane: Any, name: str, folder: Path, specification: Any) -> None:
+    def __init__(self, plane: Any, name: str, folder: Path, specification: Any, **options: Any) -> None:
         from midstride.runtime.manager import Manager
         from midstride.runtime.workspace import Workspace
 
         workspace = Workspace(folder)
         self.plane = plane
-        self.manager = Manager(specification, plane.backend(name, workspace), workspace, HERE)
+        self.manager = Manager(specification, plane.backend(name, workspace), workspace, HERE, **options)
 
     async def __aenter__(self) -> Session:
         begun = time.monotonic()

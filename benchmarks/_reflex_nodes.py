@@ -22,8 +22,8 @@ from typing import Any
 RATE = float(os.environ.get("MIDSTRIDE_REFLEX_RATE", "50"))
 # What Nav2's bond waits for; its heartbeats come four times per second.
 BOND_TIMEOUT, BOND_PERIOD = 4.0, 0.25
-# The others wait as long as the reflex: the silence that it tolerates at 50 Hz.
-TOLERATED = 1.0
+# The others wait as long as the reflex: the silence that it tolerates (s).
+TOLERATED = float(os.environ.get("MIDSTRIDE_REFLEX_TOLERATED", "1"))
 
 
 def faulty(folder: Path, write: Callable[[], object]) -> Callable[[], None]:

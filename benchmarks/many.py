@@ -1,8 +1,11 @@
 """Many components on ROS 2 in one domain, beside as many bare rclpy nodes: up, idle, a replacement, down.
 
 The bare nodes have the endpoints of the components and the discovery settings of `midstride up`, and are started at the
-same pace; instead of a replacement, one more node joins until it is matched. All figures of a row are of one run; the
-replacement is that of a source at 50 Hz. Idle time and memory leave that source and its sink out.
+same pace, or all at once; instead of a replacement, one more node joins until it is matched. All figures of a row are
+of one run; the replacement is that of a source at 50 Hz. Idle time and memory leave that source and its sink out. For
+`up` alone, each way in turns:
+
+    python benchmarks/many.py --nodes 30 --kinds spares components bare at-once --idle 0 --replacements 0 --rounds 5
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ import _control_plane_worker as worker
 
 HERE = Path(__file__).resolve().parent
 FEW = 10
+KINDS = ("spares", "components", "bare", "at-once")
 # How long after `up` the idle time begins (s): until then the middleware acknowledges what it has discovered.
 SETTLE = 15.0
 
@@ -51,21 +55,28 @@ async def idle(pids: list[int], seconds: float) -> Figures:
     return {"idle, % of a core": used, "memory, MiB": memory(pids)}
 
 
-async def components(nodes: int, seconds: float, replacements: int) -> Figures:
+async def components(nodes: int, seconds: float, replacements: int, spares: int) -> Figures:
     from midstride.plan.request import PlanRequest
+    from midstride.runtime.options import SystemOptions
 
     with tempfile.TemporaryDirectory(prefix="ms") as folder:
-        session = worker.Session(worker.Plane(), "ros2", Path(folder), system(nodes))
+        options = SystemOptions(spares=spares)
+        session = worker.Session(worker.Plane(), "ros2", Path(folder), system(nodes), options=options)
         async with session:
             # The pair is what the replacement is about; it is not idle.
             handles = session.manager._launcher.handles
             pids = [handle.pid for name, handle in handles.items() if name not in ("source", "sink")]
             figures = {"up, s": session.up, "processor time of up, s": worker.processor_time(session.pids())}
-            figures |= await idle(pids, seconds)
-            figures["manager idle, % of a core"] = (await idle([os.getpid()], seconds))["idle, % of a core"]
+            figures["memory, MiB"] = memory(pids)
+            if seconds:
+                figures |= await idle(pids, seconds)
+                figures["manager idle, % of a core"] = (await idle([os.getpid()], seconds))["idle, % of a core"]
             taken = []
             request = (("source", "OtherSource"),)
             for _ in range(replacements):
+                async with asyncio.timeout(60):
+                    while session.manager._backend.spares() < spares:
+                        await asyncio.sleep(0.1)
                 asked, last = time.time(), session.events()[-1].n
                 outcome = await session.manager.change(PlanRequest(replace=request))
                 if outcome.outcome == "done":
@@ -81,7 +92,7 @@ async def components(nodes: int, seconds: float, replacements: int) -> Figures:
         return figures
 
 
-async def bare(nodes: int, seconds: float, joins: int) -> Figures:
+async def bare(nodes: int, seconds: float, joins: int, *, paced: bool) -> Figures:
     from midstride.backends.ros2.dds_profiles import tuned_environment
     from midstride.runtime.clock import SystemClock
     from midstride.runtime.launcher import STOP_GRACE
@@ -116,14 +127,17 @@ async def bare(nodes: int, seconds: float, joins: int) -> Figures:
     begun = time.monotonic()
     try:
         for number in range(nodes):
-            await room_for_a_start(clock, lambda: len(processes) - created)
+            if paced:
+                await room_for_a_start(clock, lambda: len(processes) - created)
             await start(number, nodes)
         async with asyncio.timeout(300):
             for _ in range(nodes):
                 await matched.acquire()
         pids = [process.pid for process in processes]
         figures = {"up, s": time.monotonic() - begun, "processor time of up, s": worker.processor_time(pids)}
-        figures |= await idle(pids, seconds)
+        figures["memory, MiB"] = memory(pids)
+        if seconds:
+            figures |= await idle(pids, seconds)
         taken = []
         for _ in range(joins):
             begun = time.monotonic()
@@ -133,7 +147,8 @@ async def bare(nodes: int, seconds: float, joins: int) -> Figures:
             process.kill()
             await process.wait()
             await asyncio.sleep(1.0)
-        figures |= {"one more, median, s": statistics.median(taken), "one more, longest, s": max(taken)}
+        if taken:
+            figures |= {"one more, median, s": statistics.median(taken), "one more, longest, s": max(taken)}
         begun = time.monotonic()
         for process in processes:
             if process.returncode is None:
@@ -156,26 +171,32 @@ async def bare(nodes: int, seconds: float, joins: int) -> Figures:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--nodes", type=int, nargs="+", default=[FEW, 30, 60, 100])
-    parser.add_argument("--only", choices=("components", "bare"))
+    parser.add_argument("--kinds", choices=KINDS, nargs="+", default=["components", "bare"])
+    parser.add_argument("--spares", type=int, default=2, help="for the kind `spares`")
+    parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--idle", type=float, default=20.0, help="how long the idle ones are watched (s)")
     parser.add_argument("--replacements", type=int, default=5)
     parser.add_argument("--out", type=Path, default=HERE / "results" / "many.json")
     options = parser.parse_args()
     os.environ.setdefault("ROS_DOMAIN_ID", "86")
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    rows = []
+    rows: list[dict[str, Any]] = []
     for nodes in options.nodes:
-        for kind in ("components", "bare"):
-            if options.only in (None, kind):
-                measured = (
-                    components(nodes, options.idle, options.replacements)
-                    if kind == "components"
-                    else bare(nodes, options.idle, options.replacements)
-                )
-                figures = {name: round(value, 2) for name, value in asyncio.run(measured).items()}
-                rows.append({"nodes": nodes, "kind": kind, **figures})
-                print(f"{nodes:4} {kind:<11}", ", ".join(f"{name} {value}" for name, value in figures.items()))
-                sys.stdout.flush()
+        for kind in options.kinds * options.rounds:
+            if kind in ("spares", "components"):
+                spares = options.spares if kind == "spares" else 0
+                measured = components(nodes, options.idle, options.replacements, spares)
+            else:
+                measured = bare(nodes, options.idle, options.replacements, paced=kind == "bare")
+            figures = {name: round(value, 2) for name, value in asyncio.run(measured).items()}
+            rows.append({"nodes": nodes, "kind": kind, **figures})
+            print(f"{nodes:4} {kind:<11}", ", ".join(f"{name} {value}" for name, value in figures.items()), flush=True)
+        for figure in ("up, s", "processor time of up, s"):
+            medians = {
+                kind: statistics.median(row[figure] for row in rows if (row["nodes"], row["kind"]) == (nodes, kind))
+                for kind in options.kinds
+            }
+            print(f"{nodes:4} {figure}, median of {options.rounds}:", medians, flush=True)
     options.out.parent.mkdir(exist_ok=True)
     options.out.write_text(json.dumps(rows, indent=1) + "\n")
 

@@ -35,14 +35,14 @@ REMEDIES = {"heartbeat, 4 s": "bond", "DDS deadline, 1 s": "deadline", "watchdog
 WATCHED = {"crash": 5.5, "hang": 5.5, "stop": 5.5, "slow": 8.5}
 
 
-def specification(folder: Path) -> str:
+def specification(folder: Path, rate: float = RATE, tolerated: float = TOLERATED) -> str:
     stages = "\n".join(
         f"topic /{name} : Text\nnode {name} : Stage {{ in <- /{before}   out -> /{name} }}"
         for before, name in pairwise(CHAIN)
     )
     return f"""
 system reflex_benchmark
-contract Text = std_msgs/msg/String @ {RATE:g} Hz
+contract Text = std_msgs/msg/String @ {rate:g} Hz
 topic /a : Text
 component Source {{
   run "python3 {NODES} source {folder}"
@@ -51,7 +51,7 @@ component Source {{
 }}
 component Stage {{
   run "python3 {NODES} stage {folder}"
-  input in : Text tolerates {TOLERATED * RATE - 1:.0f} missed
+  input in : Text tolerates {tolerated * rate - 1:.0f} missed
   output out
   functionality work {{
     uses in   produces out
@@ -112,12 +112,13 @@ class Runs:
 class System:
     """The chain, with a manager in this process. A manager that is closed is as good as dead to the components."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, text: str = "") -> None:
+        """``text``: another specification of the chain."""
         from midstride.lang import load
 
         self.folder = folder
         file = folder / "reflex.stride"
-        file.write_text(specification(folder))
+        file.write_text(text or specification(folder))
         self.specification = load(file).require()
         self.manager: Any = None
 

@@ -19,7 +19,7 @@ ROOT = Path(__file__).parent.parent / "src"
 PACKAGE = "midstride"
 
 EVERY = frozenset(
-    "model codec wire lang plan verify generate runtime backends node server cli testing simulation".split()
+    "model codec wire lang plan verify generate runtime backends node foreign server cli testing simulation".split()
 )
 
 # What each room may import of the package, besides itself and `errors`. "" is the package's own __init__.
@@ -34,7 +34,8 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "node": frozenset({"model", "codec", "wire"}),
     "verify": frozenset({"model", "codec", "plan"}),
     "runtime": frozenset({"model", "codec", "wire", "plan", "verify"}),
-    "backends": frozenset({"model", "wire", "node", "runtime"}),
+    "backends": frozenset({"model", "codec", "wire", "node", "foreign", "runtime"}),
+    "foreign": frozenset({"model", "codec", "wire", "node"}),
     "server": EVERY - {"node", "cli", "testing", "simulation"} | {""},
     "cli": EVERY - {"testing"} | {""},
     "testing": EVERY - {"server", "cli", "simulation"},

@@ -13,9 +13,10 @@ from typing import Any
 
 import pytest
 
+from midstride.backends import fork_client
 from midstride.backends.spares import Spares, fits
 from midstride.runtime.process import Process, spawn
-from midstride.runtime.reaper import environment_value
+from midstride.runtime.reaper import environment_value, process_info
 from midstride.wire.environment import ENV_INSTANCE
 
 SHOW = """
@@ -25,7 +26,9 @@ print(json.dumps({
     "argv": sys.argv, "orig": sys.orig_argv[1:], "path": sys.path[:1], "file": __file__, "name": __name__,
     "spec": __spec__ and (__spec__.name, __spec__.origin),
     "main": sys.modules["__main__"].__dict__ is globals(), "directory": os.getcwd(),
-    "environment": dict(os.environ), "package": __package__, "children": sorted(os.listdir("/proc/self/fd"))[:3],
+    "environment": dict(os.environ), "package": __package__, "files": sorted(map(int, os.listdir("/proc/self/fd"))),
+    "leads": os.getsid(0) == os.getpgid(0) == os.getpid(), "parent": os.getppid(),
+    "signals": [line for line in open("/proc/self/status") if line.startswith(("SigBlk", "SigIgn"))],
 }, sort_keys=True))
 """
 PROGRAMS = {
@@ -36,16 +39,25 @@ PROGRAMS = {
     "words.py": "import sys\nsys.exit('in words')\n",
     "atexit_.py": "import atexit, threading, time\natexit.register(print, 'bye')\n"
     "threading.Thread(target=lambda: (time.sleep(0.2), print('thread'))).start()\n",
+    "killed.py": "import os, signal\nos.kill(os.getpid(), signal.SIGUSR1)\n",
     "waits.py": "import time\nprint('waiting')\ntime.sleep(600)\n",
 }
+# What spares load.
+MODULES = {
+    "ready_made.py": "def load():\n    pass\nprepare = load\n",
+    "broken_module.py": "def load():\n    raise RuntimeError('no ROS')\nprepare = load\n",
+    "with_a_thread.py": "import threading\ndef load():\n    threading.Thread(target=threading.Event().wait, "
+    "daemon=True).start()\nprepare = load\n",
+    "with_numpy.py": "def load():\n    import numpy.random\nprepare = load\n",
+}
+WAYS = ("spare", "fork", "spare that was started")
 
 
 class Bench:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        for name, text in {**PROGRAMS, "beside.py": "", "ready_made.py": "def prepare():\n    pass\n"}.items():
+        for name, text in {**PROGRAMS, **MODULES, "beside.py": ""}.items():
             (folder / name).write_text(text)
-        (folder / "broken_module.py").write_text("def prepare():\n    raise RuntimeError('no ROS')\n")
         path = os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])
         self.environment = {**os.environ, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1", ENV_INSTANCE: "it"}
 
@@ -56,20 +68,27 @@ class Bench:
         spares.keep(number, self.environment)
         await until(lambda: spares.ready == number)
 
+    async def run(self, spares: Spares, *arguments: str, log: str = "log") -> Process | None:
+        return await spares.run([sys.executable, *arguments], self.folder, self.environment, self.folder / log)
+
     async def result(self, process: Process | None, log: Path) -> tuple[int | None, str]:
         assert process is not None
         status = await process.wait()
         process.close()
         return status, log.read_text()
 
-    async def in_a_spare(self, *arguments: str, log: str = "spare.log") -> tuple[int | None, str]:
-        spares = self.spares()
+    async def in_a_spare(self, way: str, *arguments: str) -> tuple[int | None, str]:
+        """``way`` is one of WAYS."""
+        spares = self.spares("with_a_thread" if way == "spare that was started" else "ready_made")
         try:
             await self.ready(spares)
-            command = [sys.executable, *arguments]
-            process = spares.run(command, self.folder, self.environment, self.folder / log)
+            assert (spares.server is None) == (way == "spare that was started")
+            if way == "fork":
+                spares._end(spares._spares[0])
+            assert spares.ready == (way != "fork")
+            process = await self.run(spares, *arguments)
             assert spares.ready == 0
-            return await self.result(process, self.folder / log)
+            return await self.result(process, self.folder / "log")
         finally:
             await spares.close()
 
@@ -90,18 +109,32 @@ def run(body: Callable[[], Awaitable[Any]]) -> Any:
     return asyncio.run(bounded())
 
 
-@pytest.mark.parametrize("arguments", [("show.py", "a b", "--c"), ("./show.py",), ("-m", "show", "x")])
-def test_a_program_finds_what_it_finds_in_a_process_of_its_own(arguments: tuple[str, ...], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("arguments", "way"),
+    [*((("show.py", "a b", "--c"), way) for way in WAYS), (("./show.py",), "spare"), (("-m", "show", "x"), "fork")],
+)
+def test_a_program_finds_what_it_finds_in_a_process_of_its_own(
+    arguments: tuple[str, ...], way: str, tmp_path: Path
+) -> None:
     bench = Bench(tmp_path)
-    status, spare = run(lambda: bench.in_a_spare(*arguments))
+    status, spare = run(lambda: bench.in_a_spare(way, *arguments))
     assert status == 0
     assert json.loads(spare) == json.loads(run(lambda: bench.in_a_new_process(*arguments))[1])
 
 
-@pytest.mark.parametrize("program", ["raises.py", "syntax.py", "status.py", "words.py", "atexit_.py"])
-def test_a_program_ends_as_in_a_process_of_its_own(program: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("program", "way"),
+    [
+        ("raises.py", "spare"),
+        *(
+            (program, "fork")
+            for program in ("raises.py", "syntax.py", "status.py", "words.py", "atexit_.py", "killed.py")
+        ),
+    ],
+)
+def test_a_program_ends_as_in_a_process_of_its_own(program: str, way: str, tmp_path: Path) -> None:
     bench = Bench(tmp_path)
-    assert run(lambda: bench.in_a_spare(program)) == run(lambda: bench.in_a_new_process(program))
+    assert run(lambda: bench.in_a_spare(way, program)) == run(lambda: bench.in_a_new_process(program))
 
 
 def test_others_see_the_command_and_the_instance(tmp_path: Path) -> None:
@@ -112,7 +145,7 @@ def test_others_see_the_command_and_the_instance(tmp_path: Path) -> None:
         await bench.ready(spares)
         log = tmp_path / "log"
         log.write_text("of an earlier process\n")
-        process = spares.run([sys.executable, "waits.py"], tmp_path, bench.environment, log)
+        process = await spares.run([sys.executable, "waits.py"], tmp_path, bench.environment, log)
         assert process is not None
         await until(lambda: process.last_words() == "waiting\n")
         assert environment_value(process.pid, ENV_INSTANCE) == "it"
@@ -148,9 +181,12 @@ def test_a_spare_that_died_is_not_used_and_another_takes_its_place(tmp_path: Pat
     async def body() -> None:
         spares = bench.spares()
         await bench.ready(spares)
-        os.kill(spares._spares[0].process.pid, signal.SIGKILL)
+        dead = spares._spares[0].process.pid
+        os.kill(dead, signal.SIGKILL)
         await until(lambda: spares.ready == 0)
-        assert spares.run([sys.executable, "show.py"], tmp_path, bench.environment, tmp_path / "log") is None
+        process = await bench.run(spares, "status.py")
+        assert process is not None and process.pid != dead
+        assert (await bench.result(process, tmp_path / "log"))[0] == 7
         await bench.ready(spares)
         await spares.close()
 
@@ -170,6 +206,104 @@ def test_a_spare_that_cannot_be_prepared_is_dropped(tmp_path: Path) -> None:
     assert "no ROS" in (tmp_path / "spares.log").read_text()
 
 
+def test_the_death_of_the_fork_server_harms_no_process(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+
+    async def body() -> None:
+        spares = bench.spares()
+        await bench.ready(spares)
+        in_spare, forked = await bench.run(spares, "waits.py", log="1"), await bench.run(spares, "waits.py", log="2")
+        await bench.ready(spares)
+        server = spares.server
+        assert in_spare is not None and forked is not None and server is not None
+        os.kill(server.process.pid, signal.SIGKILL)
+        await until(lambda: server.failed)
+        assert (in_spare.running, forked.running, spares.ready) == (True, True, 1)
+        another = await bench.run(spares, "status.py", log="3")
+        assert (await bench.result(another, tmp_path / "3"))[0] == 7
+        assert await bench.run(spares, "status.py") is None  # it is started as a process of its own
+        await bench.ready(spares)
+        assert spares.server is not None and spares.server is not server
+        for process in (in_spare, forked):
+            await process.end(5.0)
+            assert process.status == -signal.SIGTERM
+            process.close()
+        await spares.close()
+
+    run(body)
+
+
+def test_a_fork_server_that_stands_still_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(tmp_path)
+
+    async def body() -> None:
+        spares = bench.spares()
+        await bench.ready(spares)
+        server = spares.server
+        assert server is not None
+        spares._end(spares._spares[0])
+        os.kill(server.process.pid, signal.SIGSTOP)
+        monkeypatch.setattr(fork_client, "_PATIENCE", 0.2)
+        monkeypatch.setattr(fork_client, "_LEAVE", 0.1)
+        assert await bench.run(spares, "status.py") is None
+        assert spares.server is None
+        await spares.close()
+        assert not server.process.running
+
+    run(body)
+
+
+def test_what_was_forked_outlives_the_manager_and_the_fork_server_does_not(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+
+    async def body() -> None:
+        spares = bench.spares()
+        await bench.ready(spares)
+        spares._end(spares._spares[0])
+        process = await bench.run(spares, "waits.py")
+        assert process is not None and spares.server is not None
+        print(process.pid, spares.server.process.pid, flush=True)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    async def gone(pid: int) -> None:
+        while (info := process_info(pid)) is not None and info.alive:
+            await asyncio.sleep(0.01)
+
+    reading, writing = os.pipe()
+    if (manager := os.fork()) == 0:
+        os.dup2(writing, 1)
+        sys.stdout = os.fdopen(1, "w")
+        try:
+            run(body)
+        finally:
+            os._exit(1)
+    os.close(writing)
+    with os.fdopen(reading) as output:
+        component, server = map(int, output.readline().split())
+    assert os.waitstatus_to_exitcode(os.waitpid(manager, 0)[1]) == -signal.SIGKILL
+    try:
+        run(lambda: gone(server))
+        info = process_info(component)
+        assert info is not None and info.alive
+    finally:
+        os.kill(component, signal.SIGKILL)
+
+
+def test_random_numbers_of_numpy_differ_between_forks(tmp_path: Path) -> None:
+    pytest.importorskip("numpy")
+    bench = Bench(tmp_path)
+    (tmp_path / "draws.py").write_text("import numpy.random, random\nprint(numpy.random.rand(), random.random())\n")
+
+    async def body() -> list[str]:
+        spares = bench.spares("with_numpy")
+        await bench.ready(spares)
+        drawn = [await bench.result(await bench.run(spares, "draws.py", log=log), tmp_path / log) for log in "123"]
+        await spares.close()
+        return [word for _, words in drawn for word in words.split()]
+
+    assert len(set(run(body))) == 6
+
+
 def test_a_spare_of_another_environment_or_interpreter_is_not_used(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
 
@@ -179,9 +313,9 @@ def test_a_spare_of_another_environment_or_interpreter_is_not_used(tmp_path: Pat
         log = tmp_path / "log"
         elsewhere = {**bench.environment, "ROS_NAMESPACE": "/robot"}
         long_name = {**bench.environment, ENV_INSTANCE: "x" * 300}
-        assert spares.run([sys.executable, "show.py"], tmp_path, elsewhere, log) is None
-        assert spares.run([sys.executable, "show.py"], tmp_path, long_name, log) is None
-        assert spares.run(["/usr/bin/another", "show.py"], tmp_path, bench.environment, log) is None
+        assert await spares.run([sys.executable, "show.py"], tmp_path, elsewhere, log) is None
+        assert await spares.run([sys.executable, "show.py"], tmp_path, long_name, log) is None
+        assert await spares.run(["/usr/bin/another", "show.py"], tmp_path, bench.environment, log) is None
         assert spares.ready == 1
         await spares.close()
 

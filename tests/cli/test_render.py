@@ -194,6 +194,14 @@ def test_silence_and_waiting_are_shown() -> None:
     lines = shown(render_status.status({**document, "components": [{**component, "waiting": "no /clock"}]}))
     assert "waiting: no /clock" in lines[2]
     assert lines[-1] == "sink.in receives nothing of what is published on /t (for 4.50 s)"
+    row |= {
+        "mode": "off",
+        "normal": False,
+        "because": "input in is silent",
+        "restoring": "restored when input in is back",
+    }
+    lines = shown(render_status.status({**document, "components": [component]}))
+    assert "input in is silent; restored when input in is back" in lines[2]
     assert shown(render.outcome(done(silences=[{**fault, "seconds": None}])))[1:] == [fault["words"]]
 
 

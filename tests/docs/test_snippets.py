@@ -148,8 +148,9 @@ def name_of(page: Path) -> str:
 
 def marks(name: str) -> list[pytest.MarkDecorator]:
     """In `make test` are the pages that lead to the others."""
-    alloy = [pytest.mark.alloy] if name == "docs/how-to/verify.md" else []
-    return alloy + ([pytest.mark.full] if name.startswith(("docs/how-to/", "examples/")) else [])
+    needed = [pytest.mark.alloy] if name == "docs/how-to/verify.md" else []
+    needed += [pytest.mark.ros2] if name == "docs/how-to/unmodified-nodes.md" else []
+    return needed + ([pytest.mark.full] if name.startswith(("docs/how-to/", "examples/")) else [])
 
 
 WITH_CODE = [

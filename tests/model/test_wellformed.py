@@ -212,6 +212,18 @@ CASES: list[tuple[str, list[tuple[str, object]], str, str]] = [  # code, changes
         "Listener cannot replace talker: it has no port out",
     ),
     (
+        "E027",
+        [(RUN, "t"), ("/components/Talker/gate", "preload")],
+        "/components/Talker/parameters/volume",
+        "parameter volume of Talker cannot be set in place: Talker does not use Midstride's API",
+    ),
+    (
+        "E027",
+        [("/components/Talker/topics", {"out": "chat"})],
+        "/components/Talker/topics/out",
+        "port out of Talker states what the program calls its topic, but Talker has no gate",
+    ),
+    (
         "W035",
         [(RUN, "t"), (RESPAWN, {"fallback": "Talker"})],
         f"{RESPAWN}/fallback",

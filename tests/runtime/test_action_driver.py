@@ -28,6 +28,7 @@ from midstride.runtime.new_publishers import ATTACH_TIMEOUT, DETACH_TIMEOUT
 from midstride.wire.commands import (
     AnswerCommand,
     AttachCommand,
+    Attached,
     AwaitCutCommand,
     AwaitWriteCommand,
     Command,
@@ -91,13 +92,28 @@ def test_a_port_is_attached_once_it_is_matched_with_the_other_side(tmp_path: Pat
 
     async def body(b: Bench) -> None:
         await perform(b, Attach(IN, "/chatter"))
-        attach = AttachCommand(port="in", topic="/chatter", peers=2, timeout=ATTACH_TIMEOUT, rate=5.0)
+        attach = AttachCommand(port="in", topic="/chatter", peers=2, timeout=ATTACH_TIMEOUT, rate=5.0, settle=False)
         assert b.client.commands() == [attach]
         await perform(b, Attach(build.port("second.out"), "/chatter"))
         [attach] = b.client.of(AttachCommand, "second")
         assert attach.peers == 0, "an output waits for subscribers, and there is none"
 
     bench(configuration, tmp_path, body)
+
+
+def test_inputs_settle_together_before_what_relies_on_them(tmp_path: Path) -> None:
+    instances = {"talker": TALKER, "second": LISTENER, "listener": LISTENER}
+
+    async def body(b: Bench) -> None:
+        begun = b.clock.steady()
+        for name in ("second", "listener"):
+            b.client.reply(name, AttachCommand, Attached(matched=1, settling=0.3))
+            await perform(b, Attach(build.port(f"{name}.in"), "/chatter"))
+        assert b.clock.steady() == begun
+        await perform(b, Upgrade(Map({work("talker"): 0})))
+        assert b.clock.steady() == pytest.approx(begun + 0.3)
+
+    bench(build.system(instances, ["talker.out /chatter"]), tmp_path, body)
 
 
 def test_a_port_does_not_wait_for_the_other_side_where_its_process_has_exited(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from midstride.backends.simulator.clock import SimulatedClock
-from midstride.errors import CallTimeout, CommandRefused, ProtocolError, Unreachable
+from midstride.errors import CallTimeout, CommandRefused, ProtocolError, Superseded, Unreachable
 from midstride.runtime.component_client import (
     ANSWER_TIMEOUT,
     REOPEN_INTERVAL,
@@ -256,6 +256,19 @@ def test_a_component_that_is_gone_is_named(how: str) -> None:
 
 
 # -- undoing -------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_changed_or_undone_once_another_manager_has_taken_over() -> None:
+    async def body(c: Control) -> None:
+        await c.client.change("talker", GATE)
+        c.client.superseded = lambda: True
+        with pytest.raises(Superseded, match="another manager of this system has taken over"):
+            await c.client.change("talker", ATTACH)
+        await c.client.undo("talker", GATE)
+        await c.client.peek("talker")
+        assert c.component.names() == ["observe", "gate", "observe"]
+
+    play(body)
 
 
 def test_undoing_does_not_depend_on_the_revision() -> None:

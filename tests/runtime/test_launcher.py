@@ -301,3 +301,22 @@ def test_the_graph_forgets_what_was_started_and_not_recorded(tmp_path: Path, mon
         assert b.backend.ended == [("late", 0.0)]
 
     bench(NOTHING, tmp_path, body)
+
+
+def test_a_program_without_the_api_is_started_on_its_topics_under_its_own_name(tmp_path: Path) -> None:
+    gated = changed(CAMERA, component=changed(CAMERA.component, gate="preload"), name="front/camera_2")
+
+    async def body(b: Bench) -> None:
+        with pytest.raises(StartFailed, match=r"has a gate \(`gate preload`\), and the back end .* has none"):
+            await b.launcher.start(gated)
+        b.backend.name = "ros2"
+        assert await b.launcher.start(gated, topics={"out": "/image"})
+        launch = b.backend.launches[-1]
+        assert (launch.node, launch.foreign, launch.topics) == (
+            "front/camera_2",
+            gated.component,
+            {"out": "/image"},
+        )
+        assert not b.launcher.takes_spare(gated)
+
+    bench(NOTHING, tmp_path, body)

@@ -22,7 +22,8 @@ from tests.runtime.systems import managed, replace
 STRING = "std_msgs/msg/String"
 SLACK = 0.25
 
-# The source writes until the file `silent` exists, and hangs as soon as `hung` does; `slow` has it write every fifth.
+# The source writes until the file `silent` exists, and hangs as soon as `hung` does; `slow` has it write every fifth,
+# and `raises` raise.
 # With the argument `again` it ignores them.
 SOURCE = """
 import sys
@@ -41,6 +42,8 @@ def normal():
     calls += 1
     while (here / "hung").exists():
         time.sleep(0.1)
+    if (here / "raises").exists():
+        raise RuntimeError("no camera")
     if not (here / "silent").exists() and (calls % 5 == 0 or not (here / "slow").exists()):
         out.write(String(data=str(calls)))
 

@@ -157,6 +157,23 @@ def test_a_specification_that_the_disk_refused_is_written_later(path: Path) -> N
     assert found is not None and found.specification == target
 
 
+def test_a_manager_after_which_another_has_taken_over_saves_nothing_more(path: Path) -> None:
+    first, second = begun(path), StateStore(path)
+    first.write_instance(TALKER, HANDLE)
+    second.take_over()
+    first.remove_instance("talker")
+    with pytest.raises(ManagerError, match="another manager of this system has taken over"):
+        first.require()
+    second.require()
+    found = StateStore(path).load()
+    assert found is not None and found.instances == (SavedInstance(TALKER, HANDLE),)
+    assert (first.superseded, second.superseded) == (True, False)
+    first.close()
+    second.forget()
+    second.begin("sim", "another token", SPECIFICATION)
+    assert second.unwritten is None
+
+
 def test_a_manager_that_was_killed_before_it_could_start_anything_left_nothing(path: Path) -> None:
     StateStore(path)._open().close()
     assert path.exists() and StateStore(path).load() is None
@@ -302,4 +319,4 @@ def test_a_write_costs_a_row_whatever_the_size_of_the_system(path: Path) -> None
     assert store._database is not None
     store._database.connection.set_trace_callback(statements.append)
     store.write_instance(changed(TALKER, name="talker_7"), HANDLE)
-    assert [statement.split()[0] for statement in statements] == ["BEGIN", "INSERT", "COMMIT"]
+    assert [statement.split()[0] for statement in statements] == ["BEGIN", "SELECT", "INSERT", "COMMIT"]

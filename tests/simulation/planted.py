@@ -145,6 +145,34 @@ def _started_ahead_left(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(executor.Executor, "_abandon_started", abandon)
 
 
+def _lease_forgotten(patch: pytest.MonkeyPatch) -> None:
+    """A manager goes on to write after another one has taken over."""
+    write = Database.write
+    patch.setattr(Database, "write", lambda self, statements, only_if=None: write(self, statements))
+
+
+def _superseded_goes_on(patch: pytest.MonkeyPatch) -> None:
+    """A superseded manager begins no further step, and goes on to change components otherwise."""
+    patch.setattr(component_client.ComponentClient, "superseded", lambda self: False)
+    patch.setattr(component_client.ComponentClient, "__setattr__", _but_superseded)
+
+
+def _but_superseded(client: Any, name: str, value: Any) -> None:
+    if name != "superseded":
+        object.__setattr__(client, name, value)
+
+
+def _saved_by_superseded(patch: pytest.MonkeyPatch) -> None:
+    """A superseded manager goes on to save the state of the system."""
+
+    def write(self: Any, statements: Any) -> None:
+        self._holds = False
+        original(self, statements)
+
+    original = state_store.StateStore._write
+    patch.setattr(state_store.StateStore, "_write", write)
+
+
 def _orphans_left(patch: pytest.MonkeyPatch) -> None:
     """A new manager does not look for processes that the one before could not record."""
 
@@ -225,6 +253,9 @@ PLANTED: Final[dict[str, Plant]] = {
     for function in (
         _acknowledgement_dropped,
         _write_not_durable,
+        _lease_forgotten,
+        _superseded_goes_on,
+        _saved_by_superseded,
         _dependants_not_lowered,
         _gate_opened_early,
         _gate_closed_late,

@@ -23,20 +23,15 @@ pytestmark = [pytest.mark.long, pytest.mark.timeout(0)]
 SEEDS = int(os.environ.get("MIDSTRIDE_SIMULATION_LONG", "20000"))
 # Within how many seeds a planted fault must be found.
 WITHIN = 1000
-# The planted faults that must be found; whether the others are is in the table.
-FOUND = {
-    "acknowledgement dropped",
-    "write not durable",
-    "dependants not lowered",
-    "gate opened early",
-    "steps swapped",
-    "start not recorded",
-    "failed write forgotten",
-    "undo incomplete",
-    "removal not recorded",
-    "specification not saved",
-    "repetition carried out",
-    "pending forgotten",
+# The planted faults that need not be found, since something else makes up for them.
+MASKED = {
+    "cut not cancelled": "the old side resumes by itself, and the new one ends with the roll-back",
+    "handover not undone": "the new side ends with the roll-back, and its attachments with it",
+    "redundant left": "the plan that restores the specification removes the second instance",
+    "lost reply not repeated": "what was carried out is done; else the manager takes over what the component reports",
+    "new side not closed": "the roll-back or the next manager ends it before it is heard a second time",
+    "never resumes": "the manager cancels the cut; it shows only if one is killed between its two commands and is away",
+    "repetition carried out": "most commands have the same effect when they are carried out twice",
 }
 STEPS = ("create", "remove", "attach", "detach", "degrade", "upgrade", "handover", "set")
 BRANCHES = ("done", "refused", "rolled_back", "failed", "manager killed", "recovered")
@@ -84,14 +79,13 @@ def test_no_seed_violates_an_invariant_and_every_cell_of_the_matrix_is_reached(
 
 
 def test_planted_faults_are_found(capsys: pytest.CaptureFixture[str]) -> None:
-    lines, missed = ["| fault in our code | found by seed | violated |", "|---|---|---|"], set[str]()
+    lines, missed = ["| fault in our code | found by seed | violated, or why not |", "|---|---|---|"], set[str]()
     for name in PLANTED:
         with planted(name):
             found = next((run for seed in range(WITHIN) if (run := simulate(seed)).problems), None)
         if found is None:
             missed.add(name)
-        lines.append(
-            f"| {name} | {'-' if found is None else found.seed} | {'' if found is None else found.problems[0]} |"
-        )
+        seen = MASKED.get(name, "") if found is None else found.problems[0]
+        lines.append(f"| {name} | {'-' if found is None else found.seed} | {seen} |")
     show("planted", lines, capsys)
-    assert not missed & FOUND
+    assert missed <= MASKED.keys()

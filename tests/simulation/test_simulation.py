@@ -35,6 +35,11 @@ def test_an_output_whose_code_has_raised_can_be_attached_again() -> None:
     assert simulate(52119).problems == []
 
 
+def test_a_call_that_hung_before_the_cut_may_write_after_it() -> None:
+    """In this seed the old publisher writes the slot before the agreed one a second late; that is no second writer."""
+    assert simulate(827).problems == []
+
+
 def test_a_run_repeats_exactly_also_in_another_process() -> None:
     seeds = range(40, 52)
     here = [simulate(seed).digest for seed in seeds]

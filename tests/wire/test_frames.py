@@ -96,7 +96,9 @@ STATE = ComponentState(
     uuid="u",
     pid=7,
     revision=12,
-    functionalities={"talk": FunctionalityState(mode="normal", since=1.5, because='"quoted"\nwords', busy=0.25)},
+    functionalities={
+        "talk": FunctionalityState(mode="normal", since=1.5, because='"quoted"\nwords', busy=0.25, reflex=True)
+    },
     ports={
         "out": {"/chatter": LinkState(gate="closed", count=3, gated=4)},
         "in": {"/t": LinkState(gate=None, count=1)},
@@ -162,6 +164,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
             timeout=1.5,
             rate=50.0,
             tolerates=3,
+            settle=False,
         ),
         Attached(matched=2),
     ),

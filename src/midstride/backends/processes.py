@@ -134,10 +134,11 @@ class ProcessBackend(abc.ABC):
     async def _died(self, instance: str) -> None:
         """A process has ended: the graph may still show its node."""
 
-    def _spawn(self, launch: Launch, node: str, command: Sequence[str], environment: Mapping[str, str]) -> Handle:
+    async def _spawn(self, launch: Launch, node: str, command: Sequence[str], environment: Mapping[str, str]) -> Handle:
         """Start the process of the node that has the full name ``node``. Raises StartFailed."""
         log = self._log_folder(launch.token) / f"{node.strip('/').replace('/', '.')}.log"
-        process = None if self._spares is None else self._spares.run(command, launch.directory, environment, log)
+        spares = None if launch.foreign is not None else self._spares  # it is loaded with its gate
+        process = None if spares is None else await spares.run(command, launch.directory, environment, log)
         if process is None:
             process = spawn(command, launch.directory, environment, log)
         self._watch(launch.instance, process)

@@ -1,10 +1,10 @@
 """A spare: a process that has imported the client library, and joined ROS 2, before it knows its component.
 
-``python -m midstride.backends.spare MODULE DESCRIPTOR ROOM`` has MODULE prepare the process (``prepare()`` of a back
-end's package), says so on the socket DESCRIPTOR, and waits there for a :class:`SpareProgram`. That program finds its
+It is forked by a :mod:`.fork_server`. Where that is impossible, ``python -m midstride.backends.spare MODULE DESCRIPTOR
+ROOM`` starts one; ROOM is :data:`.process_title.ARGUMENT_ROOM`. It has MODULE prepare the process (``prepare()`` of a
+back end's package), says so on its socket, and waits there for a :class:`SpareProgram`. That program finds its
 arguments, environment, working directory, output, ``__main__`` and ``sys.path`` as in a process that was started for
 it. If the socket closes instead, the spare exits.
-ROOM is :data:`.process_title.ARGUMENT_ROOM`.
 """
 
 from __future__ import annotations
@@ -37,12 +37,17 @@ class SpareProgram(msgspec.Struct, frozen=True):
 
 
 def main(module: str, descriptor: int) -> None:
-    with socket.socket(fileno=descriptor) as channel:
-        channel.set_inheritable(False)
-        importlib.import_module(module).prepare()
-        channel.sendall(READY)
-        with channel.makefile("rb") as lines:
-            line = lines.readline()
+    channel = socket.socket(fileno=descriptor)
+    channel.set_inheritable(False)
+    importlib.import_module(module).prepare()
+    channel.sendall(READY)
+    wait(channel)
+
+
+def wait(channel: socket.socket) -> None:
+    """Run the program that comes from ``channel``; return where it closes instead."""
+    with channel, channel.makefile("rb") as lines:
+        line = lines.readline()
     if line.endswith(b"\n"):
         _become(msgspec.json.decode(line, type=SpareProgram))
     # Else the manager has no use for it, or has ended.

@@ -1,30 +1,33 @@
-"""The spares that a manager keeps ready, so that a component's process need not start when it is needed.
+"""The processes that a manager has ready, so that a component's process need not start when it is needed.
 
-Starting a component costs the start of Python, the imports of the client library, and joining ROS; a spare
-(:mod:`.spare`) has done all of that. Its price is the memory of an idle process of ROS.
+Starting a component costs the start of Python, the imports of the client library, and joining ROS. A spare
+(:mod:`.spare`) has done all of that; a process that is forked from the fork server (:mod:`.fork_server`), all but the
+last.
 """
 
 from __future__ import annotations
 
 import asyncio
+import logging
 import socket
-from collections.abc import Mapping, Sequence
+from collections.abc import Coroutine, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 
-from midstride.backends.process_title import ARGUMENT_ROOM, VALUE_ROOM
+from midstride.backends import fork_client
+from midstride.backends.fork_client import ForkServer
+from midstride.backends.fork_server import JOINED, LOADED
+from midstride.backends.process_title import VALUE_ROOM
 from midstride.backends.spare import READY, SpareProgram
-from midstride.errors import MidstrideError
-from midstride.runtime.process import Process, spawn
-from midstride.runtime.timeouts import within
+from midstride.errors import StartFailed
+from midstride.runtime.process import Process
 from midstride.wire.environment import ENV_INSTANCE
 
-# How long a spare that is not needed any more may take to exit (s).
-_LEAVE: Final = 2.0
+log: Final = logging.getLogger(__name__)
 
 
 def fits(command: Sequence[str], directory: Path) -> bool:
@@ -48,7 +51,6 @@ def _shared(environment: Mapping[str, str]) -> dict[str, str]:
 class _Spare:
     process: Process
     channel: socket.socket
-    environment: dict[str, str]
     ready: bool = False
 
 
@@ -58,38 +60,69 @@ class Spares:
     def __init__(self, module: str, python: str, log: Path) -> None:
         self.python = python
         self.wanted = 0
+        self.server: ForkServer | None = None
         self._module = module
         self._log = log
+        self._environment: Mapping[str, str] = {}
         self._spares: list[_Spare] = []
-        self._ending: set[asyncio.Task[None]] = set()
+        self._starting = 0
+        self._cannot_fork = False
+        self._tasks: set[asyncio.Task[None]] = set()
 
     @property
     def ready(self) -> int:
         return sum(spare.ready for spare in self._spares)
 
     def keep(self, number: int, environment: Mapping[str, str]) -> None:
-        """Have so many; those that are missing are started now. Raises StartFailed."""
+        """Have so many, and a fork server; those that are missing are started now. Raises StartFailed."""
         self.wanted = number
+        if _shared(environment) != _shared(self._environment):
+            self._end_all()
+        self._environment = environment
         while len(self._spares) > number:
             self._end(self._spares[-1])
-        while len(self._spares) < number:
-            self._spares.append(self._start(environment))
+        if self.server is not None and (self.server.failed or not number):
+            self._end_server(self.server)
+        if self.server is None and number and not self._cannot_fork:
+            self.server = ForkServer(self._module, self.python, environment, self._log)
+        for _ in range(number - len(self._spares) - self._starting):
+            self._starting += 1
+            self._begin(self._start())
 
-    def _start(self, environment: Mapping[str, str]) -> _Spare:
-        ours, theirs = socket.socketpair()
-        with theirs:
-            command = [self.python, "-m", f"{__package__}.spare", self._module, str(theirs.fileno()), ARGUMENT_ROOM]
-            given = {**environment, ENV_INSTANCE: VALUE_ROOM}
-            try:
-                process = spawn(command, Path("/"), given, self._log, descriptors=(theirs.fileno(),))
-            except MidstrideError:
-                ours.close()
-                raise
-        ours.setblocking(False)
-        spare = _Spare(process, ours, _shared(environment))
-        process.on_exit = lambda status: self._exited(spare)
-        asyncio.get_running_loop().add_reader(ours, self._heard, spare)
-        return spare
+    def _begin(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _start(self) -> None:
+        """Start a spare."""
+        try:
+            forked = await self._fork(JOINED)
+            found = forked or fork_client.start("spare", self._module, self.python, self._environment, self._log)
+        except StartFailed as error:
+            log.warning("no spare process can be started: %s", error)
+            return
+        finally:
+            self._starting -= 1
+        spare = _Spare(*found)
+        self._spares.append(spare)
+        spare.process.on_exit = lambda status: self._exited(spare)
+        asyncio.get_running_loop().add_reader(spare.channel, self._heard, spare)
+        if len(self._spares) > self.wanted:
+            self._end(spare)
+
+    async def _fork(self, request: bytes) -> tuple[Process, socket.socket] | None:
+        """A process of the fork server; None where there is none."""
+        if (server := self.server) is None:
+            return None
+        try:
+            return await server.fork(request)
+        except StartFailed as error:
+            if server is self.server:
+                self._cannot_fork = not server.loaded
+                self._end_server(server)
+                log.warning("%s; its log: %s", error, self._log)
+            return None
 
     def _heard(self, spare: _Spare) -> None:
         """It is ready, or its end of the socket has closed."""
@@ -99,32 +132,46 @@ class Spares:
         if not spare.ready:
             self._end(spare)
 
-    def run(self, command: Sequence[str], directory: Path, environment: Mapping[str, str], log: Path) -> Process | None:
-        """The process of a spare that runs ``command`` from now on; None where none is ready, or it does not fit."""
+    async def run(
+        self, command: Sequence[str], directory: Path, environment: Mapping[str, str], log: Path
+    ) -> Process | None:
+        """The process of a spare that runs ``command`` from now on; where none is ready, one that is forked.
+
+        None where ``command`` does not fit, or none can be had.
+        """
         if (
             command[0] != self.python
             or len(environment[ENV_INSTANCE]) > len(VALUE_ROOM)
+            or _shared(environment) != _shared(self._environment)
             or not fits(command, directory)
         ):
             return None
         program = SpareProgram(list(command), str(directory), dict(environment), str(log))
-        shared = _shared(environment)
-        for spare in [each for each in self._spares if each.ready and each.environment == shared]:
-            try:
-                log.parent.mkdir(parents=True, exist_ok=True)
-                spare.process.log_to(log)
-                spare.channel.setblocking(True)  # it is waiting for just that
-                spare.channel.sendall(msgspec.json.encode(program) + b"\n")
-            except OSError:
-                self._end(spare)
-                continue
-            spare.process.on_exit = None
+        for spare in [each for each in self._spares if each.ready]:
             self._forget(spare)
-            return spare.process
+            if self._load(program, spare.process, spare.channel):
+                return spare.process
+        if (forked := await self._fork(LOADED)) is not None and self._load(program, *forked):
+            return forked[0]
         return None
+
+    def _load(self, program: SpareProgram, process: Process, channel: socket.socket) -> bool:
+        with channel:
+            try:
+                log = Path(program.log)
+                log.parent.mkdir(parents=True, exist_ok=True)
+                process.log_to(log)
+                channel.setblocking(True)  # it is waiting for just that
+                channel.sendall(msgspec.json.encode(program) + b"\n")
+            except OSError:
+                self._begin(fork_client.leave(process))
+                return False
+        process.on_exit = None
+        return True
 
     def _exited(self, spare: _Spare) -> None:
         self._forget(spare)
+        spare.channel.close()
         spare.process.close()
 
     def _forget(self, spare: _Spare) -> None:
@@ -132,28 +179,26 @@ class Spares:
             self._spares.remove(spare)
             with suppress(RuntimeError):
                 asyncio.get_running_loop().remove_reader(spare.channel)
-            spare.channel.close()
 
     def _end(self, spare: _Spare) -> None:
         """It exits when its socket closes."""
         self._forget(spare)
-        task = asyncio.get_running_loop().create_task(_ended(spare.process))
-        self._ending.add(task)
-        task.add_done_callback(self._ending.discard)
+        spare.channel.close()
+        self._begin(fork_client.leave(spare.process))
+
+    def _end_all(self) -> None:
+        for spare in list(self._spares):
+            self._end(spare)
+        if self.server is not None:
+            self._end_server(self.server)
+
+    def _end_server(self, server: ForkServer) -> None:
+        self.server = None
+        self._begin(server.close())
 
     async def close(self) -> None:
         """End them all."""
         self.wanted = 0
-        for spare in list(self._spares):
-            self._end(spare)
-        await asyncio.gather(*self._ending)
-
-
-async def _ended(process: Process) -> None:
-    process.on_exit = None
-    with suppress(asyncio.TimeoutError):
-        async with within(_LEAVE):
-            await process.wait()
-    with suppress(MidstrideError):  # the kernel does not remove it: nothing waits for its name
-        await process.end(0.0)
-    process.close()
+        self._end_all()
+        while self._tasks:
+            await asyncio.gather(*self._tasks)

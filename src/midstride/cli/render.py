@@ -27,6 +27,8 @@ _STYLES: Final = {
     "fenced": "red",
     "degraded": "yellow",
     "rollback": "yellow",
+    "restore": "yellow",
+    "restore_ended": "red",
     "respawn": "yellow",
     "respawn_ended": "red",
 }

@@ -53,6 +53,8 @@ def _functionality(row: Document, component: Document) -> tuple[Text, Text, Text
         return name, Text(UNKNOWN, style="red"), Text(f"last known mode: {row['mode']}")
     mode = Text(row["mode"], style="green" if row["normal"] else "yellow")
     why = [] if row["normal"] or not row.get("because") else [str(row["because"]).strip().splitlines()[0]]
+    if row.get("restoring"):
+        why.append(row["restoring"])
     if component["waiting"]:
         why.append(f"waiting: {component['waiting']}")
     if row.get("busy") is not None:

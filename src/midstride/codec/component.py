@@ -45,6 +45,7 @@ from midstride.model.component import (
     Assumption,
     ComponentSpec,
     FunctionalitySpec,
+    Gate,
     InputAlternatives,
     Mode,
     NodeEndpoint,
@@ -181,6 +182,11 @@ class ComponentForm(Form, frozen=True):
     functionalities: Annotated[
         dict[str, FunctionalityForm], by_name("an object of functionalities", "what it does")
     ] = {}
+    gate: Annotated[Gate, field("a gate", "what holds it back; none: it uses Midstride's API")] | UnsetType = UNSET
+    topics: Annotated[
+        dict[str, Annotated[str, field("the name of a topic", min_length=1)]],
+        field("an object of names of topics", "what its program calls the topics of its ports"),
+    ] = {}
 
     @classmethod
     def of(cls, component: ComponentSpec) -> ComponentForm:
@@ -198,6 +204,8 @@ class ComponentForm(Form, frozen=True):
             },
             outputs=list(component.outputs),
             functionalities={form.name: FunctionalityForm.of(form) for form in component},
+            gate=component.gate or UNSET,
+            topics=dict(sorted(component.topics.items())),
         )
 
     def component(self, name: str) -> ComponentSpec:
@@ -213,6 +221,8 @@ class ComponentForm(Form, frozen=True):
             run=given(self.run),
             takes=given(self.takes_seconds),
             tolerates={port: form.tolerates for port, form in self.inputs.items() if form.tolerates is not UNSET},
+            gate=given(self.gate),
+            topics=self.topics,
         )
 
 

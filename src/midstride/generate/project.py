@@ -75,6 +75,8 @@ class _ProjectBuilder:
         skipped, run = self.result.skipped, None if component.run is None else program(component.run)
         if component.run is None:
             skipped[component.name] = "it has no `run` command: it is started elsewhere"
+        elif component.gate is not None:
+            skipped[component.name] = "its program does not use Midstride's API: it has a gate"
         elif run is None:
             skipped[component.name] = f"`{component.run}` does not run a Python file in this folder"
         elif run.path in self.programs:

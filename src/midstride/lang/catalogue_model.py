@@ -7,6 +7,8 @@ from typing import Final
 
 from midstride.lang.catalogue_entry import (
     CHATTER,
+    NODE,
+    STARTED,
     TALKING,
     CatalogueEntry,
     CatalogueExample,
@@ -28,6 +30,7 @@ _SLOW: Final = (
     "component Slow like Talker { functionality talk { produces out\n"
     "  mode normal { guarantee out : std_msgs/msg/String @ 1 Hz }\n  mode silent { } } }\n"
 )
+_GATED: Final = STARTED.replace('talker"', 'talker" gate preload')
 _PAIR: Final = TALKING + _LISTENER + "node listener : Listener { in <- /chatter }\n"
 
 
@@ -265,6 +268,25 @@ MODEL: Final = (
         respawning("respawn   respawn_delay 5 s to 2 s"),
         CHATTER + "node talker : Talker { out -> /chatter   respawn }\n",
         respawning("respawn   respawn_fallback Slow").replace("node", _SLOW + "node"),
+    ),
+    _entry(
+        "E027: gate that cannot work",
+        """A component with a `gate`, whose program does not use Midstride's API, has no `run` command, a parameter that
+        is `changeable`, or a functionality with more than two modes; its node attaches a port to several topics; or a
+        component without a `gate` has a name for the topic of a port (`as`).""",
+        "correct the statement that the message names",
+        STARTED.replace("output out", "output out as chat") + NODE,
+        STARTED.replace('talker"', 'talker" gate preload').replace("mode silent", "mode quiet { }\n    mode silent")
+        + NODE,
+        STARTED.replace('talker"\n', 'talker" gate none\n  parameters { changeable volume = 1 }\n') + NODE,
+        STARTED.replace('talker"', 'talker" gate preload').replace(
+            "component", "topic /talk : std_msgs/msg/String\ncomponent"
+        )
+        + "node talker : Talker { out -> /chatter, /talk }\n",
+        _json(
+            '{"system": "s", "components": {"T": {"gate": "none", "topics": {"in": "chat"},\n'
+            '  "functionalities": {"talk": {"modes": {"normal": {}, "silent": {}}}}}}}\n'
+        ),
     ),
     _entry(
         "W030: port that is attached to no topic",

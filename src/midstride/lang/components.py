@@ -18,6 +18,7 @@ from midstride.lang.declarations import MAX_PARTS, ancestry, limited
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.token_stream import RESERVED
 from midstride.model.component import (
+    GATES,
     Assumption,
     ComponentSpec,
     FunctionalitySpec,
@@ -189,6 +190,8 @@ class ComponentBuilder:
             run=None if run is None else run.command.text,
             takes=None if run is None or run.startup is None else run.startup.value,
             tolerates={each.name.text: int(each.tolerates.value) for each in declaration.inputs if each.tolerates},
+            gate=next((gate for gate in GATES if run and run.gate and run.gate.text == gate), None),
+            topics={own.name.text: own.topic.text for own in declaration.topics},
         )
 
     def _functionality(
@@ -266,4 +269,5 @@ def _inherited(base: syntax.ComponentDeclaration, own: syntax.ComponentDeclarati
         outputs=merged(lambda name: name, base.outputs, own.outputs),
         allows=(*base.allows, *own.allows),
         functionalities=merged(_name, base.functionalities, own.functionalities),
+        topics=merged(_name, base.topics, own.topics),
     )

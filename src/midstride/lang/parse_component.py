@@ -5,6 +5,7 @@ from __future__ import annotations
 from midstride.lang import syntax
 from midstride.lang.blocks import Handlers
 from midstride.lang.parse_contract import ContractParser
+from midstride.model.component import GATES
 
 ENDPOINT_KINDS = ("topic", "service", "ROS action")
 
@@ -23,13 +24,14 @@ class ComponentParser(ContractParser):
         outputs: list[syntax.Name] = []
         allows: list[syntax.AllowedEndpoint] = []
         functionalities: list[syntax.FunctionalityDeclaration] = []
+        topics: list[syntax.OwnTopic] = []
         lost_parameters: set[str] = set()
         handlers: Handlers = {
             "run": lambda start: runs.append(self._run(start)),
             "holds": lambda _: holds.append(self._holds()),
             "parameters": lambda start: lost_parameters.update(self.parameters(start, parameters, files)),
-            "input": lambda _: inputs.append(self._input()),
-            "output": lambda _: outputs.append(self._output()),
+            "input": lambda _: inputs.append(self._input(topics)),
+            "output": lambda _: outputs.append(self._output(topics)),
             "allows": lambda _: allows.append(self._allows()),
             "functionality": lambda start: functionalities.append(self._functionality(start)),
         }
@@ -47,6 +49,7 @@ class ComponentParser(ContractParser):
             tuple(outputs),
             tuple(allows),
             tuple(functionalities),
+            tuple(topics),
             skipped | {"parameters"} if lost_parameters else skipped,
         )
 
@@ -56,7 +59,14 @@ class ComponentParser(ContractParser):
             raise self.fail("a command in double quotes after `run`", f'write `run "{words}"`')
         command = self.text("a command in double quotes after `run`")
         startup = self.seconds("a startup time") if self.accept_word("takes") else None
-        return syntax.Run(command, startup, self.since(start))
+        gate = None
+        if self.accept_word("gate"):
+            gate = self.name("`preload` or `none` after `gate`")
+            if gate.text not in GATES:
+                help = "use `preload` or `none`"
+                self.reporter.report("E120", gate.span, f"`{gate.text}` is not a kind of gate", help=help)
+                gate = None
+        return syntax.Run(command, startup, gate, self.since(start))
 
     def _holds(self) -> tuple[syntax.ResourceUse, ...]:
         if self.accept_word("nothing"):
@@ -72,13 +82,19 @@ class ComponentParser(ContractParser):
         """A resource name or a device path, in double quotes or without."""
         return self.text(what) if self.kinds[self.i] == "string" else self.topic(what)
 
-    def _input(self) -> syntax.InputDeclaration:
+    def _input(self, topics: list[syntax.OwnTopic]) -> syntax.InputDeclaration:
         self.layout.marks[self.i] = "port"
         name = self.name("an input name", (":",))
         self.layout.marks[self.i] = "input :"
         self.expect(":", f"after input `{name.text}`", ("name", "path"))
         contract = self.contract(f"for input `{name.text}`")
-        return syntax.InputDeclaration(name, contract, self._tolerated() if self.accept_word("tolerates") else None)
+        tolerated = self._tolerated() if self.accept_word("tolerates") else None
+        self._own_topic(name, topics)
+        return syntax.InputDeclaration(name, contract, tolerated)
+
+    def _own_topic(self, port: syntax.Name, topics: list[syntax.OwnTopic]) -> None:
+        if self.accept_word("as"):
+            topics.append(syntax.OwnTopic(port, self.topic(f"the program's name for the topic of `{port.text}`")))
 
     def _tolerated(self) -> syntax.Number:
         number = self.number("a number of messages after `tolerates`")
@@ -89,7 +105,7 @@ class ComponentParser(ContractParser):
         self.reporter.report("E126", number.span, message, help="write for example `tolerates 3 missed`")
         return syntax.Number(1.0, number.span)
 
-    def _output(self) -> syntax.Name:
+    def _output(self, topics: list[syntax.OwnTopic]) -> syntax.Name:
         self.layout.marks[self.i] = "port"
         name = self.name("an output name", ("output", ":"))
         if self.kinds[self.i] == ":":
@@ -98,6 +114,7 @@ class ComponentParser(ContractParser):
             self.reporter.report("E120", self.span(), message, help=help)
             self.i += 1
             self.contract(f"for output `{name.text}`")
+        self._own_topic(name, topics)
         return name
 
     def _allows(self) -> syntax.AllowedEndpoint:

@@ -94,6 +94,10 @@ def _component(declaration: syntax.ComponentDeclaration, rest: Subject) -> Span:
             return run.command.span
         case ["takes_seconds"] if run is not None and run.startup is not None:
             return run.startup.span
+        case ["gate"] if run is not None and run.gate is not None:
+            return run.gate.span
+        case ["topics", name] if (own := find(declaration.topics, name)) is not None:
+            return own.topic.span
         case ["holds", name, *_]:
             held = (held.resource for statement in declaration.holds for held in statement)
             return next((resource.span for resource in held if resource.text == name), declaration.name.span)

@@ -98,6 +98,7 @@ class ContractExpression(NamedTuple):
 class Run(NamedTuple):
     command: Name
     startup: Number | None
+    gate: Name | None
     span: Span
 
 
@@ -116,6 +117,13 @@ class InputDeclaration(NamedTuple):
     name: Name
     contract: ContractExpression
     tolerates: Number | None
+
+
+class OwnTopic(NamedTuple):
+    """What a program that does not use Midstride's API calls the topic of a port."""
+
+    name: Name  # of the port
+    topic: Name
 
 
 class AllowedEndpoint(NamedTuple):
@@ -165,6 +173,7 @@ class ComponentDeclaration(NamedTuple):
     outputs: tuple[Name, ...]
     allows: tuple[AllowedEndpoint, ...]
     functionalities: tuple[FunctionalityDeclaration, ...]
+    topics: tuple[OwnTopic, ...]
     skipped: frozenset[str]  # the first words of the statements that could not be parsed
 
 

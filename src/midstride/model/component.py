@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, Literal, NamedTuple, TypeAlias, get_args
 
 from immutables import Map
 
@@ -22,6 +22,10 @@ ParameterValue: TypeAlias = "bool | int | float | str | list[bool] | list[int] |
 
 # What every node of ROS 2 has: it may be set for a node although its component does not declare it.
 ROS_PARAMETERS: Final[Mapping[str, ParameterValue]] = {"use_sim_time": False}
+
+# What holds back the outputs of a program that does not use Midstride's API: a preloaded library, or nothing.
+Gate: TypeAlias = Literal["preload", "none"]
+GATES: Final[tuple[Gate, ...]] = get_args(Gate)
 
 _KINDS: Final[Mapping[type, str]] = {bool: "boolean", int: "integer", float: "float", str: "string"}
 
@@ -157,6 +161,8 @@ class ComponentSpec:
 
     ``run`` is the command that starts it (None: it is started elsewhere), ``startup_seconds`` how long that takes
     (s), where known. ``tolerates``: how many missed messages in succession an input tolerates, where stated.
+    ``gate``: what holds back the outputs of a program that does not use Midstride's API (None: it does use it), and
+    ``topics`` the names that such a program has for its ports, where they are not the ports' own.
     """
 
     name: str
@@ -171,6 +177,8 @@ class ComponentSpec:
     run: str | None = None
     startup_seconds: float | None = None
     tolerates: Map[str, int] = field(default_factory=Map)
+    gate: Gate | None = None
+    topics: Map[str, str] = field(default_factory=Map)
     _owners: dict[str, FunctionalitySpec] = field(init=False, compare=False, repr=False)
     _users: dict[str, list[FunctionalitySpec]] = field(init=False, compare=False, repr=False)
     _outputs: frozenset[str] = field(init=False, compare=False, repr=False)
@@ -201,6 +209,8 @@ class ComponentSpec:
         run: str | None = None,
         takes: float | None = None,
         tolerates: Mapping[str, int] | None = None,
+        gate: Gate | None = None,
+        topics: Mapping[str, str] | None = None,
     ) -> ComponentSpec:
         """Build one from plain values, keeping the order of declaration."""
         inputs = inputs or {}
@@ -217,11 +227,17 @@ class ComponentSpec:
             run=run,
             startup_seconds=takes,
             tolerates=Map(tolerates or {}),
+            gate=gate,
+            topics=Map(topics or {}),
         )
 
     def __iter__(self) -> Iterator[FunctionalitySpec]:
         """The functionalities, in order of declaration."""
         return (self.functionalities[name] for name in self.functionality_order)
+
+    def topic_of(self, port: str) -> str:
+        """The name that a program without Midstride's API has for the topic of ``port``."""
+        return self.topics.get(port, port)
 
     def has_output(self, name: str) -> bool:
         return name in self._outputs
@@ -274,6 +290,8 @@ class ComponentSpec:
             self.resource_usage,
             frozenset(self.allows),
             self.run,
+            self.gate,
+            self.topics,
         )
 
 

@@ -61,8 +61,8 @@ class QoS:
         if self.is_transient_local and not offered.is_transient_local:
             unmet.append("durability: volatile is offered, transient_local is needed")
         for name in ("deadline", "lease"):
-            needed, given = (_seconds(getattr(qos, name)) for qos in (self, offered))
-            if given > needed:
+            needed = getattr(self, name)
+            if needed is not None and (given := _seconds(getattr(offered, name))) > needed:
                 unmet.append(f"{name}: {_duration(given)} is offered, at most {_duration(needed)} is needed")
         if self.liveliness == "manual_by_topic" and offered.liveliness != "manual_by_topic":
             unmet.append("liveliness: automatic is offered, manual_by_topic is needed")

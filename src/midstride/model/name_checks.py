@@ -11,6 +11,7 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
+from functools import lru_cache
 from typing import Final
 
 from midstride.model.component import ROS_PARAMETERS, ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
@@ -87,9 +88,13 @@ def _repeated(names: Sequence[str]) -> list[str]:
     return sorted(name for name, count in Counter(names).items() if count > 1)
 
 
+# A specification is checked again for each change, and most of its commands are the same.
+_words = lru_cache(maxsize=1024)(shlex.split)
+
+
 def _command(text: str, path: Path) -> Iterator[Problem]:
     try:
-        words = shlex.split(text)
+        words = _words(text)
     except ValueError as error:
         yield Problem("E009", path, f"`{text}` is not a valid shell command: {str(error).lower()}")
         return

@@ -26,6 +26,7 @@ from midstride.model.configuration import Configuration, to_fraction
 from midstride.model.contract import Contract, Predicate, explain, format_number, satisfies
 from midstride.model.diagnosis import Diagnosis
 from midstride.model.diagnostics import Problem
+from midstride.model.gate_checks import gate_problems, gated_node_problems
 from midstride.model.name_checks import Path, component_names, node_names, specification_names
 from midstride.model.respawn_checks import respawn_problems
 from midstride.model.rules import attachment_shortfall, normal_guarantee
@@ -34,7 +35,7 @@ from midstride.model.specification import Keep, Limit, Node, Order, Specificatio
 
 def check_component(component: ComponentSpec) -> tuple[Problem, ...]:
     """The problems of one component alone: names, numbers, ownership, M1, M2, M3."""
-    return _sorted([*component_names(component, ()), *component_rules(component, ())])
+    return _sorted([*component_names(component, ()), *component_rules(component, ()), *gate_problems(component, ())])
 
 
 def check_node(specification: Specification, role: str) -> tuple[Problem, ...]:
@@ -49,6 +50,7 @@ def check(specification: Specification) -> tuple[Problem, ...]:
     named = not found
     for name, component in specification.components.items():
         found += component_rules(component, ("components", name))
+        found += gate_problems(component, ("components", name))
     found += _context_problems(specification)
     for role, node in specification.nodes.items():
         found += _node_problems(specification, node, ("nodes", role))
@@ -151,6 +153,7 @@ def _node_problems(specification: Specification, node: Node, path: Path) -> Iter
                 message = f"{kind} {node.role}.{port} is attached to no topic"
                 yield Problem("W030", (*path, "attachments", port), message, "attach it, or remove it")
     yield from respawn_problems(specification, node, (*path, "respawn"))
+    yield from gated_node_problems(component, node, path)
     for name, value in node.parameters.items():
         yield from value_problems(value, (*path, "parameters", name))
         declared = component.parameters.get(name)

@@ -81,15 +81,17 @@ class Attachments:
                     "the others are missing, or have another type or incompatible QoS"
                 )
             matched = await self._match(link, command.everyone, command.patience, command.reader_ids, handed_over)
-            if command.peers or command.everyone:
-                await self.host.sleep(SETTLE)
+            settling = SETTLE if command.peers or command.everyone else 0.0
+            if settling and (command.settle or isinstance(link, OutputLink)):
+                await self.host.sleep(settling)
+                settling = 0.0
             if isinstance(link, OutputLink) and command.gate == "open":
                 await self.data.run(partial(self._open, link), timeout)
         except CommandRefused:
             # Undone as soon as user code returns, however long that takes: a refused command must change nothing.
             await within(self.host, self.host.on_data(link.destroy), timeout)
             raise
-        return commands.Attached(matched=matched)
+        return commands.Attached(matched=matched, settling=settling)
 
     async def detach(self, command: commands.DetachCommand) -> commands.Detached:
         link, timeout = self._attached(command.port, command.topic), command.timeout

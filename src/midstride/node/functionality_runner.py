@@ -55,6 +55,8 @@ class FunctionalityRunner(OutputOwner):
         self.entered = 0
         # The mode that it is to enter as soon as the call under way returns, and why: its state shows that already.
         self.falling: tuple[int, str] | None = None
+        # Whether the local reflex has entered the current mode.
+        self.reflex = False
         # Whether a call may start. Only an async call, or a switch that waits for one, makes it False.
         self.ready = True
         self._host = host
@@ -88,6 +90,7 @@ class FunctionalityRunner(OutputOwner):
             since=(now - self.since) / 1e9,
             because=because,
             busy=None if busy is None else (now - busy) / 1e9,
+            reflex=self.reflex or self.falling is not None,
         )
 
     @property
@@ -120,13 +123,14 @@ class FunctionalityRunner(OutputOwner):
         self._postponed.clear()
         self._held.clear()
 
-    def enter_mode(self, index: int, because: str, failed: bool = False) -> None:
+    def enter_mode(self, index: int, because: str, failed: bool = False, reflex: bool = False) -> None:
         """Switch to mode ``index``; :meth:`start_calls` starts its calls."""
         self.index = index
         self.because = because
         self.since = self._steady()
         self.calls = 0
         self.failed = failed
+        self.reflex = reflex
         self.falling = None
         self.entered += 1
         self._promise()

@@ -116,13 +116,15 @@ class ModeSwitch:
     """One mode change of a group of functionalities: all at once, between two calls of each, or not at all.
 
     ``guard`` is called at that moment; a reason that it returns refuses the change. ``settled`` is called on the data
-    thread once the change has happened or is refused, before the new modes' first calls.
+    thread once the change has happened or is refused, before the new modes' first calls. ``reflex``: the local
+    reflex asks for it.
     """
 
     targets: dict[FunctionalityRunner, int]
     because: str
     guard: Callable[[], str | None]
     settled: Callable[[], object]
+    reflex: bool = False
     before: dict[str, str] = field(default_factory=dict)
     refused: str | None = None
     claim: FirstClaim = field(default_factory=FirstClaim)
@@ -153,7 +155,7 @@ class ModeSwitch:
         self.before = {runner.name: runner.mode.name for runner in self.targets}
         for runner, index in moved.items():
             runner.stop_calls()
-            runner.enter_mode(index, self.because)
+            runner.enter_mode(index, self.because, reflex=self.reflex)
         self.settled()
         for runner in moved:
             runner.start_calls()

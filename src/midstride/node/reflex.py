@@ -241,7 +241,7 @@ class Reflex:
                 fall.switch.attempt()
             fall.attempted = True
 
-        fall = watch.fall = Fall(ModeSwitch({runner: index}, because, guard, settled), attempt, steady())
+        fall = watch.fall = Fall(ModeSwitch({runner: index}, because, guard, settled, reflex=True), attempt, steady())
         self._post(fall)
         return fall
 

@@ -125,7 +125,7 @@ class ChangeBuilder:
         if found := node_names(self.target, self.target.nodes[role], ("nodes", role)):
             raise PlanRefused("; ".join(str(problem) for problem in found))
         wanted = self.target.instance(role)
-        candidates = [] if role in self.renewed else running
+        candidates = [] if role in self.renewed else [each for each in running if not self._renamed_topics(each)]
         kept = next((instance for instance in candidates if not _differs(instance, wanted)), None)
         if kept is not None:
             self._keep(kept, wanted)
@@ -138,6 +138,17 @@ class ChangeBuilder:
         for instance in running:
             if instance is not kept:
                 self._leave(instance)
+
+    def _renamed_topics(self, instance: Instance) -> bool:
+        """Whether it would get other topics, and has those that it was started with for good."""
+        if instance.component.gate is None:
+            return False
+        want = {
+            (port, self.target.connectors[key].topic)
+            for port, key in self.target.attachments_of(instance.role, instance.name)
+        }
+        connectors = self.start.context.connectors
+        return want != {(port, connectors[key].topic) for port, key in self.start.attached_ports(instance.name)}
 
     def _leave(self, instance: Instance) -> None:
         self.leaving.append(instance.name)

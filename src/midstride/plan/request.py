@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from midstride.errors import PlanRefused
-from midstride.model.component import ComponentSpec
+from midstride.model.component import ComponentSpec, FunctionalityRef
 from midstride.model.diagnostics import Problem, suggestion, unknown_name
 from midstride.model.specification import Node, Specification
 from midstride.model.specification_checks import check, check_component, check_node, errors
@@ -19,6 +19,7 @@ class PlanRequest:
     A role in ``replace`` or ``restart`` gets a new instance, also of the same component: its program may have changed.
     ``restart`` may accompany a whole specification.
     With ``declared_parameters``, parameter values that were set at run time are not kept.
+    ``restore``: only raise these functionalities of instances, to these modes.
     """
 
     replace: tuple[tuple[str, str], ...] = ()
@@ -29,6 +30,7 @@ class PlanRequest:
     components: tuple[ComponentSpec, ...] = ()
     strategy: str = "minimal"
     declared_parameters: bool = False
+    restore: tuple[tuple[FunctionalityRef, int], ...] = ()
 
     def target(self, specification: Specification) -> Specification:
         """The specification to change to. Raises PlanRefused for an unknown name or a malformed declaration."""
@@ -39,6 +41,8 @@ class PlanRequest:
             for role in self.restart:
                 require("node", role, self.to.nodes)
             return self.to
+        if self.restore:
+            return specification
         if not self.roles():
             raise PlanRefused(
                 "the request is empty: name nodes to replace, restart, add or remove, or give a specification"
@@ -101,6 +105,8 @@ class PlanRequest:
         words += [f"add {node.role} ({node.component})" for node in self.add]
         if self.to is not None:
             words.append(f"apply {self.to.name}")
+        if self.restore:
+            words.append(f"restore {', '.join(str(ref) for ref, _ in self.restore)}")
         return ", ".join(words) or "nothing"
 
 

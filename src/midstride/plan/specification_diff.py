@@ -122,12 +122,17 @@ def _same_but_name(before: ComponentSpec, after: ComponentSpec) -> bool:
 
 def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterator[str]:
     """How two declarations of a component differ, a line each."""
-    for what, old, new in (("run", before.run, after.run), ("takes", before.startup_seconds, after.startup_seconds)):
+    for what, old, new in (
+        ("run", before.run, after.run),
+        ("takes", before.startup_seconds, after.startup_seconds),
+        ("gate", before.gate, after.gate),
+    ):
         if old != new:
             yield _became(what, old, new)
     yield from _named("input", before.inputs, after.inputs)
     yield from _named("tolerates", before.tolerates, after.tolerates)
     yield from _named("output", dict.fromkeys(before.outputs, ""), dict.fromkeys(after.outputs, ""))
+    yield from _named("topic of", before.topics, after.topics)
     yield from _named("holds", before.resource_usage, after.resource_usage)
     yield from _named("parameter", _parameters(before), _parameters(after))
     allowed = [{str(endpoint): "" for endpoint in component.allows} for component in (before, after)]
@@ -205,6 +210,7 @@ def _node(
         details.append(became + (", set in place" if in_place else ""))
         replaced = not in_place
     wiring = list(_wiring(before, after))
+    replaced = replaced or (bool(wiring) and was.gate is not None)  # its topics are fixed at its start
     policy = [] if before.respawn == after.respawn else [_became("respawn", before.respawn, after.respawn)]
     if details or wiring or policy:
         kind: Kind = "replaced" if replaced or why is not None else "rewired" if wiring else "set"

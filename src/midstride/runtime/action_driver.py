@@ -6,6 +6,7 @@ each component that can be reached.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Awaitable, Callable, Collection, Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
@@ -28,6 +29,7 @@ from midstride.model.action import (
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import handover_seconds
+from midstride.plan.change import Change
 from midstride.plan.plan import Plan
 from midstride.plan.state import left_behind, without_outputs
 from midstride.runtime.answering import have_answer
@@ -79,7 +81,9 @@ class ActionDriver:
     moves: StateMoves | None = None
     timing: Mapping[str, float] = field(default_factory=dict)  # of the specification
     leaving: Container[str] = ()  # the instances that the plan removes
+    change: Change | None = None  # what the plan does
     fences: Fences = field(init=False)
+    _settled: float = -math.inf  # when the inputs have settled that were attached (steady s)
     _keeping: set[str] = field(default_factory=set)  # instances that keep state, also where they have exited since
     _before_setting: dict[str, commands.PreviousParameters] = field(default_factory=dict)  # by instance
     _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
@@ -151,12 +155,24 @@ class ActionDriver:
 
     async def start(self, instance: Instance) -> bool:
         """Start the process of an instance that is to be created; see :meth:`Launcher.start`."""
-        standby = self.system.has_instance(instance.role)
+        standby, topics = self.system.has_instance(instance.role), self._topics(instance)
         if self.parameters is None:
-            return await self.launcher.start(instance, standby=standby)
-        return await self.launcher.start(instance, standby=standby, start_values=self.parameters.start_values)
+            return await self.launcher.start(instance, standby=standby, topics=topics)
+        start_values = self.parameters.start_values
+        return await self.launcher.start(instance, standby=standby, start_values=start_values, topics=topics)
+
+    def _topics(self, instance: Instance) -> dict[str, str]:
+        """The topic of each port of a component whose program has to know them when it starts."""
+        if instance.component.gate is None or self.change is None:
+            return {}
+        comes = any(instance.name == each.name for each in self.change.coming)
+        specification = self.change.target if comes else self.change.specification
+        attachments = specification.attachments_of(instance.role) if instance.role in specification.nodes else []
+        return {port.port: specification.connectors[connector].topic for port, connector in attachments}
 
     async def _perform(self, action: Action, because: str) -> None:
+        if not isinstance(action, Attach):
+            await self.settle()
         match action:
             case Create(instance):
                 standby = self.system.has_instance(instance.role)
@@ -207,7 +223,7 @@ class ActionDriver:
 
     def move_states_of(self, plan: Plan) -> None:
         """From now on, move the states of the replacements in ``plan`` that have no outputs to hand over."""
-        change = plan.change
+        change = self.change = plan.change
         self._keeping.update(name for name in change.replaced if keeps_state(self.client, name))
         self.moves = StateMoves(self.client, self._move_state, self._keeps_own_state, without_outputs(change))
         predecessors = {new: old for old, new in change.replaced.items()}
@@ -291,10 +307,17 @@ class ActionDriver:
         others = (configuration.subscribers_on if output else configuration.publishers_on)(action.connector)
         peers = sum(not self._is_gone(other.instance) for other in others)
         attach = commands.AttachCommand(
-            port=port.port, topic=topic, peers=peers, timeout=ATTACH_TIMEOUT, **self._relied_on(port)
+            port=port.port, topic=topic, peers=peers, timeout=ATTACH_TIMEOUT, settle=False, **self._relied_on(port)
         )
         detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
-        await self._or_undo(port.instance, attach, detach)
+        reply = await self._or_undo(port.instance, attach, detach)
+        self._settled = max(self._settled, self.backend.clock.steady() + reply.settling)
+
+    async def settle(self) -> None:
+        """Wait until all inputs that were attached have settled: those of many attachments in a row do so together."""
+        clock = self.backend.clock
+        if self._settled > clock.steady():
+            await clock.sleep(self._settled - clock.steady())
 
     async def _detach(self, action: Detach) -> None:
         port, topic = action.port, self.configuration.topic(action.connector)

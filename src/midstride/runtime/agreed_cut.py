@@ -176,24 +176,33 @@ def _first_slot(cut: Cut, moment: int) -> int:
 
 
 async def publishers_found(
-    client: ComponentClient, configuration: Configuration, connector: str, is_gone: Callable[[str], bool]
+    client: ComponentClient,
+    configuration: Configuration,
+    connector: str,
+    is_gone: Callable[[str], bool],
+    early: int = 0,
 ) -> dict[PortRef, int]:
     """How many publishers each subscriber of ``connector`` that answers is matched with, before new ones attach.
 
     A publisher that has just left may still be counted, so a subscriber that counts more than there are in the model is
-    asked again for a while.
+    asked again for a while. That is not done if some of the new ones are ``early``: they may be counted as well.
     """
     living = sum(not is_gone(port.instance) for port in configuration.publishers_on(connector))
     found: dict[PortRef, int] = {}
     for port in sorted(configuration.subscribers_on(connector)):
         asked = AwaitMatchCommand(port=port.port, topic=configuration.topic(connector), peers=0, timeout=0.0)
         with contextlib.suppress(CallTimeout, Unreachable):  # reported as a silence
-            for _ in range(LEAVE_ATTEMPTS):
+            for _ in range(1 if early else LEAVE_ATTEMPTS):
                 found[port] = (await client.read(port.instance, asked)).matched
                 if found[port] <= living:
                     break
                 await asyncio.sleep(LEAVE_INTERVAL)
     return found
+
+
+def early_publishers(configuration: Configuration, new: Iterable[PortRef]) -> int:
+    """How many of these exist as long as their processes, attached or not: those without Midstride's API."""
+    return sum(configuration.component(port.instance).gate is not None for port in new)
 
 
 async def require_found(
@@ -208,13 +217,16 @@ async def require_found(
 
     That the publishers have found them is not enough: a subscriber whose middleware does not discover endpoints any
     more would receive nothing after the cut. ``before`` is what :func:`publishers_found` returned. Such a subscriber
-    may also not have noticed who left, so the number of publishers there are would not do.
+    may also not have noticed who left, so the number of publishers there are would not do. New publishers of nodes
+    without Midstride's API have existed since their processes started, and may have been counted before. Such a node
+    may also have left without a word, and be counted for long. So for them that number has to do.
     """
     new = {swap.new for swap in swaps if swap.connector == connector}
     gone = sum(is_gone(port.instance) for port in configuration.publishers_on(connector))
-    topic = configuration.topic(connector)
+    topic, early = configuration.topic(connector), early_publishers(configuration, new)
     for port, counted in before.items():
-        wanted = counted + len(new) - gone  # whether one that has exited is still counted is not known
+        # Whether one that has exited is still counted is not known.
+        wanted = (len(configuration.publishers_on(connector)) if early else counted) + len(new) - gone
         await_match = AwaitMatchCommand(port=port.port, topic=topic, peers=wanted, timeout=FIND_TIMEOUT)
         try:
             matched = (await client.read(port.instance, await_match)).matched
@@ -239,3 +251,14 @@ async def require_same_clock(client: ComponentClient, old: str, new: str) -> Non
         )
     if state.waiting is not None:
         raise StepFailed(f"{old} cannot hand over: {state.waiting}")
+
+
+def require_same_gate(configuration: Configuration, old: str, new: str) -> None:
+    """Raises StepFailed where only one side uses Midstride's API: the two have no way to agree on a moment."""
+    gates = [configuration.component(name).gate for name in (old, new)]
+    if gates[0] != gates[1]:
+        ours, other = (old, new) if gates[0] is None else (new, old)
+        kinds = f"{other} has a gate (`gate {gates[1] or gates[0]}`) and {ours} uses Midstride's API"
+        if None not in gates:
+            kinds = f"{old} has `gate {gates[0]}` and {new} `gate {gates[1]}`"
+        raise StepFailed(f"{old} cannot hand over to {new}: {kinds}; use `--strategy paper`")

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Protocol
 
 from midstride.codec.form import Form
+from midstride.model.component import ComponentSpec
 from midstride.runtime.clock import Clock
 from midstride.wire.transport import Transport
 
@@ -25,6 +26,7 @@ class Launch:
     ``set_parameters`` are values that were set while its predecessor ran; they take precedence over ``parameters``.
     ``node`` is the name of its ROS node where the platform allows two nodes of one name, by default the instance's.
     ``standby``: another instance of that node answers requests until the new one is sent ``answer``.
+    ``foreign``: the component, where its program does not use Midstride's API; ``topics`` then has those of its ports.
     """
 
     instance: str
@@ -36,6 +38,8 @@ class Launch:
     set_parameters: dict[str, object] = field(default_factory=dict)
     node: str = ""
     standby: bool = False
+    foreign: ComponentSpec | None = None
+    topics: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +108,8 @@ class Backend(Protocol):
     def keep_spares(self, number: int, token: str) -> None:
         """Keep so many processes ready for later starts: what is missing starts in the background.
 
-        To be called when nothing else is going on. A platform without processes, or that cannot start them, has none.
+        To be called when nothing else is going on, or before many starts. A platform without processes, or that cannot
+        start them, has none.
         """
 
     def spares(self) -> int:

@@ -6,13 +6,15 @@ Each of these is an ordinary plan (docs/semantics.md section 7); what still runs
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from midstride.errors import CommandRefused, ManagerError, PlanRefused, StepFailed
+from midstride.model.component import FunctionalityRef
 from midstride.model.specification import Specification
 from midstride.plan.change_builder import change_between
 from midstride.plan.registry import planner
+from midstride.plan.restore import restore
 from midstride.plan.runtime_values import of_change
 from midstride.runtime.change_session import ChangeSession
 from midstride.runtime.component_client import ComponentClient
@@ -29,7 +31,10 @@ from midstride.runtime.state_store import SavedState, StateStore
 
 @dataclass(frozen=True, slots=True)
 class BringUp:
-    """One ``up`` of the system ``workspace`` on the platform ``backend``; ``file`` is what it is brought up from."""
+    """One ``up`` of the system ``workspace`` on the platform ``backend``; ``file`` is what it is brought up from.
+
+    ``improved``: the better modes of functionalities that are supported by what is measured.
+    """
 
     system: RunningSystem
     client: ComponentClient
@@ -43,6 +48,7 @@ class BringUp:
     backend: str
     workspace: str
     file: str | None
+    improved: Callable[[Collection[FunctionalityRef]], dict[FunctionalityRef, int]]
 
     async def restore_missing(self, absent: set[str], *, is_new: bool) -> dict[str, str]:
         """Bring up what does not run, without the roles ``absent``; returns why each of the others could not be.
@@ -98,7 +104,12 @@ class BringUp:
                 target = target.without_node(role)
         change = change_between(self.system.configuration, running, target)
         parameters = of_change(change, self.system.values.by_role(self.system.configuration))
-        plan = replace(await asyncio.to_thread(planner("minimal"), change), parameters=parameters)
+        if specification == running and not (change.instances() or change.parameters or change.renamed):
+            # Nothing but modes differs: what the local reflex has degraded waits until its input is back.
+            plan = restore(self.system.configuration, running, self.improved(change.pending), {})
+            change = plan.change
+        else:
+            plan = replace(await asyncio.to_thread(planner("minimal"), change), parameters=parameters)
         # Before any component has the token.
         self.store.begin(self.backend, self.client.token, running, self.options, self.file)
         if plan.steps or specification != running:

@@ -24,6 +24,7 @@ from midstride.plan.forms import PlanForm, PlanPreview
 from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
 from midstride.plan.request import PlanRequest
+from midstride.plan.restore import restore
 from midstride.plan.runtime_values import Values, of_change
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
@@ -299,6 +300,8 @@ def _plan(
 ) -> tuple[Plan, Specification]:
     """``orders`` are kept by a plan that replaces one role after another; the other strategies remove all first."""
     target, keep = request.target(specification), not request.declared_parameters
+    if request.restore:
+        return restore(configuration, specification, dict(request.restore), measured), target
     planned = replace(target, constraints=(*target.constraints, *orders)) if request.strategy == "minimal" else target
     if request.to is not None and not keep:
         configuration = _as_set(configuration, values)

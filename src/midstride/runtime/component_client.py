@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
-from midstride.errors import BackendError, CallTimeout, CommandRefused, ProtocolError, Unreachable
+from midstride.errors import BackendError, CallTimeout, CommandRefused, ProtocolError, Superseded, Unreachable
 from midstride.runtime.clock import Clock
 from midstride.wire.channel import Channel, Report, result_of
 from midstride.wire.commands import Command, ObserveCommand
@@ -67,13 +67,15 @@ class ComponentClient:
     """Sends commands to components, each change with the revision that the component is expected to be at.
 
     A component refuses a change at any other revision. It recognizes its manager by ``token``. ``on_event`` is called
-    for each reported state and each disconnection. Not thread-safe: use it on one event loop.
+    for each reported state and each disconnection. Once another manager has taken over, as ``superseded`` says, nothing
+    is changed or undone any more. Not thread-safe: use it on one event loop.
     """
 
     transport: Transport
     clock: Clock
     token: str
     on_event: Callable[[ComponentEvent], None] = lambda _: None
+    superseded: Callable[[], bool] = lambda: False
     _revisions: dict[str, int] = field(default_factory=dict)
     _channels: dict[str, Channel] = field(default_factory=dict)
     _connecting: dict[str, asyncio.Lock] = field(default_factory=dict)
@@ -218,7 +220,9 @@ class ComponentClient:
         return await self._send(instance, command, None)
 
     async def change(self, instance: str, command: Command[R]) -> R:
-        """Send a command that changes the component. Raises as ``read``."""
+        """Send a command that changes the component. Raises as ``read``, and Superseded."""
+        if self.superseded():
+            raise Superseded("another manager of this system has taken over")
         if instance not in self._revisions:
             await self.observe(instance)
         return await self._send(instance, command, self._revisions.get(instance))
@@ -241,9 +245,10 @@ class ComponentClient:
         """Send a change that undoes another one, at whatever revision the component is; failures are ignored.
 
         A command that timed out may still be in progress at the component. It completes first and changes the revision,
-        so a refused undo is sent again. A silent component is not waited for.
+        so a refused undo is sent again. A silent component is not waited for. Nothing is sent once another manager has
+        taken over.
         """
-        if self._is_silent(instance):
+        if self._is_silent(instance) or self.superseded():
             return
         for _ in range(UNDO_ATTEMPTS):
             self.forget(instance)
@@ -251,7 +256,7 @@ class ComponentClient:
                 await self.change(instance, command)
             except CommandRefused:
                 continue
-            except BackendError:
+            except (BackendError, Superseded):
                 pass
             return
 

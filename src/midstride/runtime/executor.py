@@ -93,6 +93,8 @@ class Executor:
                         self._ahead = asyncio.ensure_future(self._start_ahead(actions[index + 1 :]))
                 await self._timed_step(action, done, actions)
                 await self.driver.watch(action)
+                if index == len(actions) - 1:
+                    await self.driver.settle()
                 if self.after_step is not None:
                     await self.after_step(self.system.configuration)
             except (Exception, asyncio.CancelledError) as raised:

@@ -24,9 +24,11 @@ from midstride.model.configuration import Configuration
 from midstride.runtime.agreed_cut import (
     Cut,
     agree_cuts,
+    early_publishers,
     publishers_found,
     require_found,
     require_same_clock,
+    require_same_gate,
 )
 from midstride.runtime.answering import have_answer
 from midstride.runtime.component_client import ComponentClient
@@ -184,12 +186,14 @@ class LiveHandover:
         """
         pairs = self._pairs
         for old, new in pairs:
+            require_same_gate(self.configuration, old, new)
             with _old_side_needed():
                 await require_same_clock(self.client, old, new)
         connectors = sorted({swap.connector for swap in self.swaps})
-        found = {
-            name: await publishers_found(self.client, self.configuration, name, self.is_gone) for name in connectors
-        }
+        found: dict[str, dict[PortRef, int]] = {}
+        for name in connectors:
+            early = early_publishers(self.configuration, (swap.new for swap in self.swaps if swap.connector == name))
+            found[name] = await publishers_found(self.client, self.configuration, name, self.is_gone, early)
         for swap in self.swaps:
             with _old_side_needed():
                 readers, ids = await self._new.readers(swap)

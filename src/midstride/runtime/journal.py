@@ -35,7 +35,8 @@ T = TypeVar("T")
 
 # The kinds of events that are incidents.
 INCIDENTS: Final = frozenset(
-    "up down exited silence fenced degraded reflex respawn respawn_ended parameters rollback_failed".split()
+    """up down exited silence fenced degraded restore restore_ended respawn respawn_ended parameters
+    rollback_failed""".split()
 )
 # How many statements are kept in memory while the disk refuses them.
 BACKLOG: Final = 2_000
@@ -61,6 +62,7 @@ class Journal:
         self._database: Database | None = None
         self._holder = f"{os.getpid()} {secrets.token_hex(8)}"
         self._holds = False  # the lease: taken with the first write to a file
+        self.superseded = False  # another manager has taken it
         self._backlog: list[Statement] = []
         self._flushing: asyncio.Task[None] | None = None
         self._writer = ThreadPoolExecutor(1, "journal")  # one thread: writes happen in order
@@ -157,7 +159,11 @@ class Journal:
     def _commit(self, database: Database, statements: Sequence[Statement]) -> None:
         waiting = self._backlog[:]
         if self._holds:
-            database.write([*waiting, *statements], only_if=(_HOLDER, (self._holder,)))
+            try:
+                database.write([*waiting, *statements], only_if=(_HOLDER, (self._holder,)))
+            except Superseded:
+                self.superseded = True
+                raise
         else:
             lease = ("INSERT OR REPLACE INTO about VALUES ('holder', ?)", (self._holder,))
             database.write([lease, *waiting, *statements])

@@ -7,9 +7,11 @@ import contextlib
 import math
 import os
 import shlex
-from collections.abc import Callable, Container, Iterable
+from collections.abc import Callable, Container, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
+
+from immutables import Map
 
 from midstride.errors import (
     BackendError,
@@ -80,12 +82,14 @@ class Launcher:
         *,
         standby: bool = False,
         start_values: Callable[[Instance], dict[str, Any]] = lambda _: {},
+        topics: Mapping[str, str] = Map(),
     ) -> bool:
         """Start the process of ``instance`` and return at once; :meth:`registered` waits for it.
 
         Returns False if it is already starting. A component without ``run`` is started by hand. ``standby``: another
         instance of its role answers requests. ``start_values``: the values of parameters that it starts with instead of
-        the declared ones. Raises StartFailed, or what ``start_values`` raises.
+        the declared ones. ``topics``: those of its ports, which a program without Midstride's API is started with.
+        Raises StartFailed, or what ``start_values`` raises.
         """
         name = instance.name
         if name in self._starting:
@@ -94,9 +98,12 @@ class Launcher:
         self._exits[name] = asyncio.get_running_loop().create_future()
         self._starting[name] = asyncio.ensure_future(self._client.registered(name))
         self._starting[name].add_done_callback(self._registration_done)
-        command = instance.component.run
+        command, gate = instance.component.run, instance.component.gate
         if command is None:
             return True
+        if gate is not None and self._backend.name != "ros2":
+            self._forget_start(name)
+            raise StartFailed(f"{name} has a gate (`gate {gate}`), and the back end {self._backend.name} has none")
         try:
             arguments = tuple(shlex.split(command))
             if not arguments:
@@ -105,8 +112,10 @@ class Launcher:
             parameters: dict[str, object] = {"use_sim_time": True} if self._options.use_sim_time else {}
             parameters.update(instance.parameters)
             token, directory = self._client.token, self._directory
+            # A program without Midstride's API has the instance's name: nothing in it could answer for the role.
+            node, foreign = (instance.role, None) if gate is None else (name, instance.component)
             launch = Launch(
-                name, namespace, arguments, token, directory, parameters, set_values, instance.role, standby
+                name, namespace, arguments, token, directory, parameters, set_values, node, standby, foreign, {**topics}
             )
             self.handles[name] = await self._backend.start(launch)
         except ValueError as error:
@@ -127,7 +136,11 @@ class Launcher:
             arguments = shlex.split(instance.component.run or "")
         except ValueError:
             return False
-        return bool(arguments) and self._backend.takes_spare(arguments, self._directory)
+        return (
+            instance.component.gate is None
+            and bool(arguments)
+            and self._backend.takes_spare(arguments, self._directory)
+        )
 
     def starting(self) -> int:
         """How many processes have been started and have neither registered nor exited."""

@@ -14,6 +14,7 @@ import contextlib
 import secrets
 from collections.abc import AsyncIterator, Mapping
 from contextlib import AbstractAsyncContextManager
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -55,6 +56,7 @@ from midstride.runtime.reports import (
     Why,
 )
 from midstride.runtime.respawn import Respawner
+from midstride.runtime.restoring import Restorer
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.runtime_verification import Verifier
 from midstride.runtime.silence import SilenceMonitor
@@ -92,6 +94,7 @@ class Manager:
         self._journal = Journal(workspace.journal, backend.name, disk)
         self.events.on_event = self._journal.note
         self._client = ComponentClient(backend.transport, backend.clock, secrets.token_hex(16))
+        self._client.superseded = lambda: self._journal.superseded or self._store.superseded
         self._options = options
         self._spares = options.spares
         self._launcher = Launcher(backend, self._client, directory, options)
@@ -121,8 +124,20 @@ class Manager:
             self._executor,
             self._journal,
         )
-        self._respawner = Respawner(self.system, backend.clock, self.events, self._command, self._restore)
-        self._reconciler.on_reconciled = self._respawner.update
+        self._respawner = Respawner(
+            self.system, backend.clock, self.events, self._command, partial(self._recover, by="the restart policy")
+        )
+        self._restorer = Restorer(
+            self.system,
+            self._client,
+            backend.clock,
+            self.events,
+            self._command,
+            partial(self._recover, by=None),
+            enabled=not options.keep_degraded,
+        )
+        self._reconciler.on_reconciled = self._on_reconciled
+        self._reconciler.on_degraded = self._restorer.degraded
         self._watch = DiscoveryWatch(
             backend,
             self._client,
@@ -132,13 +147,19 @@ class Manager:
         )
         self._monitor.undiscovering = self._watch.stopped
 
-    async def _restore(self, request: PlanRequest) -> Outcome:
-        return await self._session.change(request, brief=True, by="the restart policy")
+    async def _recover(self, request: PlanRequest, by: str | None) -> Outcome:
+        return await self._session.change(request, brief=True, by=by)
+
+    def _on_reconciled(self) -> None:
+        self._respawner.update()
+        self._restorer.update()
 
     def _on_component_event(self, event: ComponentEvent) -> None:
         if isinstance(event, ComponentState):
             self._programs.on_report(event)
         self._reconciler.on_component_event(event)
+        if isinstance(event, ComponentState):
+            self._restorer.on_report(event)
 
     def _executor(self) -> Executor:
         driver = ActionDriver(self._client, self._launcher, self._backend, self.system, self.events)
@@ -176,8 +197,11 @@ class Manager:
             interrupted = await self._journal.take_over()
             if self._journal.damaged is not None:
                 self.events.add("note", self._journal.damaged)
+            if saved is not None:
+                self._store.take_over()
             bring_up = self._bring_up()
             absent = set() if saved is None else await bring_up.recover(saved, interrupted)
+            self._backend.keep_spares(self._spares, self._client.token)
             try:
                 missing: dict[str, str] = {}
                 if saved is None or not await bring_up.finish(absent, interrupted):
@@ -211,12 +235,14 @@ class Manager:
             self._backend.name,
             self._workspace.name,
             self._file,
+            self._restorer.improved,
         )
 
     async def close(self) -> None:
         """Disconnect; the components keep running."""
         await self._watch.close()
         await self._respawner.close()
+        await self._restorer.close()
         await self._reconciler.close()
         await self._programs.close()
         self._client.close()
@@ -226,6 +252,7 @@ class Manager:
 
     async def down(self) -> None:
         """Terminate every component and delete the saved state. Raises ManagerError naming those that still run."""
+        self._restorer.stop()
         self._respawner.stop()  # also a restart in progress: it is rolled back
         async with self._command("down"):
             self._spares = 0
@@ -275,6 +302,7 @@ class Manager:
             self._file,
             self._spares,
             self._respawner,
+            self._restorer,
         )
 
     async def programs(self) -> list[ProgramStatus]:

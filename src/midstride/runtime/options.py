@@ -14,6 +14,7 @@ class SystemOptions(msgspec.Struct, frozen=True):
     ``spares``: how many processes to keep ready for the next components.
     ``diagnostics``: components publish on ``/diagnostics``.
     ``finish_interrupted``: a change that was interrupted because the manager was killed is finished, not rolled back.
+    ``keep_degraded``: what the local reflex has degraded stays so until a command restores it.
     """
 
     use_sim_time: bool = False
@@ -21,6 +22,7 @@ class SystemOptions(msgspec.Struct, frozen=True):
     spares: int = 0
     diagnostics: bool = True
     finish_interrupted: bool = False
+    keep_degraded: bool = False
 
     def with_(self, later: SystemOptions) -> SystemOptions:
         """These, and what a later ``up`` asks for besides; `midstride down` ends them."""
@@ -30,6 +32,7 @@ class SystemOptions(msgspec.Struct, frozen=True):
             max(self.spares, later.spares),
             self.diagnostics and later.diagnostics,
             self.finish_interrupted or later.finish_interrupted,
+            self.keep_degraded or later.keep_degraded,
         )
 
 

@@ -13,11 +13,12 @@ fails.
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import os
 import signal
 import subprocess
-from collections.abc import Callable, Container, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -29,6 +30,8 @@ from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 # How long the kernel may take to remove a killed process (s).
 KILL_PATIENCE: Final = 10.0
 _TICK: Final = 0.02
+_LIBC: Final = ctypes.CDLL(None)
+_PR_SET_CHILD_SUBREAPER: Final = 36
 
 
 class Process:
@@ -183,6 +186,22 @@ def spawn(
         reaper.signal_group(child.pid, signal.SIGKILL)
         os.waitpid(child.pid, 0)
         raise StartFailed(f"cannot watch `{' '.join(arguments)}`: {error.strerror or error}") from None
+
+
+_adopting = 0
+
+
+@contextmanager
+def adopting_orphans() -> Iterator[None]:
+    """Meanwhile a descendant whose parent exits becomes a child of this process, which then learns its exit status."""
+    global _adopting
+    _adopting += 1
+    _LIBC.prctl(_PR_SET_CHILD_SUBREAPER, 1)
+    try:
+        yield
+    finally:
+        _adopting -= 1
+        _LIBC.prctl(_PR_SET_CHILD_SUBREAPER, int(_adopting > 0))
 
 
 def find(pid: int, started: float, variable: str, value: str, log: Path | None = None) -> Process | None:

@@ -121,6 +121,8 @@ class Programs:
 def _unknown(instance: Instance, program: Program | None) -> str | None:
     if program is None:
         return "it has not said which files its program has"
+    if instance.component.gate is not None:
+        return "it does not use Midstride's API: only the files that its `run` command names are compared"
     if not program.complete:
         return f"it has more modules than the {len(program.files)} that are compared"
     if instance.component.run is None:

@@ -51,7 +51,8 @@ class Reconciler:
     does so in the background, holding ``lock``. ``executor`` makes the executor that degrades functionalities.
     ``degraded`` are those that degraded unexpectedly since the last change began. ``on_failure`` is called with a live
     instance as soon as it has exited, or reports a worse mode than the model has; ``on_crash_during_change`` at an exit
-    during the steps of a change; ``on_reconciled`` when the model is up to date, with no command in progress.
+    during the steps of a change; ``on_reconciled`` when the model is up to date, with no command in progress;
+    ``on_degraded`` for each functionality that has degraded unexpectedly, with its mode.
     """
 
     system: RunningSystem
@@ -67,6 +68,7 @@ class Reconciler:
     on_failure: Callable[[str], object] = lambda _: None
     pending: dict[FunctionalityRef, MidstrideError | None] = field(default_factory=dict)  # could not be degraded yet
     on_reconciled: Callable[[], None] = lambda: None
+    on_degraded: Callable[[FunctionalityRef, int], None] = lambda ref, index: None
     on_crash_during_change: Callable[[], Coroutine[Any, Any, None]] | None = None
     _why_pending: str = _LOST_BEFORE
     _unanswered: set[str] = field(default_factory=set)  # instances of these that did not answer
@@ -204,6 +206,7 @@ class Reconciler:
                 if ref not in self.pending:  # else a command that timed out has been carried out after all
                     words += " unexpectedly"
                     self.degraded.add(ref)
+                    self.on_degraded(ref, index)
                 self.events.add("degraded", words, functionality=str(ref))
                 because.append(words)
             after, to_lower = respond(configuration, crashed, degraded, [*self.pending, *touched])

@@ -129,6 +129,9 @@ class FunctionalityStatus(Report, frozen=True):
     because: str | None
     since: Annotated[float | None, Meta(description="how long it has been in this mode, in seconds")]
     busy: Annotated[float | None, Meta(description="how long the current call of user code has taken, in seconds")]
+    restoring: Annotated[
+        str | None, Meta(description="whether and when it is restored after the local reflex; null: by a command only")
+    ] = None
 
 
 class FieldStatus(Report, frozen=True, kw_only=True):

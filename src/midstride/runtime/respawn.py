@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 
 from midstride.model.respawn import RespawnPolicy
 from midstride.plan.request import PlanRequest
+from midstride.runtime.attempts import Attempts
 from midstride.runtime.backend import Exited
 from midstride.runtime.clock import Clock
 from midstride.runtime.events import EventLog, counted
@@ -28,14 +29,11 @@ log = logging.getLogger(__name__)
 class _Record:
     """What is known of the crashes of one role.
 
-    ``ran``: how long it ran in all since its first crash (s), up to ``runs_since`` (steady s); ``restarts``: when each
-    restart was decided, on that clock. ``crashes``: what has been decided on. ``due``: when the next restart begins
-    (steady s); ``carrying_out``: its plan has begun; ``left``: why there is no next one.
+    ``crashes``: what has been decided on. ``due``: when the next restart begins (steady s); ``carrying_out``: its plan
+    has begun; ``left``: why there is no next one.
     """
 
-    restarts: list[float] = field(default_factory=list)
-    ran: float = 0.0
-    runs_since: float | None = None
+    attempts: Attempts = field(default_factory=Attempts)
     crashes: list[Exited] = field(default_factory=list)
     due: float | None = None
     carrying_out: bool = False
@@ -73,7 +71,7 @@ class Respawner:
         for role, record in list(self._records.items()):
             if record.carrying_out:
                 continue
-            if self._policy(role) is None or (self._runs(role) and record.runs_since is None):
+            if self._policy(role) is None or (self._runs(role) and record.attempts.runs_since is None):
                 self._forget(role, record)
         for role, crashes in self._crashes().items():
             policy, record = self._policy(role), self._records.get(role) or _Record()
@@ -99,7 +97,7 @@ class Respawner:
         policy = None if role is None else self._policy(role)
         if record is None or policy is None:
             return None
-        number, words, seconds = len(record.restarts), "restarting", None
+        number, words, seconds = len(record.attempts.made), "restarting", None
         if record.left is not None:
             words = f"it will not be restarted again: {record.left}"
         elif record.due is not None:
@@ -133,13 +131,8 @@ class Respawner:
 
     def _on_crash(self, role: str, record: _Record, policy: RespawnPolicy, why: str) -> None:
         """``role`` does not run because of ``why``: plan the next restart, or what comes after the last one."""
-        if record.runs_since is not None:
-            record.ran += self.clock.steady() - record.runs_since
-            record.runs_since = None
-        record.restarts = [at for at in record.restarts if record.ran - at < policy.window]
-        if len(record.restarts) < policy.max_retries:
-            record.restarts.append(record.ran)
-            number = len(record.restarts)
+        record.attempts.stopped(self.clock.steady())
+        if (number := record.attempts.next(policy)) is not None:
             delay = policy.delay_before(number)
             when = f"in {delay:.1f} s" if delay else "now"
             self.events.add("respawn", f"{why}; restarting {role} {when} ({number} of {policy.limit})")
@@ -150,7 +143,7 @@ class Respawner:
         if fallback is None or self.system.specification.nodes[role].component == fallback:
             self._leave(role, record, used_up, f"{why}; ")
             return
-        record.restarts.clear()  # those of the fallback are counted anew
+        record.attempts.made.clear()  # those of the fallback are counted anew
         self.events.add("respawn", f"{why}; {used_up}: {role} is replaced by {fallback}")
         request, words = PlanRequest(replace=((role, fallback),)), f"respawn {role} as {fallback}"
         self._schedule(role, record, request, words, 0.0)
@@ -179,7 +172,7 @@ class Respawner:
             failed = f"{words} failed: {error}"
         record.carrying_out, record.task = False, None
         if self._runs(role):
-            record.runs_since = self.clock.steady()
+            record.attempts.runs_since = self.clock.steady()
         elif failed is not None and (policy := self._policy(role)) is not None and not self._stopped:
             if request.replace:
                 self._leave(role, record, failed)

@@ -7,10 +7,12 @@ on the size of the system.
 
 from __future__ import annotations
 
+import secrets
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -20,7 +22,7 @@ from immutables import Map
 from midstride.codec.component import ComponentForm
 from midstride.codec.configuration import InstanceForm
 from midstride.codec.specification import NodeForm, SpecificationForm, TopicForm, decode_specification
-from midstride.errors import ManagerError, MidstrideError
+from midstride.errors import ManagerError, MidstrideError, Superseded
 from midstride.model.configuration import Instance
 from midstride.model.specification import Specification
 from midstride.runtime.backend import Handle
@@ -41,6 +43,7 @@ CREATE TABLE IF NOT EXISTS instances (name TEXT PRIMARY KEY, form TEXT NOT NULL,
 _REST: Final = "rest"
 # Before the name of a role, for its parameter values that were set at run time.
 _VALUES: Final = "values of "
+_HOLDER: Final = "SELECT 1 FROM system WHERE key = 'holder' AND value = ?"
 # Statements by what they write.
 _Statements: TypeAlias = dict[str, Statement]
 
@@ -83,6 +86,9 @@ class StateStore:
         self._database: Database | None = None
         self._specification = Specification("")  # as last written
         self._pending: _Statements = {}  # writes that failed
+        self._holder = secrets.token_hex(8)
+        self._holds = False  # the lease: taken with the first write
+        self.superseded = False  # another manager has taken it
 
     # -- reading -----------------------------------------------------------------------------------
 
@@ -103,7 +109,7 @@ class StateStore:
             return SavedState(
                 system["backend"],
                 system["token"],
-                decode_specification(_assembled(parts)),
+                _specification(tuple(parts)),
                 tuple(_instance(form, handle) for form, handle in rows),
                 msgspec.json.decode(system.get("options", "{}"), type=SystemOptions),
                 {
@@ -147,6 +153,10 @@ class StateStore:
         # At once: half of this could not be read.
         statements: _Statements = {**_puts(*system), "specification": ("DELETE FROM specification", ())}
         self._write({**statements, **self._parts(specification), "begun": (f"PRAGMA user_version = {VERSION}", ())})
+
+    def take_over(self) -> None:
+        """Take the lease: what an earlier manager writes from now on is not kept."""
+        self._write({})
 
     def write_specification(self, specification: Specification) -> None:
         """The specification that the system runs now: a row for each part that differs from what was written last."""
@@ -205,6 +215,7 @@ class StateStore:
         """Delete the database: the system is down, or was never up."""
         self.close()
         self._disk.remove(self.path)
+        self._holds = False
 
     def close(self) -> None:
         database, self._database = self._database, None
@@ -217,7 +228,14 @@ class StateStore:
     def _write(self, statements: _Statements) -> None:
         self._pending.update(statements)
         try:
-            self._open().write(self._pending.values())
+            if self._holds:
+                self._open().write(self._pending.values(), only_if=(_HOLDER, (self._holder,)))
+            else:
+                self._open().write([*_puts("holder", self._holder).values(), *self._pending.values()])
+        except Superseded as error:
+            self.superseded, self.unwritten = True, str(error)
+            self._pending.clear()
+            return
         except (sqlite3.Error, OSError) as error:
             why = f"cannot write {self.path}: {error}"
             if self.unwritten is None:
@@ -225,7 +243,7 @@ class StateStore:
             self.unwritten = why
             return
         self._pending.clear()
-        self.unwritten = None
+        self._holds, self.unwritten = True, None
 
     def _open(self) -> Database:
         if self._database is None:
@@ -250,8 +268,8 @@ def _rest(specification: Specification) -> Specification:
     return replace(specification, connectors=Map(), components=Map(), nodes=Map())
 
 
-def _assembled(parts: list[tuple[str, str, str]]) -> dict[str, Any]:
-    """The document of the specification."""
+@lru_cache(maxsize=4)
+def _specification(parts: tuple[tuple[str, str, str], ...]) -> Specification:
     rest: dict[str, Any] = {}
     sections: dict[str, dict[str, Any]] = {}
     for section, name, form in parts:
@@ -259,7 +277,7 @@ def _assembled(parts: list[tuple[str, str, str]]) -> dict[str, Any]:
             rest = msgspec.json.decode(form, type=dict[str, Any])
         else:
             sections.setdefault(section, {})[name] = msgspec.json.decode(form)
-    return {**rest, **sections}
+    return decode_specification({**rest, **sections})
 
 
 def _instance(form: str, handle: str | None) -> SavedInstance:

@@ -13,6 +13,7 @@ from midstride.runtime.backend import Backend
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.respawn import Respawner
+from midstride.runtime.restoring import Restorer
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.silence import SilenceMonitor
 from midstride.wire.state import ComponentState, FunctionalityState, LinkState
@@ -31,13 +32,14 @@ def status(
     file: str | None,
     spares: int,
     respawner: Respawner,
+    restorer: Restorer,
 ) -> reports.Status:
     """The answer to ``midstride status``."""
     configuration, evaluator = system.configuration, Evaluator(system.configuration)
     found, silences = violations(configuration), monitor.faults(configuration)
     program_of = {program.name: program for program in programs}
     components = [
-        _component(configuration, instance, client.responsive(name), launcher, program_of.get(name))
+        _component(configuration, instance, client.responsive(name), launcher, program_of.get(name), restorer)
         for name, instance in sorted(configuration.instances.items())
     ]
     return reports.Status(
@@ -99,12 +101,14 @@ def _component(
     state: ComponentState | None,
     launcher: Launcher,
     program: reports.ProgramStatus | None,
+    restorer: Restorer,
 ) -> reports.ComponentStatus:
     handle = launcher.handles.get(instance.name)
     process = state or handle
     reported = {} if state is None else state.functionalities
     functionalities = [
-        _functionality(configuration, ref, reported.get(ref.functionality)) for ref in instance.functionality_refs()
+        _functionality(configuration, ref, reported.get(ref.functionality), restorer.status(ref))
+        for ref in instance.functionality_refs()
     ]
     return reports.ComponentStatus(
         name=instance.name,
@@ -178,7 +182,7 @@ def _measured(link: LinkState, declared: float | None) -> reports.MeasuredStatus
 
 
 def _functionality(
-    configuration: Configuration, ref: FunctionalityRef, state: FunctionalityState | None
+    configuration: Configuration, ref: FunctionalityRef, state: FunctionalityState | None, restoring: str | None = None
 ) -> reports.FunctionalityStatus:
     modelled = configuration.mode(ref).name
     mode = modelled if state is None else state.mode
@@ -190,6 +194,7 @@ def _functionality(
         because=None if state is None else state.because,
         since=None if state is None else state.since,
         busy=None if state is None else state.busy,
+        restoring=restoring,
     )
 
 

@@ -12,11 +12,15 @@ from midstride.simulation.lives import Life, ManagerKilled
 
 
 class SimulatedDisk(Disk):
-    """``kill_at``: the next write kills the manager before it, after it, or half-way, which undoes it."""
+    """``kill_at``: the next write kills the manager before it, after it, or half-way, which undoes it.
+
+    That is the next one to a table that ``kill_in`` names.
+    """
 
     def __init__(self) -> None:
         self.full = False
         self.kill_at: Literal["before", "after", "torn"] | None = None
+        self.kill_in = ""
         # Counts the writes.
         self.writes = 0
         # The manager that writes; None for a reader.
@@ -54,8 +58,11 @@ class _Database(Database):
         if self._life is not None:
             self._life.require()
         if self._disk.full:
+            super().write((), *args, **named)  # to look at the lease takes no room
             raise sqlite3.OperationalError("database or disk is full")
-        killed, self._disk.kill_at = self._disk.kill_at, None
+        statements, killed = list(statements), None
+        if any(self._disk.kill_in in query for query, _ in statements):
+            killed, self._disk.kill_at = self._disk.kill_at, None
         if killed == "before":
             self._kill()
         if killed == "torn":  # half of it is in the file, and not committed

@@ -36,6 +36,7 @@ FaultKind: TypeAlias = Literal[
     "manager killed",
     "manager killed at a write",
     "torn write",
+    "manager superseded",
 ]
 KINDS: Final[tuple[FaultKind, ...]] = get_args(FaultKind)
 # How late messages are at most (s): what is under way when the faults end arrives while the system settles.
@@ -44,7 +45,7 @@ LONGEST_DELAY: Final = 0.3
 LATE: Final[frozenset[str]] = frozenset({"freeze", "hang", "clock jump"})
 # Faults that stop no component.
 OF_THE_MANAGER: Final[frozenset[str]] = frozenset(
-    {"manager killed", "manager killed at a write", "torn write", "full disk"}
+    {"manager killed", "manager killed at a write", "torn write", "full disk", "manager superseded"}
 )
 _REQUEST_FAULTS: Final[dict[FaultKind, RequestFault]] = {
     "lost request": "lost_request",
@@ -84,7 +85,7 @@ class Fault:
 
 def draw(random: random.Random, steps: Sequence[str]) -> list[Fault]:
     """At least two faults, most of them during the steps of these kinds; in some runs only the manager fails."""
-    kinds = sorted(OF_THE_MANAGER) if random.random() < 0.1 else KINDS
+    kinds = sorted(OF_THE_MANAGER) if random.random() < 0.2 else KINDS
     return [_draw(random, steps, kinds) for _ in range(random.choice((2, 2, 2, 3, 4)))]
 
 

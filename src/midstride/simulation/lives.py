@@ -13,7 +13,8 @@ from typing import Any
 
 from midstride.backends.simulator.backend import Simulator
 from midstride.errors import Unreachable
-from midstride.runtime.backend import Exited
+from midstride.runtime.backend import Exited, Handle, Launch
+from midstride.wire import frames
 from midstride.wire.transport import Connection, Serve, StopListening
 
 
@@ -31,6 +32,10 @@ class Life:
         self._connections: list[Connection] = []
         self._under_way: set[asyncio.Future[Any]] = set()
         self._over: asyncio.Future[None] | None = None
+        # While it is cut off: done once it reaches the outside again.
+        self.cut_off: asyncio.Future[None] | None = None
+        # What is called with each command that would change something, and with each process that it starts or ends.
+        self.on_change: Callable[[str], None] = lambda words: None
 
     def kill(self) -> None:
         if self.alive:
@@ -40,9 +45,18 @@ class Life:
             for call in self._under_way:
                 call.cancel()
 
+    def isolate(self) -> None:
+        """Cut it off: it lives, and neither reaches anything outside nor hears of it, until :meth:`reconnect`."""
+        self.cut_off = asyncio.get_running_loop().create_future()
+
+    def reconnect(self) -> None:
+        if self.cut_off is not None and not self.cut_off.done():
+            self.cut_off.set_result(None)
+
     def bury(self) -> None:
         """The simulation ends: what still waits may end."""
         self.alive = False
+        self.reconnect()
         if self._over is not None and not self._over.done():
             self._over.set_result(None)
 
@@ -52,7 +66,9 @@ class Life:
             raise ManagerKilled
 
     async def breath(self) -> None:
-        """Returns while it lives, and never again once it has been killed."""
+        """Returns while it lives and is not cut off, and never again once it has been killed."""
+        while self.cut_off is not None and not self.cut_off.done():
+            await asyncio.shield(self.cut_off)
         if not self.alive:
             if self._over is None:
                 self._over = asyncio.get_running_loop().create_future()
@@ -80,13 +96,16 @@ class _Guarded:
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(self._inner, name)
-        if inspect.iscoroutinefunction(found):
+        if not inspect.iscoroutinefunction(found):
+            if inspect.ismethod(found):
+                self.__dict__[name] = found
+            return found
 
-            async def guarded(*args: Any) -> Any:
-                return await self._life.call(found, *args)
+        async def guarded(*args: Any) -> Any:
+            return await self._life.call(found, *args)
 
-            return guarded
-        return found
+        self.__dict__[name] = guarded
+        return guarded
 
 
 class _Backend(_Guarded):
@@ -102,6 +121,18 @@ class _Backend(_Guarded):
                 on_exit(event)
 
         await self._life.call(self._inner.open, exited)
+
+    async def start(self, launch: Launch) -> Handle:
+        await self._life.breath()
+        self._life.on_change(f"starts {launch.instance}")
+        handle: Handle = await self._life.call(self._inner.start, launch)
+        return handle
+
+    async def end(self, instance: str, grace: float) -> None:
+        await self._life.breath()
+        self._life.on_change(f"ends {instance}")
+        end = self._inner.end if self._life.cut_off is None else self._inner.end_unexpectedly
+        await self._life.call(end, instance, grace)
 
 
 class _Clock(_Guarded):
@@ -132,6 +163,8 @@ class _Connection:
 
     async def send(self, frame: bytes) -> None:
         await self._life.breath()
+        if self._life.cut_off is not None:
+            self._examine(frame)
         await self._inner.send(frame)
         await self._life.breath()
 
@@ -139,3 +172,8 @@ class _Connection:
         frame = await self._inner.receive()
         await self._life.breath()
         return frame
+
+    def _examine(self, frame: bytes) -> None:
+        request = frames.decode_from_client(frame)
+        if isinstance(request, frames.Request) and frames.decode_command(request).kind == "changing":
+            self._life.on_change(f"sends `{frames.command_name(request)}`")

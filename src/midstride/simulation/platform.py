@@ -35,6 +35,16 @@ class Platform(Simulator):
             self.time.loop.call_later(self.starting / 2, self.processes[launch.instance].kill, 1)
         return handle
 
+    async def end_unexpectedly(self, instance: str, grace: float) -> None:
+        """As :meth:`end`, by a manager that another one has superseded: that one does not expect the exit."""
+        if (process := self.standing(instance)) is None:
+            return
+        process.terminate()
+        deadline = self.time.steady() + grace
+        while not process.dead and self.time.steady() < deadline:
+            await self.time.sleep(0.01)
+        process.kill()
+
     def heal(self) -> None:
         """End every fault of the platform. A middleware that finds no endpoints any more needs a new process."""
         self.faults.clear()

@@ -40,9 +40,9 @@ LONGEST_CHANGE: Final = 600.0
 REACTION: Final = 0.25
 REACTION_IF_REFUSED: Final = 2.0
 # How long to wait after the last command, for reports and messages to arrive (s).
-SETTLING: Final = 0.6
-# A topic with a rate counts as silent after this time (s).
-SILENT: Final = 0.5
+SETTLING: Final = 0.4
+# Where a write kills the manager: at any, or at one that records what has just been started or removed, or is done.
+TABLES: Final = ("", "", "instances", "changes")
 # Names the files of the simulated disk.
 _WORKSPACE: Final = Workspace(Path("simulated"))
 
@@ -54,6 +54,15 @@ class Struck:
     fault: str
     step: str
     branches: list[str] = field(default_factory=list)
+
+
+@dataclass
+class _Superseded:
+    """A manager that was cut off, and what its lease was. ``acts``: another one has the lease, and it is back."""
+
+    life: Life
+    lease: str
+    acts: bool = False
 
 
 @dataclass
@@ -101,6 +110,7 @@ class Simulation:
         self._waiting: list[Fault] = []
         self._struck: list[Struck] = []
         self._waiting_command: asyncio.Task[None] | None = None
+        self._superseded: _Superseded | None = None
         self._busy = False
         self._faulty = False
         self._problems: list[str] = []
@@ -156,6 +166,8 @@ class Simulation:
         self._waiting, self._faulty = [], False
         self._disk.full, self._disk.kill_at = False, None
         self._platform.heal()
+        if self._superseded is not None:
+            self._superseded.life.kill()
         await self._converge()
 
     async def _up(self) -> None:
@@ -169,7 +181,9 @@ class Simulation:
 
         def on_event(event: Event) -> None:
             record(event)
-            if life.alive:
+            if self._superseded is not None and self._superseded.life is life:
+                self._on_superseded_event(event, self._superseded)
+            elif life.alive:
                 self._on_event(event)
 
         manager.events.on_event = on_event
@@ -190,6 +204,10 @@ class Simulation:
                 if not life.alive:
                     self._note("manager", "killed")
                     self._reached("manager killed")
+                    return None
+                if life.cut_off is not None:
+                    task.add_done_callback(lambda task: task.cancelled() or task.exception())  # retrieved
+                    self._note("manager", "cut off")
                     return None
                 if self._platform.time.steady() - begun > LONGEST_CHANGE:
                     self._violated(f"a command has not ended after {LONGEST_CHANGE:g} s")
@@ -212,7 +230,7 @@ class Simulation:
             self._note("outcome", f"{outcome.outcome}: {outcome.because}" if outcome.because else outcome.outcome)
             self._reached(outcome.outcome)
             return
-        self._outcomes.append("killed")
+        self._outcomes.append("killed" if life.cut_off is None else "superseded")
         await asyncio.sleep(self._random.choice((0.05, 0.5, 2.0)))
         try:
             await self._up()
@@ -231,6 +249,13 @@ class Simulation:
         await asyncio.sleep(SETTLING)
         manager = self._manager
         assert manager is not None
+        if not self._has_struck("full disk"):  # what was refused is written with the next write
+            running = {process.instance for process in self._platform.stand_ins()}
+            if unrecorded := running - set(self._recorded()):
+                self._violated(f"{sorted(unrecorded)} run, and are not saved")
+        if self._outcomes[-1] == "rolled_back":
+            for name in self._closed():
+                self._violated(f"{name} is closed after a roll-back")
         request = self._again(manager)
         outcome = await self._ended(self._lives[-1], manager.change(request, brief=self._brief))
         if outcome is None or outcome.outcome != "done":
@@ -241,8 +266,7 @@ class Simulation:
         for problem in self._differences(manager):
             self._violated(f"not converged: {problem}")
         for change in (await manager.history(10)).changes:
-            # A manager that cannot write to the journal when it takes over does not know what was interrupted.
-            if change.outcome is None and not self._has_struck("full disk"):
+            if change.outcome is None:
                 self._violated(f"not converged: `{change.command}` has no outcome in the journal")
         for problem in self._uncaught():
             self._violated(problem)
@@ -290,15 +314,28 @@ class Simulation:
             modelled = {(port.port, configuration.topic(name)) for port, name in configuration.attached_ports(name)}
             if shown != modelled:
                 found.append(f"{name} is attached to {sorted(shown)}, the model has {sorted(modelled)}")
-        saved = self._saved()
-        if saved is None:
-            found.append("no state is saved")
-        else:
-            if sorted(each.instance.name for each in saved.instances) != sorted(processes):
-                found.append(f"saved are {sorted(each.instance.name for each in saved.instances)}")
-            if saved.specification != manager.specification:
-                found.append("another specification is saved")
+        if self._recorded() != sorted(processes):
+            found.append(f"saved are {self._recorded()}")
+        if (saved := self._saved()) is not None and saved.specification != manager.specification:
+            found.append("another specification is saved")
         return found
+
+    def _closed(self) -> list[str]:
+        """The outputs whose gate is closed, where no other instance of their role publishes instead."""
+        roles = [process.role for process in self._platform.stand_ins()]
+        return [
+            f"{process.instance}.{port} on {topic}"
+            for process in self._platform.stand_ins()
+            if process.state is not None and roles.count(process.role) == 1
+            for port, topics in process.state.ports.items()
+            for topic, link in topics.items()
+            if link.gate == "closed"
+        ]
+
+    def _recorded(self) -> list[str]:
+        """The instances that the next manager would find."""
+        saved = self._saved()
+        return [] if saved is None else sorted(each.instance.name for each in saved.instances)
 
     def _uncaught(self) -> list[str]:
         """What no task has caught. Tasks of a process that was killed end where they were."""
@@ -355,6 +392,35 @@ class Simulation:
             self._reached(event.kind)
         if "internal error" in event.words:
             self._violated(event.words)
+        if event.kind in ("step", "up") and self._superseded is not None:
+            self._reconnect(self._superseded)
+
+    # -- a manager that another one has superseded ----------------------------------------------------
+
+    def _supersede(self) -> None:
+        """Cut the manager off, so that another one is started; once that has the lease, the first is there again."""
+        life = self._lives[-1]
+        if self._superseded is None and (lease := self._lease()) is not None:
+            self._superseded = _Superseded(life, lease)
+            life.isolate()
+
+    def _lease(self) -> str | None:
+        """Which manager has the lease."""
+        database = self._disk.read_only(_WORKSPACE.journal)
+        rows = [] if database is None else database.read("SELECT value FROM about WHERE key = 'holder'")
+        return rows[0][0] if rows else None
+
+    def _reconnect(self, superseded: _Superseded) -> None:
+        """The new manager acts; where it could not take the lease, the first one stays away."""
+        if not superseded.acts and self._lease() != superseded.lease:
+            superseded.acts = True
+            self._loop.call_later(self._random.choice((0.0, 0.05, 0.3)), superseded.life.reconnect)
+
+    def _on_superseded_event(self, event: Event, superseded: _Superseded) -> None:
+        """The step in progress may end. After it, nothing may be changed, whatever is begun."""
+        self._note("superseded", f"{event.kind} {event.words}")
+        if superseded.acts and event.kind in ("step", "step_failed", "step_done", "rollback"):
+            superseded.life.on_change = lambda words: self._violated(f"a superseded manager {words}")
 
     async def _before_request(self, instance: str, op: str) -> None:
         for key in self._since:
@@ -371,10 +437,13 @@ class Simulation:
                 self._lives[-1].kill()
             case "manager killed at a write":
                 self._disk.kill_at = self._random.choice(("before", "after"))
+                self._disk.kill_in = self._random.choice(TABLES)
             case "torn write":
-                self._disk.kill_at = "torn"
+                self._disk.kill_at, self._disk.kill_in = "torn", self._random.choice(TABLES)
             case "full disk":
                 self._disk.full = True
+            case "manager superseded":
+                self._supersede()
             case _:
                 where = strike(fault, self._platform, self._targets(fault), self._random)
         if where is not None:

@@ -148,7 +148,8 @@ def _steps_of(specification: Specification, request: PlanRequest) -> list[str]:
 
 @cache
 def _rover() -> Specification:
-    return with_stand_ins(load_text(_ROVER).require())
+    # While a state moves, nothing is called that could write: without one, only the gates keep two from being heard.
+    return with_stand_ins(load_text(_ROVER).require(), stateless=("Lidar", "FastLidar"))
 
 
 def rover(random: random.Random) -> Scenario:

@@ -10,7 +10,7 @@ import contextlib
 import contextvars
 import json
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -36,19 +36,28 @@ _PROGRAM: Final = ("python3", "-m", __name__)
 _described: Final[dict[str, tuple[ComponentSpec, dict[str, Any]]]] = {}
 
 
-def with_stand_ins(specification: Specification) -> Specification:
-    """``specification`` with a stand-in as the program of each component that has one."""
-    components = {name: _stand_in(component) for name, component in specification.components.items()}
+def with_stand_ins(specification: Specification, stateless: Collection[str] = ()) -> Specification:
+    """``specification`` with a stand-in as the program of each component that has one.
+
+    ``stateless``: the components that have no state to move, as drivers of devices often.
+    """
+    components = {
+        name: _stand_in(component, name not in stateless) for name, component in specification.components.items()
+    }
     return replace(specification, components=Map(components))
 
 
-def _stand_in(component: ComponentSpec) -> ComponentSpec:
+def _stand_in(component: ComponentSpec, keeps_state: bool) -> ComponentSpec:
     if component.run is None:
         return component
-    described = {"component": encode_component(replace(component, run=None)), "keeps_state": True}
+    described = {
+        "component": encode_component(replace(component, run=None, gate=None, topics=Map())),
+        "keeps_state": keeps_state,
+        "stateless": not keeps_state,
+    }
     word = f"{component.name}-{zlib.crc32(json.dumps(described).encode()):08x}"
     _described[word] = component, described
-    return replace(component, run=" ".join([*_PROGRAM, word]))
+    return replace(component, run=" ".join([*_PROGRAM, word]), gate=None, topics=Map())
 
 
 @cache
@@ -94,9 +103,8 @@ class _Program(SimulatedProgram):
     def run(self) -> None:
         Puppet(self._description, _message_type).start()
 
-    @contextlib.contextmanager
-    def interpreter_state(self) -> Iterator[None]:
-        yield
+    def interpreter_state(self) -> contextlib.AbstractContextManager[None]:  # type: ignore[override]
+        return contextlib.nullcontext()
 
 
 class _OnLoop(CooperativeThread):

@@ -6,7 +6,7 @@ It runs any component of the model on any back end. The description is JSON::
      "modes": {"talk.normal": {"rate": 50, "sleep": 0.5, "pause": 0.5, "raise": "words", "at_call": 3,
                                "silent": true, "every": 5, "driven": "message", "sync": 0.05}},
      "refuse": {"speed": [13]}, "on_stop": {"write": "bye", "sleep": 1, "timeout": 2},
-     "at_import": {"sleep": 1, "raise": "words", "exit": 3}, "keeps_state": true,
+     "at_import": {"sleep": 1, "raise": "words", "exit": 3}, "keeps_state": true, "stateless": true,
      "latest": ["in"], "wrong_type": "out", "endless": true}
 
 Everything but ``component`` is optional. A mode that guarantees a rate is called at the highest rate that it
@@ -55,7 +55,8 @@ class Puppet:
             self._functionality(functionality)
         for name, parameter in self._declared.parameters.items():
             self.component.parameter(name, parameter.value, self._changed(name) if parameter.changeable else None)
-        self.component.on_export_state(self._export)
+        if not description.get("stateless"):
+            self.component.on_export_state(self._export)
         if description.get("keeps_state"):
             self.component.on_import_state(self._import)
         if (stop := description.get("on_stop")) is not None:

@@ -146,9 +146,10 @@ class CutResult(WireValue, frozen=True, kw_only=True):
 
 
 class Attached(WireValue, frozen=True, kw_only=True):
-    """``matched``: how many compatible endpoints it is matched with."""
+    """``matched``: with how many compatible endpoints; ``settling``: how long it may yet lose messages (s)."""
 
     matched: int
+    settling: float = 0.0
 
 
 class Detached(WireValue, frozen=True, kw_only=True):
@@ -338,7 +339,8 @@ class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
     """Create the endpoint and wait until ``peers`` compatible endpoints are matched; only then open the gate.
 
     ``everyone`` is how many readers to wait for beyond that, and ``reader_ids`` which, at most ``patience`` seconds. An
-    input relies on ``rate`` (Hz), and ``tolerates`` so many missed messages; None: what its code states.
+    input relies on ``rate`` (Hz), and ``tolerates`` so many missed messages; None: what its code states. ``settle``:
+    whether to wait until an input has settled, too; if not, the manager does before what relies on it.
     """
 
     port: str
@@ -351,6 +353,7 @@ class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
     timeout: Seconds = 5.0
     rate: float | None = None
     tolerates: int | None = None
+    settle: bool = True
 
 
 class DetachCommand(Command[Detached], frozen=True, kw_only=True, tag="detach"):

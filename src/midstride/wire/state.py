@@ -24,12 +24,16 @@ class Endpoint(WireValue, frozen=True, kw_only=True):
 
 
 class FunctionalityState(WireValue, frozen=True, kw_only=True):
-    """``since``: seconds in this mode. ``busy``: for how many seconds a call of user code has been running."""
+    """``since``: seconds in this mode. ``busy``: for how many seconds a call of user code has been running.
+
+    ``reflex``: the local reflex has entered this mode; no command did, and no exception.
+    """
 
     mode: str
     since: float
     because: str
     busy: float | None = None
+    reflex: bool = False
 
 
 class Measured(WireValue, frozen=True, kw_only=True):

@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from midstride.backends import common_messages
 from midstride.errors import BackendError
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from midstride.backends.ros1.host import Ros1Host
     from midstride.runtime.reaper import Reaper
 
-__all__ = ["available", "create_backend", "create_host", "prepare"]
+__all__ = ["available", "create_backend", "create_host", "load", "prepare"]
 
 
 def available() -> bool:
@@ -26,9 +27,15 @@ def available() -> bool:
     return interpreter() is not None
 
 
-def prepare() -> None:
+def load() -> None:
     """Import what a component needs; it joins later, since a process has one node on ROS 1."""
     from midstride.backends.ros1 import host  # noqa: F401
+    from midstride.node import component  # noqa: F401
+
+    list(common_messages.types("rospy"))
+
+
+prepare = load
 
 
 def create_host(name: str, namespace: str) -> Ros1Host:

@@ -74,7 +74,7 @@ class Ros1Backend(processes.ProcessBackend):
                 "end it yourself, or use another name"
             )
         environment = self._environment(launch)
-        handle = self._spawn(launch, node, command, environment)
+        handle = await self._spawn(launch, node, command, environment)
         self._dead.discard(node)
         return handle
 

@@ -6,14 +6,16 @@ says so where there is none.
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 
+from midstride.backends import common_messages
 from midstride.errors import BackendError
 from midstride.node.host import Host
 from midstride.runtime.backend import Backend
 from midstride.runtime.reaper import Reaper
 
-__all__ = ["create_backend", "create_host", "prepare"]
+__all__ = ["create_backend", "create_host", "load", "prepare"]
 
 
 def _require_rclpy() -> None:
@@ -34,10 +36,23 @@ def create_host(name: str, namespace: str) -> Host:
     return Ros2Host(name, namespace)
 
 
-def prepare() -> None:
-    """Import what a component needs, and join ROS 2, before the component is known. Raises BackendError."""
+def load() -> None:
+    """Import what a component needs, before the component is known. Raises BackendError."""
     _require_rclpy()
-    from midstride.backends.ros2 import early_join, host  # noqa: F401
+    from rclpy.type_support import check_for_type_support
+
+    from midstride.backends.ros2 import host  # noqa: F401
+    from midstride.node import component  # noqa: F401
+
+    for type_ in common_messages.types("rclpy"):
+        check_for_type_support(type_)  # which loads it
+    inspect.getmodule(inspect.currentframe())  # rclpy's logger does, and it then walks all that has been imported
+
+
+def prepare() -> None:
+    """Import it, and join ROS 2. Raises BackendError."""
+    load()
+    from midstride.backends.ros2 import early_join
 
     early_join.join()
 

@@ -27,6 +27,7 @@ from midstride.backends.common import on_new_thread
 from midstride.backends.processes import ProcessBackend
 from midstride.backends.ros2 import dds_profiles, launching, names
 from midstride.backends.ros2.early_join import hidden_node
+from midstride.backends.ros2.foreign_nodes import ForeignNodes, ros_arguments
 from midstride.backends.ros2.graph import Graph
 from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middleware
@@ -61,6 +62,7 @@ class Ros2Backend(ProcessBackend):
         self._context: Any = None
         self._probes = 0
         self._probe_stuck = False
+        self._foreign_nodes = ForeignNodes(control / "gates", self.transport)
 
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
         self._on_exit = on_exit
@@ -81,6 +83,7 @@ class Ros2Backend(ProcessBackend):
 
     async def close(self) -> None:
         await self._stop_watching()
+        await self._foreign_nodes.close()
         if self._context is not None:
             context, self._context = self._context, None
             await self._leave(context)
@@ -113,7 +116,25 @@ class Ros2Backend(ProcessBackend):
             raise StartFailed(f"{launch.instance}: a node {node} is running already; end it, or use another name")
         graph.starts(full_name)
         environment = launching.environment(launch, self._control, command[0], self.settings, os.environ)
-        return self._spawn(launch, full_name, command, environment)
+        if launch.foreign is None:
+            return await self._spawn(launch, full_name, command, environment)
+        environment, record = await self._foreign_nodes.prepare(launch, launch.foreign, full_name, environment)
+        try:
+            command = (*command, *ros_arguments(launch, launch.foreign, full_name))
+            handle = await self._spawn(launch, full_name, command, environment)
+        except BackendError:
+            self._foreign_nodes.discard(record)
+            raise
+        await self._foreign_nodes.started(record, handle)
+        return handle
+
+    async def adopt(self, handle: Handle) -> bool:
+        runs = await super().adopt(handle)
+        if runs:
+            await self._foreign_nodes.adopt(handle.instance)
+        else:
+            self._foreign_nodes.gone(handle.instance)
+        return runs
 
     def _python(self) -> str:
         return sys.executable
@@ -132,10 +153,12 @@ class Ros2Backend(ProcessBackend):
         return False
 
     def _exited(self, instance: str, status: int | None, process: Process) -> None:
+        self._foreign_nodes.gone(instance)
         self._forget_node(instance)
         self._on_exit(Exited(instance, status, process.last_words()))
 
     async def _died(self, instance: str) -> None:
+        self._foreign_nodes.gone(instance)
         self._forget_node(instance)
 
     def _forget_node(self, instance: str) -> None:

@@ -38,6 +38,7 @@ CHECK_LOG: Final = 1.0
 @click.option("--spares", type=int, default=0)
 @click.option("--no-diagnostics", is_flag=True)
 @click.option("--finish-interrupted", is_flag=True)
+@click.option("--keep-degraded", is_flag=True)
 def manager_command(
     file: Path,
     backend: str,
@@ -48,6 +49,7 @@ def manager_command(
     spares: int,
     no_diagnostics: bool,
     finish_interrupted: bool,
+    keep_degraded: bool,
 ) -> int:
     """Manage the system of FILE until it is down or SIGTERM arrives."""
     requested = load(file)
@@ -59,7 +61,7 @@ def manager_command(
         try:
             saved = await _still_running(workspace)
             options = SystemOptions(
-                use_sim_time, not no_middleware_settings, spares, not no_diagnostics, finish_interrupted
+                use_sim_time, not no_middleware_settings, spares, not no_diagnostics, finish_interrupted, keep_degraded
             )
             if saved is not None:
                 options = saved.options.with_(options)

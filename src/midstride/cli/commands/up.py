@@ -98,6 +98,11 @@ def manager_arguments(
     is_flag=True,
     help="Finish a change that was interrupted because the manager was killed, instead of rolling it back.",
 )
+@click.option(
+    "--keep-degraded",
+    is_flag=True,
+    help="Leave what has degraded because its input failed degraded until a command restores it.",
+)
 @json_option
 def up_command(
     file: Path,
@@ -109,6 +114,7 @@ def up_command(
     no_middleware_settings: bool,
     no_diagnostics: bool,
     finish_interrupted: bool,
+    keep_degraded: bool,
     spares: int,
 ) -> int:
     """Start the system of FILE and its manager, and watch them.
@@ -130,7 +136,7 @@ def up_command(
     workspace.require_room()
     if http is not None:
         arguments += ["--http", str(http), *(["--http-host", http_host] if http_host else [])]
-    arguments += ["--finish-interrupted"] * finish_interrupted
+    arguments += ["--finish-interrupted"] * finish_interrupted + ["--keep-degraded"] * keep_degraded
     answer = bring_up(client, workspace, arguments)
     if client.get("/specification") != encode_specification(specification):
         click.echo(

@@ -1,0 +1,25 @@
+"""The message packages that most programs import: a fork server imports them once for all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Final
+
+COMMON: Final = {"std_msgs": "String", "geometry_msgs": "Twist", "sensor_msgs": "Image", "nav_msgs": "Odometry"}
+
+
+def types(library: str) -> Iterator[Any]:
+    """One type of each package that is installed beside ``library``: a user's own package may be built again."""
+    for package, name in COMMON.items():
+        if _folder(package) == _folder(library):
+            with suppress(ImportError, AttributeError):
+                yield getattr(import_module(f"{package}.msg"), name)
+
+
+def _folder(package: str) -> Path | None:
+    found = find_spec(package)
+    return None if found is None or found.origin is None else Path(found.origin).parents[1]

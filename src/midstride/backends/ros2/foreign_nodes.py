@@ -1,0 +1,153 @@
+"""Nodes that do not use Midstride's API: how they are started behind their gates, and the agents in their place."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import time
+import uuid
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from msgspec.structs import replace
+
+from midstride.backends.naming import split
+from midstride.codec.component import NamedComponentForm
+from midstride.errors import BackendError
+from midstride.foreign import build
+from midstride.foreign.agent import ForeignAgent
+from midstride.foreign.gates import Gates
+from midstride.foreign.page import Page
+from midstride.foreign.record import ForeignRecord
+from midstride.model.component import ComponentSpec
+from midstride.runtime.backend import Handle, Launch
+from midstride.wire.transport import Transport
+
+ENV_PAGE: Final = "MIDSTRIDE_GATE_PAGE"
+ENV_NODE: Final = "MIDSTRIDE_GATE_NODE"
+_PAGE: Final = "page"
+
+
+class ForeignNodes:
+    """Those of one system. Their page and records are in ``folder``; their agents listen on ``transport``."""
+
+    def __init__(self, folder: Path, transport: Transport) -> None:
+        self._folder = folder
+        self._transport = transport
+        self._page: Page | None = None
+        self._agents: dict[str, ForeignAgent] = {}
+        self._closing: set[asyncio.Task[None]] = set()
+
+    async def prepare(
+        self, launch: Launch, component: ComponentSpec, node: str, environment: Mapping[str, str]
+    ) -> tuple[dict[str, str], ForeignRecord]:
+        """The environment of the process, and its record, still without the process. Raises StartFailed, BackendError.
+
+        ``node`` is the full name of its ROS node.
+        """
+        topics = {
+            port: launch.topics.get(port) or _resolved(component.topic_of(port), node) for port in component.ports()
+        }
+        index, variables = None, dict(environment)
+        self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if component.gate == "preload":
+            page, library = await self._opened(environment)
+            index = page.allocate(launch.instance)
+            Gates(page, index, component).prepare(topics)
+            preloaded = environment.get("LD_PRELOAD", "")
+            variables["LD_PRELOAD"] = f"{library}:{preloaded}" if preloaded else str(library)
+            variables |= {ENV_PAGE: str(page.path.absolute()), ENV_NODE: str(index)}
+        record = ForeignRecord(
+            instance=launch.instance,
+            node=node,
+            token=launch.token,
+            uuid=uuid.uuid4().hex,
+            pid=0,
+            started=time.time_ns(),
+            declaration=NamedComponentForm.of(component),
+            index=index,
+            topics=topics,
+            modes={functionality.name: functionality.modes[-1].name for functionality in component},
+        )
+        return variables, record
+
+    async def _opened(self, environment: Mapping[str, str]) -> tuple[Page, Path]:
+        library = await asyncio.to_thread(build.library, environment)
+        if self._page is None:
+            path = self._folder / _PAGE
+            if not any(self._folder.glob("*.json")):
+                path.unlink(missing_ok=True)  # nothing uses it, and an earlier version may have made it
+            self._page = Page(path, library)
+        return self._page, library
+
+    def discard(self, record: ForeignRecord) -> None:
+        """The process could not be started."""
+        if record.index is not None and self._page is not None:
+            self._page.free(record.index)
+
+    async def started(self, record: ForeignRecord, handle: Handle) -> None:
+        """Have an agent answer for the process."""
+        await self._answer(replace(record, pid=handle.pid or 0))
+
+    async def adopt(self, instance: str) -> None:
+        """The process of an earlier manager runs: answer for it, if it has no agent inside it. Raises BackendError."""
+        record = ForeignRecord.read(self._folder, instance)
+        if record is not None and instance not in self._agents:
+            if record.index is not None:
+                await self._opened(os.environ)
+            await self._answer(record)
+
+    async def _answer(self, record: ForeignRecord) -> None:
+        gates = None
+        if record.index is not None and self._page is not None:
+            gates = Gates(self._page, record.index, record.declaration.declared())
+        record.write(self._folder)
+        agent = self._agents[record.instance] = ForeignAgent(record, self._folder, gates)
+        await agent.open(self._transport)
+
+    def gone(self, instance: str) -> None:
+        """Its process has ended."""
+        if (agent := self._agents.pop(instance, None)) is not None:
+            record = agent.record
+            closing = asyncio.get_running_loop().create_task(agent.close())
+            self._closing.add(closing)
+            closing.add_done_callback(self._closing.discard)
+        else:
+            with suppress(BackendError):
+                if (found := ForeignRecord.read(self._folder, instance)) is None:
+                    return
+                record = found
+        record.delete(self._folder)
+        self.discard(record)
+
+    async def close(self) -> None:
+        """The nodes go on without their agents."""
+        agents, self._agents = list(self._agents.values()), {}
+        await asyncio.gather(*(agent.close() for agent in agents), *self._closing)
+
+
+def ros_arguments(launch: Launch, component: ComponentSpec, node: str) -> list[str]:
+    """What follows the command: the node's name, the topics of its ports, and its parameters."""
+    name, namespace = split(node)
+    remaps = [f"__node:={name}", f"__ns:={namespace}"]
+    remaps += [
+        f"{component.topic_of(port)}:={topic}"
+        for port, topic in launch.topics.items()
+        if component.topic_of(port) != topic
+    ]
+    values = {**launch.parameters, **launch.set_parameters}
+    arguments = [part for remap in remaps for part in ("-r", remap)]
+    arguments += [part for key, value in values.items() for part in ("-p", f"{key}:={json.dumps(value)}")]
+    return ["--ros-args", *arguments]
+
+
+def _resolved(topic: str, node: str) -> str:
+    """The full name of a topic that a node names."""
+    if topic.startswith("/"):
+        return topic
+    if topic.startswith("~"):
+        return f"{node}/{topic.lstrip('~/')}"
+    return f"{split(node)[1].rstrip('/')}/{topic}"

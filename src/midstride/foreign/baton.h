@@ -1,0 +1,204 @@
+/* The page of shared memory between the manager and the nodes that it gates, and the baton: which writer may write.
+ *
+ * One file for each system. The manager creates it and fills in nodes and ports; each node maps it. page.py has the same
+ * layout; midstride_layout() lets a test compare the two. Every field that both sides write is atomic.
+ *
+ * The baton is one word, so that each step of the protocol is one compare-and-swap. docs/semantics.md section 7, *Nodes
+ * without Midstride's API*, has the protocol in words. The functions baton_* are pure: they say what a step makes of the
+ * word. tests/foreign/test_baton_model.py explores every order of these steps.
+ */
+#ifndef MIDSTRIDE_BATON_H
+#define MIDSTRIDE_BATON_H
+
+#include <stdatomic.h>
+#include <stdint.h>
+
+#define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
+#define PAGE_VERSION 1
+#define NODES 128
+#define PORTS 32
+#define NAME 256
+
+enum { UNUSED = 0, OUTPUT = 1, INPUT = 2 };             /* of a port: direction */
+enum { CLOSED = 0, OPEN = 1 };                          /* of a port: gate */
+enum { RATED = 1, LAYS = 2, TIMED = 4, KEEPS = 8 };     /* of a port: flags, see below */
+
+struct port {
+  uint32_t direction;
+  _Atomic uint32_t flags;
+  _Atomic uint32_t gate;
+  _Atomic uint32_t baton;   /* index + 1 in `batons`; 0: the gate alone decides */
+  _Atomic uint64_t passed;  /* messages published, or received */
+  _Atomic uint64_t gated;   /* messages held back, or dropped */
+  _Atomic int64_t last;     /* when one passed last: CLOCK_MONOTONIC, ns; 0: never */
+  _Atomic int64_t tried;    /* the same, whether it passed or not */
+  _Atomic uint32_t endpoints; /* how many publishers or subscriptions of the process have this topic */
+  _Atomic uint32_t matched;   /* with how many endpoints they are matched, as the middleware of the process sees it */
+  _Atomic uint32_t kept;      /* whether a message is kept that was written behind the gate */
+  uint32_t padding;
+  char topic[NAME];
+};
+
+struct node {
+  _Atomic uint32_t pid;   /* 0: no publisher or subscription has been created yet */
+  _Atomic uint32_t bell;  /* a futex: counted up to have the helper thread look at once */
+  _Atomic uint32_t beat;  /* counted up by the helper thread each time it has looked */
+  uint32_t used;
+  char instance[NAME];
+  struct port ports[PORTS];
+};
+
+struct baton {
+  _Atomic uint64_t word;
+  _Atomic int64_t laid;     /* when it was laid down last: CLOCK_MONOTONIC, ns */
+  _Atomic int64_t patience; /* for how long a writer without a rate leaves it to its successor (ns) */
+  uint64_t padding[5];      /* a cache line each */
+};
+
+struct page {
+  uint64_t magic;
+  uint32_t version;
+  uint32_t size;
+  uint64_t padding[6];
+  struct baton batons[NODES];
+  struct node nodes[NODES];
+};
+
+/* -- the word ------------------------------------------------------------------------------------------------------
+ *
+ *   bits  0 to  7  writers: calls of the holder that are publishing now
+ *   bits  8 to 11  state
+ *   bits 12 to 23  holder, as index of its node + 1; the other two likewise, 0 where there is none
+ *   bits 24 to 35  successor: takes the baton when it is laid down
+ *   bits 36 to 47  predecessor: takes it back if the holder dies
+ *   bits 48 to 63  generation: counted up whenever the holder or the state changes
+ */
+enum { HELD = 0, LAID = 1, FENCED = 2 };
+
+#define FIELD(word, shift, bits) ((unsigned)((word) >> (shift)) & ((1u << (bits)) - 1))
+#define WRITERS(word) FIELD(word, 0, 8)
+#define STATE(word) FIELD(word, 8, 4)
+#define HOLDER(word) FIELD(word, 12, 12)
+#define SUCCESSOR(word) FIELD(word, 24, 12)
+#define PREDECESSOR(word) FIELD(word, 36, 12)
+#define GENERATION(word) FIELD(word, 48, 16)
+#define MOST_WRITERS 255u
+/* A writer whose baton still lies leaves its slots to its successor, all but the one of this number and later ones. */
+#define SLOTS 2u
+
+static inline uint64_t baton_word(unsigned generation, unsigned predecessor, unsigned successor, unsigned holder,
+                                  unsigned state, unsigned writers)
+{
+  return (uint64_t)(generation & 0xffff) << 48 | (uint64_t)predecessor << 36 | (uint64_t)successor << 24 |
+         (uint64_t)holder << 12 | (uint64_t)state << 8 | writers;
+}
+
+/* What a writer may do: publish; not publish; not publish, and that was one of its slots; find out whether the holder
+ * lives, and ask again; try again, since too many calls are publishing. */
+enum verdict { PASS, HOLD_BACK, SKIP, ASK, BUSY };
+
+/* A writer `me` (index + 1) is about to publish on a port with `flags`. `skipped`: for how many slots it has left the
+ * baton to its successor; `waited`: whether `patience` is over; `dead`: whether the holder is (-1: not known). For PASS,
+ * `next` is what the word must become before it publishes.
+ *
+ * `skipped` goes on from SKIP to SKIP (of a port with a rate), is SLOTS once `patience` was over, and is 0 again after a
+ * message that the baton did not lie for.
+ *
+ * RATED: the port has a rate, so its writes are slots. TIMED: no port that shares the baton has one. */
+static inline enum verdict baton_enter(uint64_t word, unsigned me, unsigned flags, unsigned skipped, int waited, int dead,
+                                       uint64_t *next)
+{
+  unsigned state = STATE(word), generation = GENERATION(word);
+  if (HOLDER(word) == me) {
+    if (state == HELD) {
+      if (WRITERS(word) == MOST_WRITERS)
+        return BUSY;
+      *next = word + 1;
+      return PASS;
+    }
+    if (state != LAID)
+      return HOLD_BACK;
+    if (flags & RATED ? skipped + 1 < SLOTS : flags & TIMED && !waited && skipped < SLOTS)
+      return SKIP;
+    /* The successor has not come, or nothing of this output may be lost: publish, and lay it down again afterwards. */
+    *next = baton_word(generation + 1, PREDECESSOR(word), SUCCESSOR(word), me, HELD, 1);
+    return PASS;
+  }
+  if (SUCCESSOR(word) == me && state == LAID && flags & (RATED | TIMED)) {
+    *next = baton_word(generation + 1, HOLDER(word), 0, me, HELD, 1);
+    return PASS;
+  }
+  if ((SUCCESSOR(word) == me || PREDECESSOR(word) == me) && state != FENCED) {
+    if (dead < 0)
+      return ASK;
+    if (dead) {
+      *next = baton_word(generation + 1, 0, 0, me, HELD, 1);
+      return PASS;
+    }
+  }
+  return HOLD_BACK;
+}
+
+/* The writer that entered at `entered` (its `next`) has published. Returns what the word must become; the same if it was
+ * moved by force meanwhile. LAYS: after a write on this port, the baton is laid down where a successor is named.
+ * `again`: it was lying before this write. */
+static inline uint64_t baton_leave(uint64_t word, uint64_t entered, unsigned flags, int again)
+{
+  if (HOLDER(word) != HOLDER(entered) || GENERATION(word) != GENERATION(entered) || WRITERS(word) == 0)
+    return word; /* while calls are publishing, the generation changes by force only */
+  word--;
+  if (STATE(word) == HELD && WRITERS(word) == 0 && SUCCESSOR(word) != 0 && (flags & LAYS || again))
+    return baton_word(GENERATION(word) + 1, PREDECESSOR(word), SUCCESSOR(word), HOLDER(word), LAID, 0);
+  return word;
+}
+
+/* -- the manager's steps; each returns what the word must become, and the same word where it may not ----------------- */
+
+/* `holder` is to lay the baton down for `successor`; at once where no write of it has to be waited for. */
+static inline uint64_t baton_name(uint64_t word, unsigned holder, unsigned successor, int at_once)
+{
+  if (HOLDER(word) != holder || STATE(word) != HELD)
+    return word;
+  if (at_once && WRITERS(word) == 0)
+    return baton_word(GENERATION(word) + 1, 0, successor, holder, LAID, 0);
+  return baton_word(GENERATION(word), 0, successor, holder, HELD, WRITERS(word));
+}
+
+/* Withdraw that: the holder stays. What the successor has taken already is not taken from it. */
+static inline uint64_t baton_withdraw(uint64_t word, unsigned holder)
+{
+  if (HOLDER(word) != holder || STATE(word) == FENCED)
+    return word;
+  return baton_word(GENERATION(word) + (STATE(word) != HELD), 0, 0, holder, HELD, WRITERS(word));
+}
+
+/* The new holder keeps it even if it dies: the old one is going to be removed. */
+static inline uint64_t baton_settle(uint64_t word, unsigned holder)
+{
+  if (HOLDER(word) != holder)
+    return word;
+  return baton_word(GENERATION(word), 0, SUCCESSOR(word), holder, STATE(word), WRITERS(word));
+}
+
+/* No further call of the holder may publish. Those that are publishing are counted until they have. */
+static inline uint64_t baton_fence(uint64_t word, unsigned holder)
+{
+  if (HOLDER(word) != holder || STATE(word) == FENCED)
+    return word;
+  return baton_word(GENERATION(word), 0, 0, holder, FENCED, WRITERS(word));
+}
+
+static inline uint64_t baton_lift(uint64_t word, unsigned holder)
+{
+  if (HOLDER(word) != holder || STATE(word) != FENCED)
+    return word;
+  return baton_word(GENERATION(word), 0, 0, holder, HELD, WRITERS(word));
+}
+
+/* Give it to `holder`, whoever has it: only where that one has died, or is fenced and publishes nothing. */
+static inline uint64_t baton_give(uint64_t word, unsigned holder)
+{
+  return baton_word(GENERATION(word) + 1, 0, 0, holder, HELD, 0);
+}
+
+#endif

@@ -1,0 +1,652 @@
+/* The gate inside a node that does not use Midstride's API, for LD_PRELOAD.
+ *
+ * Wraps the functions of librcl that create, publish and take; the environment names the page of shared memory and the
+ * index of the node in it. Without a page, and for every topic that is not in it, each function does what librcl does.
+ * No header of ROS is needed: the types below are those of its C interface, which has not changed from Humble to Kilted.
+ *
+ * The manager loads this library, too, for its own steps with the baton (midstride_*, called by page.py).
+ */
+#define _GNU_SOURCE
+#include "baton.h"
+
+#include <dlfcn.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <limits.h>
+#include <linux/futex.h>
+#include <pthread.h>
+#include <sched.h>
+#include <signal.h>
+#include <stdbool.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <sys/syscall.h>
+#include <time.h>
+#include <unistd.h>
+
+#define EXPORT __attribute__((visibility("default")))
+#define ENV_PAGE "MIDSTRIDE_GATE_PAGE"
+#define ENV_NODE "MIDSTRIDE_GATE_NODE"
+/* How often the helper thread looks without being rung for (ns). */
+#define LOOK 100000000L
+/* RCL_RET_SUBSCRIPTION_TAKE_FAILED: there was no message. */
+#define TAKE_FAILED 401
+
+typedef struct {
+  void *(*allocate)(size_t, void *);
+  void (*deallocate)(void *, void *);
+  void *(*reallocate)(void *, size_t, void *);
+  void *(*zero_allocate)(size_t, size_t, void *);
+  void *state;
+} allocator;
+
+/* rcl_serialized_message_t */
+typedef struct {
+  uint8_t *buffer;
+  size_t length;
+  size_t capacity;
+  allocator memory;
+} serialized;
+
+/* The real functions, each found when it is first called: librcl may be loaded after this library. */
+static void *real(_Atomic(void *) *known, const char *name)
+{
+  void *found = atomic_load_explicit(known, memory_order_acquire);
+  if (found)
+    return found;
+  found = dlsym(RTLD_NEXT, name);
+  if (!found) { /* loaded by an extension module of Python, so not in the global scope */
+    const char *library = strncmp(name, "rmw_", 4) == 0      ? "librmw_implementation.so"
+                          : strncmp(name, "rcutils_", 8) == 0 ? "librcutils.so"
+                                                              : "librcl.so";
+    void *handle = dlopen(library, RTLD_NOW | RTLD_NOLOAD);
+    if (handle) {
+      found = dlsym(handle, name);
+      dlclose(handle);
+    }
+  }
+  if (found)
+    atomic_store_explicit(known, found, memory_order_release);
+  return found;
+}
+
+#define REAL(result, name, ...)                                                                                          \
+  static result (*real_##name(void))(__VA_ARGS__)                                                                        \
+  {                                                                                                                      \
+    static _Atomic(void *) known;                                                                                        \
+    return (result(*)(__VA_ARGS__))real(&known, #name);                                                                  \
+  }
+
+REAL(int, rcl_publisher_init, void *, const void *, const void *, const char *, const void *)
+REAL(int, rcl_publisher_fini, void *, void *)
+REAL(const char *, rcl_publisher_get_topic_name, const void *)
+REAL(int, rcl_publisher_get_subscription_count, const void *, size_t *)
+REAL(int, rcl_publish, const void *, const void *, void *)
+REAL(int, rcl_publish_serialized_message, const void *, const void *, void *)
+REAL(int, rcl_publish_loaned_message, const void *, void *, void *)
+REAL(int, rcl_return_loaned_message_from_publisher, const void *, void *)
+REAL(int, rcl_subscription_init, void *, const void *, const void *, const char *, const void *)
+REAL(int, rcl_subscription_fini, void *, void *)
+REAL(const char *, rcl_subscription_get_topic_name, const void *)
+REAL(int, rcl_subscription_get_publisher_count, const void *, size_t *)
+REAL(int, rcl_take, const void *, void *, void *, void *)
+REAL(int, rcl_take_sequence, const void *, size_t, void *, void *, void *)
+REAL(int, rcl_take_serialized_message, const void *, void *, void *, void *)
+REAL(int, rcl_take_loaned_message, const void *, void **, void *, void *)
+REAL(int, rcl_return_loaned_message_from_subscription, const void *, void *)
+REAL(int, rmw_serialize, const void *, const void *, void *)
+REAL(void, rcutils_reset_error, void)
+
+/* -- the page ------------------------------------------------------------------------------------------------------- */
+
+/* A publisher or subscription of this process whose topic is in the page. */
+struct entry {
+  _Atomic(const void *) endpoint; /* NULL: free; the address of `entries`: removed */
+  struct port *port;
+  const void *type;
+  unsigned skipped;
+  serialized kept; /* the last message that was written behind the gate */
+};
+
+#define ENTRIES 256u
+static struct entry entries[ENTRIES];
+static struct page *page;
+static struct node *node;
+static unsigned me; /* index + 1 */
+static int descriptor = -1;
+static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER; /* of `entries` where they change, and of what is kept */
+static pthread_t helper;
+static bool helping, stopping;
+
+static int64_t now_ns(void)
+{
+  struct timespec at;
+  clock_gettime(CLOCK_MONOTONIC, &at);
+  return at.tv_sec * INT64_C(1000000000) + at.tv_nsec;
+}
+
+static struct page *map_page(int file)
+{
+  struct stat status;
+  if (fstat(file, &status) != 0 || status.st_size < (off_t)sizeof(struct page))
+    return NULL;
+  struct page *found = mmap(NULL, sizeof(struct page), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
+  if (found == MAP_FAILED)
+    return NULL;
+  if (found->magic == PAGE_MAGIC && found->version == PAGE_VERSION && found->size == sizeof(struct page))
+    return found;
+  munmap(found, sizeof(struct page));
+  return NULL;
+}
+
+__attribute__((constructor)) static void join(void)
+{
+  const char *path = getenv(ENV_PAGE), *index = getenv(ENV_NODE);
+  if (!path || !index)
+    return;
+  char *end;
+  unsigned long number = strtoul(index, &end, 10);
+  if (end == index || *end || number >= NODES)
+    return;
+  int file = open(path, O_RDWR | O_CLOEXEC);
+  if (file < 0)
+    return;
+  page = map_page(file);
+  if (!page) {
+    close(file);
+    return;
+  }
+  descriptor = file;
+  node = &page->nodes[number];
+  me = (unsigned)number + 1;
+}
+
+/* The lock of a node is held by its process for as long as that lives, and released by the kernel. */
+static struct flock lock_of(unsigned index, short type)
+{
+  return (struct flock){.l_type = type, .l_whence = SEEK_SET, .l_start = index - 1, .l_len = 1};
+}
+
+static int is_dead(int file, unsigned index)
+{
+  struct flock held = lock_of(index, F_WRLCK);
+  return fcntl(file, F_GETLK, &held) == 0 && held.l_type == F_UNLCK;
+}
+
+static struct entry *find(const void *endpoint)
+{
+  if (!page)
+    return NULL;
+  unsigned start = (unsigned)(((uintptr_t)endpoint >> 4) * UINT32_C(2654435761)) % ENTRIES;
+  for (unsigned step = 0; step < ENTRIES; step++) {
+    struct entry *entry = &entries[(start + step) % ENTRIES];
+    const void *known = atomic_load_explicit(&entry->endpoint, memory_order_acquire);
+    if (known == endpoint)
+      return entry;
+    if (!known)
+      return NULL;
+  }
+  return NULL;
+}
+
+static void *help(void *);
+
+/* Where `topic` is a port of this node, remember the endpoint, and have the helper thread run. */
+static void add(const void *endpoint, const char *topic, uint32_t direction, const void *type)
+{
+  static const void *const removed = entries;
+  struct port *port = NULL;
+  for (unsigned index = 0; topic && index < PORTS && !port; index++)
+    if (node->ports[index].direction == direction && strncmp(node->ports[index].topic, topic, NAME) == 0)
+      port = &node->ports[index];
+  if (!port)
+    return;
+  pthread_mutex_lock(&lock);
+  if (atomic_load(&node->pid) != (uint32_t)getpid()) {
+    struct flock own = lock_of(me, F_WRLCK);
+    fcntl(descriptor, F_SETLK, &own);
+    atomic_store(&node->pid, (uint32_t)getpid());
+  }
+  unsigned start = (unsigned)(((uintptr_t)endpoint >> 4) * UINT32_C(2654435761)) % ENTRIES;
+  for (unsigned step = 0; step < ENTRIES; step++) {
+    struct entry *entry = &entries[(start + step) % ENTRIES];
+    const void *known = atomic_load(&entry->endpoint);
+    if (known && known != removed)
+      continue;
+    entry->port = port;
+    entry->type = type;
+    entry->skipped = 0;
+    memset(&entry->kept, 0, sizeof entry->kept);
+    atomic_store_explicit(&entry->endpoint, endpoint, memory_order_release);
+    atomic_fetch_add(&port->endpoints, 1);
+    break;
+  }
+  if (!helping) {
+    sigset_t all, before;
+    sigfillset(&all);
+    pthread_sigmask(SIG_SETMASK, &all, &before); /* signals are for the threads of the node */
+    helping = pthread_create(&helper, NULL, help, NULL) == 0;
+    pthread_sigmask(SIG_SETMASK, &before, NULL);
+  }
+  pthread_mutex_unlock(&lock);
+}
+
+static void discard(struct entry *entry)
+{
+  free(entry->kept.buffer);
+  memset(&entry->kept, 0, sizeof entry->kept);
+}
+
+static void forget(const void *endpoint)
+{
+  struct entry *entry = find(endpoint);
+  if (!entry)
+    return;
+  pthread_mutex_lock(&lock);
+  atomic_store_explicit(&entry->endpoint, (const void *)entries, memory_order_release);
+  atomic_fetch_sub(&entry->port->endpoints, 1);
+  atomic_store(&entry->port->kept, 0);
+  discard(entry);
+  pthread_mutex_unlock(&lock);
+}
+
+/* -- the gate ------------------------------------------------------------------------------------------------------- */
+
+/* A call that may publish: `baton` is NULL where the gate alone decides. */
+struct pass {
+  struct baton *baton;
+  uint64_t entered;
+  unsigned flags;
+  int again;
+};
+
+static bool enter(struct entry *entry, struct pass *pass)
+{
+  struct port *port = entry->port;
+  pass->baton = NULL;
+  if (atomic_load_explicit(&port->gate, memory_order_acquire) != OPEN)
+    return false;
+  unsigned index = atomic_load_explicit(&port->baton, memory_order_acquire);
+  if (index == 0 || index > NODES)
+    return true;
+  struct baton *baton = &page->batons[index - 1];
+  pass->flags = atomic_load_explicit(&port->flags, memory_order_relaxed);
+  int dead = -1;
+  uint64_t seen = atomic_load(&baton->word);
+  for (;;) {
+    uint64_t next;
+    int waited = STATE(seen) == LAID && now_ns() - atomic_load(&baton->laid) > atomic_load(&baton->patience);
+    switch (baton_enter(seen, me, pass->flags, entry->skipped, waited, dead, &next)) {
+    case PASS:
+      if (!atomic_compare_exchange_weak(&baton->word, &seen, next)) {
+        dead = -1;
+        continue;
+      }
+      pass->baton = baton;
+      pass->entered = next;
+      pass->again = STATE(seen) == LAID && HOLDER(seen) == me && SUCCESSOR(next) != 0;
+      if (!pass->again)
+        entry->skipped = 0;
+      else if (pass->flags & TIMED)
+        entry->skipped = SLOTS;
+      return true;
+    case SKIP:
+      if (pass->flags & RATED)
+        entry->skipped++;
+      return false;
+    case ASK:
+      dead = is_dead(descriptor, HOLDER(seen));
+      continue;
+    case BUSY:
+      sched_yield();
+      seen = atomic_load(&baton->word);
+      continue;
+    case HOLD_BACK:
+      entry->skipped = 0;
+      return false;
+    }
+  }
+}
+
+static void leave(struct pass *pass)
+{
+  struct baton *baton = pass->baton;
+  if (!baton)
+    return;
+  uint64_t seen = atomic_load(&baton->word), next;
+  do {
+    next = baton_leave(seen, pass->entered, pass->flags, pass->again);
+    if (next == seen)
+      return;
+    if (STATE(next) == LAID)
+      atomic_store(&baton->laid, now_ns()); /* before it lies: it is read where it does */
+  } while (!atomic_compare_exchange_weak(&baton->word, &seen, next));
+}
+
+static void count(struct port *port, bool passed)
+{
+  int64_t now = now_ns();
+  atomic_store_explicit(&port->tried, now, memory_order_relaxed);
+  if (passed) {
+    atomic_store_explicit(&port->last, now, memory_order_relaxed);
+    atomic_fetch_add_explicit(&port->passed, 1, memory_order_relaxed);
+  } else {
+    atomic_fetch_add_explicit(&port->gated, 1, memory_order_relaxed);
+  }
+}
+
+/* -- what is written once ------------------------------------------------------------------------------------------- */
+
+static void *allocate(size_t size, void *state)
+{
+  (void)state;
+  return malloc(size);
+}
+
+static void deallocate(void *memory, void *state)
+{
+  (void)state;
+  free(memory);
+}
+
+static void *reallocate(void *memory, size_t size, void *state)
+{
+  (void)state;
+  return realloc(memory, size);
+}
+
+static void *zero_allocate(size_t number, size_t size, void *state)
+{
+  (void)state;
+  return calloc(number, size);
+}
+
+/* Keep a message that the gate has held back, as bytes: what it refers to is the node's. */
+static void keep(struct entry *entry, const void *message, const serialized *bytes)
+{
+  serialized kept = {.memory = {allocate, deallocate, reallocate, zero_allocate, NULL}};
+  if (bytes) {
+    kept.buffer = malloc(bytes->length ? bytes->length : 1);
+    if (!kept.buffer)
+      return;
+    memcpy(kept.buffer, bytes->buffer, bytes->length);
+    kept.length = kept.capacity = bytes->length;
+  } else if (!real_rmw_serialize() || !entry->type || real_rmw_serialize()(message, entry->type, &kept) != 0) {
+    free(kept.buffer);
+    return;
+  }
+  pthread_mutex_lock(&lock);
+  discard(entry);
+  entry->kept = kept;
+  atomic_store(&entry->port->kept, 1);
+  pthread_mutex_unlock(&lock);
+}
+
+/* Publish what is kept, if it may be published now. With `lock`. */
+static void publish_kept(struct entry *entry)
+{
+  struct pass pass;
+  if (!entry->kept.buffer || !enter(entry, &pass))
+    return;
+  const void *publisher = atomic_load(&entry->endpoint);
+  if (real_rcl_publish_serialized_message()(publisher, &entry->kept, NULL) == 0)
+    count(entry->port, true);
+  leave(&pass);
+  discard(entry);
+  atomic_store(&entry->port->kept, 0);
+}
+
+/* -- the helper thread: what is kept, and with how many endpoints each port is matched ------------------------------ */
+
+static void wait_for_bell(_Atomic uint32_t *bell, uint32_t seen)
+{
+  struct timespec timeout = {0, LOOK};
+  syscall(SYS_futex, (uint32_t *)bell, FUTEX_WAIT, seen, &timeout, NULL, 0);
+}
+
+static void look(void)
+{
+  uint32_t matched[PORTS] = {0};
+  for (unsigned index = 0; index < ENTRIES; index++) {
+    struct entry *entry = &entries[index];
+    const void *endpoint = atomic_load(&entry->endpoint);
+    if (!endpoint || endpoint == (const void *)entries)
+      continue;
+    bool output = entry->port->direction == OUTPUT;
+    int (*counting)(const void *, size_t *) =
+        output ? real_rcl_publisher_get_subscription_count() : real_rcl_subscription_get_publisher_count();
+    size_t number = 0;
+    if (counting && counting(endpoint, &number) == 0)
+      matched[entry->port - node->ports] += (uint32_t)number;
+    else if (real_rcutils_reset_error())
+      real_rcutils_reset_error()();
+    if (output)
+      publish_kept(entry);
+  }
+  for (unsigned index = 0; index < PORTS; index++)
+    atomic_store(&node->ports[index].matched, matched[index]);
+}
+
+/* Before what the middleware keeps is destroyed: it was loaded before this was registered. */
+static void stop_helping(void)
+{
+  pthread_mutex_lock(&lock);
+  stopping = true;
+  pthread_mutex_unlock(&lock);
+}
+
+static void *help(void *unused)
+{
+  (void)unused;
+  atexit(stop_helping);
+  for (;;) {
+    uint32_t seen = atomic_load(&node->bell);
+    pthread_mutex_lock(&lock);
+    if (stopping) {
+      pthread_mutex_unlock(&lock);
+      return NULL;
+    }
+    look();
+    pthread_mutex_unlock(&lock);
+    atomic_fetch_add(&node->beat, 1);
+    wait_for_bell(&node->bell, seen);
+  }
+}
+
+/* -- the functions of librcl ---------------------------------------------------------------------------------------- */
+
+EXPORT int rcl_publisher_init(void *publisher, const void *owner, const void *type, const char *name, const void *options)
+{
+  int result = real_rcl_publisher_init()(publisher, owner, type, name, options);
+  if (page && result == 0)
+    add(publisher, real_rcl_publisher_get_topic_name()(publisher), OUTPUT, type);
+  return result;
+}
+
+EXPORT int rcl_publisher_fini(void *publisher, void *owner)
+{
+  forget(publisher);
+  return real_rcl_publisher_fini()(publisher, owner);
+}
+
+EXPORT int rcl_subscription_init(void *subscription, const void *owner, const void *type, const char *name,
+                                 const void *options)
+{
+  int result = real_rcl_subscription_init()(subscription, owner, type, name, options);
+  if (page && result == 0)
+    add(subscription, real_rcl_subscription_get_topic_name()(subscription), INPUT, type);
+  return result;
+}
+
+EXPORT int rcl_subscription_fini(void *subscription, void *owner)
+{
+  forget(subscription);
+  return real_rcl_subscription_fini()(subscription, owner);
+}
+
+/* Whether a message may be published. One that is kept comes first. */
+static bool admitted(struct entry *entry, struct pass *pass)
+{
+  if (atomic_load_explicit(&entry->port->kept, memory_order_relaxed)) {
+    pthread_mutex_lock(&lock);
+    publish_kept(entry);
+    pthread_mutex_unlock(&lock);
+  }
+  return enter(entry, pass);
+}
+
+static void held_back(struct entry *entry, const void *message, const serialized *bytes)
+{
+  count(entry->port, false);
+  if (atomic_load_explicit(&entry->port->flags, memory_order_relaxed) & KEEPS)
+    keep(entry, message, bytes);
+}
+
+static int published(struct entry *entry, struct pass *pass, int result)
+{
+  if (result == 0)
+    count(entry->port, true);
+  leave(pass);
+  return result;
+}
+
+EXPORT int rcl_publish(const void *publisher, const void *message, void *allocation)
+{
+  struct entry *entry = find(publisher);
+  struct pass pass;
+  if (!entry)
+    return real_rcl_publish()(publisher, message, allocation);
+  if (!admitted(entry, &pass)) {
+    held_back(entry, message, NULL);
+    return 0;
+  }
+  return published(entry, &pass, real_rcl_publish()(publisher, message, allocation));
+}
+
+EXPORT int rcl_publish_serialized_message(const void *publisher, const void *message, void *allocation)
+{
+  struct entry *entry = find(publisher);
+  struct pass pass;
+  if (!entry)
+    return real_rcl_publish_serialized_message()(publisher, message, allocation);
+  if (!admitted(entry, &pass)) {
+    held_back(entry, NULL, message);
+    return 0;
+  }
+  return published(entry, &pass, real_rcl_publish_serialized_message()(publisher, message, allocation));
+}
+
+EXPORT int rcl_publish_loaned_message(const void *publisher, void *message, void *allocation)
+{
+  struct entry *entry = find(publisher);
+  struct pass pass;
+  if (!entry)
+    return real_rcl_publish_loaned_message()(publisher, message, allocation);
+  if (!admitted(entry, &pass)) {
+    held_back(entry, message, NULL);
+    return real_rcl_return_loaned_message_from_publisher()(publisher, message);
+  }
+  return published(entry, &pass, real_rcl_publish_loaned_message()(publisher, message, allocation));
+}
+
+/* The result of taking a message: where the gate is closed, as if there had been none. */
+static int taken(const void *subscription, int result)
+{
+  struct entry *entry = result == 0 ? find(subscription) : NULL;
+  if (!entry)
+    return result;
+  bool open = atomic_load_explicit(&entry->port->gate, memory_order_acquire) == OPEN;
+  count(entry->port, open);
+  return open ? 0 : TAKE_FAILED;
+}
+
+EXPORT int rcl_take(const void *subscription, void *message, void *info, void *allocation)
+{
+  return taken(subscription, real_rcl_take()(subscription, message, info, allocation));
+}
+
+EXPORT int rcl_take_sequence(const void *subscription, size_t number, void *messages, void *infos, void *allocation)
+{
+  return taken(subscription, real_rcl_take_sequence()(subscription, number, messages, infos, allocation));
+}
+
+EXPORT int rcl_take_serialized_message(const void *subscription, void *message, void *info, void *allocation)
+{
+  return taken(subscription, real_rcl_take_serialized_message()(subscription, message, info, allocation));
+}
+
+EXPORT int rcl_take_loaned_message(const void *subscription, void **message, void *info, void *allocation)
+{
+  int result = taken(subscription, real_rcl_take_loaned_message()(subscription, message, info, allocation));
+  if (result == TAKE_FAILED && *message) {
+    real_rcl_return_loaned_message_from_subscription()(subscription, *message);
+    *message = NULL;
+  }
+  return result;
+}
+
+/* -- for the manager, and for tests ---------------------------------------------------------------------------------- */
+
+EXPORT void midstride_layout(uint32_t *sizes)
+{
+  uint32_t layout[] = {PAGE_VERSION, sizeof(struct page), sizeof(struct baton), sizeof(struct node), sizeof(struct port)};
+  memcpy(sizes, layout, sizeof layout);
+}
+
+EXPORT int midstride_enter(uint64_t word, unsigned index, unsigned flags, unsigned skipped, int waited, int dead,
+                           uint64_t *next)
+{
+  return (int)baton_enter(word, index, flags, skipped, waited, dead, next);
+}
+
+EXPORT uint64_t midstride_leave(uint64_t word, uint64_t entered, unsigned flags, int again)
+{
+  return baton_leave(word, entered, flags, again);
+}
+
+enum step { NAME_SUCCESSOR, WITHDRAW, SETTLE, FENCE, LIFT, GIVE };
+
+/* What a step of the manager makes of a word. `index`: of the holder; of the new one for GIVE. */
+EXPORT uint64_t midstride_step(uint64_t word, int step, unsigned index, unsigned successor, int at_once)
+{
+  switch ((enum step)step) {
+  case NAME_SUCCESSOR:
+    return baton_name(word, index, successor, at_once);
+  case WITHDRAW:
+    return baton_withdraw(word, index);
+  case SETTLE:
+    return baton_settle(word, index);
+  case FENCE:
+    return baton_fence(word, index);
+  case LIFT:
+    return baton_lift(word, index);
+  case GIVE:
+    return baton_give(word, index);
+  }
+  return word;
+}
+
+/* Take a step with the word of a baton in shared memory; returns the word before. */
+EXPORT uint64_t midstride_take_step(struct baton *baton, int step, unsigned index, unsigned successor, int at_once)
+{
+  uint64_t seen = atomic_load(&baton->word), next;
+  do {
+    next = midstride_step(seen, step, index, successor, at_once);
+    if (STATE(next) == LAID && STATE(seen) != LAID)
+      atomic_store(&baton->laid, now_ns());
+  } while (!atomic_compare_exchange_weak(&baton->word, &seen, next));
+  return seen;
+}
+
+EXPORT int midstride_is_dead(int file, unsigned index)
+{
+  return is_dead(file, index);
+}
+
+EXPORT void midstride_ring(struct node *rung)
+{
+  atomic_fetch_add(&rung->bell, 1);
+  syscall(SYS_futex, (uint32_t *)&rung->bell, FUTEX_WAKE, INT_MAX, NULL, NULL, 0);
+}

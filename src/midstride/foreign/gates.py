@@ -1,0 +1,129 @@
+"""The gates of one node in the page: what its attachments let pass, and the baton that it shares at a hand-over."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from midstride.foreign.page import (
+    CLOSED,
+    INPUT,
+    OPEN,
+    OUTPUT,
+    BatonState,
+    BatonStep,
+    BatonWord,
+    Page,
+    PageNode,
+    PagePort,
+    PortFlag,
+)
+from midstride.model.component import ComponentSpec
+
+# For how long a writer without a rate leaves the baton to its successor (s).
+PATIENCE: Final = 2.0
+
+
+@dataclass
+class Gates:
+    """Those of the node ``index`` of ``page``, whose ports are those of ``component``, in its order."""
+
+    page: Page
+    index: int
+    component: ComponentSpec
+
+    def __post_init__(self) -> None:
+        self._numbers = {port: number for number, port in enumerate(self.component.ports())}
+
+    @property
+    def node(self) -> PageNode:
+        node: PageNode = self.page.layout.nodes[self.index]
+        return node
+
+    def entry(self, port: str) -> PagePort:
+        entry: PagePort = self.node.ports[self._numbers[port]]
+        return entry
+
+    def prepare(self, topics: dict[str, str]) -> None:
+        """Before the process starts: outputs are closed, inputs open (what is latched arrives when it subscribes)."""
+        listed = [(topics[port], OUTPUT if self.component.has_output(port) else INPUT) for port in self._numbers]
+        self.page.set_ports(self.index, listed)
+        baton = self.page.new_baton(self.index)
+        for port in self._numbers:
+            entry = self.entry(port)
+            if self.component.has_output(port):
+                entry.baton = baton
+                entry.flags = PortFlag(0) if self.rate(port) else PortFlag.KEEPS
+            else:
+                entry.gate = OPEN
+
+    def rate(self, port: str) -> float | None:
+        """What an output guarantees in its normal mode (Hz)."""
+        owner = self.component.find_owner(port)
+        return None if owner is None else self.component.stated_rate(port, {owner.name: owner.modes[0].name})
+
+    def missing(self) -> list[str]:
+        """The ports for which the process has created no endpoint."""
+        return [port for port in self._numbers if not self.entry(port).endpoints]
+
+    def set_gate(self, port: str, open: bool) -> None:
+        self.entry(port).gate = OPEN if open else CLOSED
+        self.page.ring(self.index)
+
+    # -- hand-over -------------------------------------------------------------------------------------
+
+    def share(self, ports: Iterable[str], baton: int | None = None) -> int:
+        """Have these outputs alone decided by one baton: by that number, or by that of the first of them; its number.
+
+        The baton is laid down after a write of the slowest output that has a rate. Where none has one, it is laid down
+        at any time, and left to the successor for ``PATIENCE``.
+        """
+        ports = list(ports)
+        shared = self.entry(ports[0]).baton if baton is None else baton
+        rates = {port: rate for port in ports if (rate := self.rate(port))}
+        slowest = min(rates, key=lambda port: rates[port], default=None)
+        self.page.layout.batons[shared - 1].patience = int(PATIENCE * 1e9)
+        for port in self.component.outputs:
+            entry = self.entry(port)
+            if port not in ports:
+                entry.baton = 0
+                continue
+            flags = PortFlag(0) if port in rates else PortFlag.KEEPS
+            if not rates:
+                flags |= PortFlag.TIMED | PortFlag.LAYS
+            elif port in rates:
+                flags |= PortFlag.RATED | (PortFlag.LAYS if port == slowest else PortFlag(0))
+            entry.flags = flags
+            entry.baton = shared
+        return shared
+
+    def timed(self, ports: Iterable[str]) -> bool:
+        return not any(self.rate(port) for port in ports)
+
+    def baton(self, port: str) -> int:
+        return int(self.entry(port).baton)
+
+    def word(self, port: str) -> BatonWord:
+        return self.page.word(self.baton(port))
+
+    def has_it(self, port: str) -> bool:
+        """Whether this node holds the baton of ``port``, or the gate alone decides."""
+        return not self.baton(port) or self.word(port).holder == self.index + 1
+
+    def fenced(self, port: str) -> bool:
+        return bool(self.baton(port)) and self.has_it(port) and self.word(port).state is BatonState.FENCED
+
+    def step(self, baton: int, step: BatonStep, successor: int = -1, at_once: bool = False) -> BatonWord:
+        """Take ``step`` as this node; the word after it."""
+        self.page.step(baton, step, self.index, successor, at_once)
+        self.page.ring(self.index)
+        return self.page.word(baton)
+
+    # -- what has passed -------------------------------------------------------------------------------
+
+    def age(self, port: str) -> float | None:
+        """Seconds since the last message that was published or held back, or received; None before the first."""
+        tried = self.entry(port).tried
+        return max(0, time.monotonic_ns() - tried) / 1e9 if tried else None

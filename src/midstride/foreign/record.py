@@ -1,0 +1,64 @@
+"""What a node that has no agent inside it is: kept in a file beside the page, so that the next manager can go on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from midstride.codec.component import NamedComponentForm
+from midstride.errors import BackendError
+from midstride.wire.state import GateState, WireValue
+
+_SUFFIX: Final = ".json"
+
+
+class ForeignRecord(WireValue, frozen=True, kw_only=True):
+    """One instance. ``index``: of its node in the page, None where it has no gate.
+
+    ``topics``: by port, the full name that its process uses, after remapping. ``links``: by port, the gate of its
+    attachment, of those that are attached. ``modes``: by functionality. ``revision`` counts its changes.
+    """
+
+    instance: str
+    node: str
+    token: str
+    uuid: str
+    pid: int
+    started: int
+    declaration: NamedComponentForm
+    index: int | None
+    topics: dict[str, str]
+    modes: dict[str, str]
+    links: dict[str, GateState] = {}
+    welcomed: bool = False
+    revision: int = 0
+
+    def write(self, folder: Path) -> None:
+        """Replace the file of this instance. Raises BackendError."""
+        path = _path(folder, self.instance)
+        try:
+            new = path.with_suffix(".new")
+            new.write_bytes(msgspec.json.encode(self))
+            new.replace(path)
+        except OSError as error:
+            raise BackendError(f"{path} cannot be written: {error.strerror or error}") from None
+
+    @classmethod
+    def read(cls, folder: Path, instance: str) -> ForeignRecord | None:
+        """That of ``instance``; None where there is none. Raises BackendError."""
+        path = _path(folder, instance)
+        try:
+            return msgspec.json.decode(path.read_bytes(), type=cls)
+        except FileNotFoundError:
+            return None
+        except (OSError, msgspec.DecodeError) as error:
+            raise BackendError(f"{path} cannot be read: {error}") from None
+
+    def delete(self, folder: Path) -> None:
+        _path(folder, self.instance).unlink(missing_ok=True)
+
+
+def _path(folder: Path, instance: str) -> Path:
+    return folder / f"{instance.strip('/').replace('/', '.')}{_SUFFIX}"

@@ -1,0 +1,34 @@
+"""How often something has been tried again, which a policy limits (docs/semantics.md section 7, *Restart policies*)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from midstride.model.respawn import RespawnPolicy
+
+
+@dataclass(slots=True)
+class Attempts:
+    """Only time during which it runs counts: waiting and starting do not.
+
+    ``made``: when each attempt was decided, in seconds of that time; ``ran``: how much of it has passed, up to
+    ``runs_since`` (steady s).
+    """
+
+    made: list[float] = field(default_factory=list)
+    ran: float = 0.0
+    runs_since: float | None = None
+
+    def stopped(self, now: float) -> None:
+        """It does not run any more."""
+        if self.runs_since is not None:
+            self.ran += now - self.runs_since
+            self.runs_since = None
+
+    def next(self, policy: RespawnPolicy) -> int | None:
+        """The number of the next attempt in the window, which counts from now on; None if there is to be no other."""
+        self.made = [at for at in self.made if self.ran - at < policy.window]
+        if len(self.made) >= policy.max_retries:
+            return None
+        self.made.append(self.ran)
+        return len(self.made)

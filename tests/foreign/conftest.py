@@ -1,0 +1,34 @@
+"""What the tests of the gate share: the library, and the programs behind it, compiled once."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from midstride.foreign import build
+
+HERE = Path(__file__).parent
+
+
+@pytest.fixture(scope="session")
+def gate_library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The compiled library of the sources as they are."""
+    cache = tmp_path_factory.mktemp("cache")
+    return build.library({**os.environ, "XDG_CACHE_HOME": str(cache)})
+
+
+@pytest.fixture(scope="session")
+def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the node and of the library that it is linked with."""
+    folder = tmp_path_factory.mktemp("fake")
+    compiler = build.compiler()
+    assert compiler is not None
+    options = [*compiler, "-std=c11", "-O2"]
+    subprocess.run([*options, "-shared", "-fPIC", "-o", folder / "librcl.so", HERE / "fake_rcl.c"], check=True)
+    (folder / "librmw_implementation.so").symlink_to("librcl.so")
+    link = ["-L", str(folder), "-lrcl", f"-Wl,-rpath,{folder}"]
+    subprocess.run([*options, "-o", folder / "node", HERE / "fake_node.c", *link], check=True)
+    return folder

@@ -1,0 +1,92 @@
+"""Plain processes behind gates: instead of librcl, they are linked with a library that keeps a log."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import struct
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from midstride.foreign.page import OPEN, OUTPUT, BatonWord, Page, PagePort, PortFlag
+
+RECORD = struct.Struct("QQq")
+LOG_SIZE = 16 + 4_000_000 * RECORD.size
+
+
+def until(condition: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + 30
+    while not condition():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.002)
+
+
+class Lab:
+    """Nodes that publish on one topic behind their gates."""
+
+    def __init__(self, folder: Path, programs: Path, library: Path) -> None:
+        self.page = Page(folder / "page", library)
+        self.programs, self.library = programs, library
+        self.log = folder / "log"
+        self.log.touch()
+        os.truncate(self.log, LOG_SIZE)
+        with open(self.log, "r+b") as file:
+            self.memory = mmap.mmap(file.fileno(), LOG_SIZE)
+        self.processes: dict[int, subprocess.Popen[bytes]] = {}
+
+    def node(self, period: int, flags: PortFlag, *, baton: int = 0, messages: int = 10**12) -> int:
+        """Start a node, with an open gate if it is to share a baton; its index."""
+        index = self.page.allocate(f"node_{len(self.processes)}")
+        self.page.set_ports(index, [("/chat", OUTPUT)])
+        port = self.port(index)
+        port.flags, port.baton = flags, baton or self.page.new_baton(index)
+        port.gate = OPEN if baton else 0
+        self.run(index, period, messages)
+        return index
+
+    def run(self, index: int, period: int, messages: int) -> None:
+        """Start the process of a node, and wait until it has joined."""
+        port = self.port(index)
+        environment = {
+            **os.environ,
+            "LD_PRELOAD": str(self.library),
+            "LD_LIBRARY_PATH": str(self.programs),
+            "FAKE_LOG": str(self.log),
+            "MIDSTRIDE_GATE_PAGE": str(self.page.path),
+            "MIDSTRIDE_GATE_NODE": str(index),
+        }
+        command = [str(self.programs / "node"), str(index + 1), "/chat", str(period), str(messages)]
+        self.processes[index] = subprocess.Popen(command, env=environment)
+        until(lambda: bool(port.endpoints and port.tried), f"node {index} has not written")
+
+    def port(self, index: int) -> PagePort:
+        port: PagePort = self.page.layout.nodes[index].ports[0]
+        return port
+
+    def word(self, baton: int) -> BatonWord:
+        return self.page.word(baton)
+
+    def count(self) -> int:
+        return int(struct.unpack_from("Q", self.memory)[0])
+
+    def overlaps(self) -> int:
+        return int(struct.unpack_from("I", self.memory, 12)[0])
+
+    def records(self) -> list[tuple[int, int, int]]:
+        """Writer, number and time of each message, in the order of publication; of one that was killed, if complete."""
+        rows = (RECORD.unpack_from(self.memory, 16 + index * RECORD.size) for index in range(self.count()))
+        return [row for row in rows if all(row)]
+
+    def written_by(self, index: int) -> int:
+        return int(self.port(index).passed)
+
+    def kill(self, index: int) -> None:
+        self.processes[index].kill()
+        self.processes[index].wait()
+
+    def close(self) -> None:
+        for process in self.processes.values():
+            process.kill()
+            process.wait()

@@ -1,0 +1,220 @@
+"""The agent of a node without Midstride's API: the commands of a hand-over, on plain processes behind their gates."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+
+from midstride.codec.component import NamedComponentForm
+from midstride.errors import CommandRefused
+from midstride.foreign.agent import ForeignAgent
+from midstride.foreign.gates import Gates
+from midstride.foreign.record import ForeignRecord
+from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode
+from midstride.model.contract import Predicate
+from midstride.runtime.clock import SystemClock
+from midstride.runtime.component_client import ComponentClient
+from midstride.wire import commands
+from midstride.wire.sockets import SocketFolder
+from tests.foreign.lab import Lab
+
+TOPIC, TOKEN = "/chat", "a token"
+TALK = FunctionalitySpec(
+    "talk",
+    (Mode("normal", guarantees={"out": Predicate("std_msgs/msg/String", rate=200)}), Mode("degraded")),  # type: ignore[arg-type]
+    outputs=("out",),
+)
+TALKER = ComponentSpec.of("Talker", outputs=("out",), functionalities=(TALK,), run="talker", gate="preload")
+
+
+class Nodes:
+    """Nodes at 200 Hz with their agents, and a manager's connections to these."""
+
+    def __init__(self, folder: Path, programs: Path, library: Path) -> None:
+        self.folder = folder / "gates"
+        self.folder.mkdir()
+        self.lab = Lab(self.folder, programs, library)
+        self.transport = SocketFolder(folder / "components")
+        self.agents: dict[str, ForeignAgent] = {}
+        self.client = ComponentClient(self.transport, SystemClock(), TOKEN)
+
+    async def start(self, instance: str) -> None:
+        lab = self.lab
+        index = lab.page.allocate(instance)
+        Gates(lab.page, index, TALKER).prepare({"out": TOPIC})
+        await asyncio.to_thread(lab.run, index, 5_000_000, 10**12)
+        record = ForeignRecord(
+            instance=instance,
+            node=f"/{instance}",
+            token=TOKEN,
+            uuid=instance,
+            pid=lab.processes[index].pid,
+            started=time.time_ns(),
+            declaration=NamedComponentForm.of(TALKER),
+            index=index,
+            topics={"out": TOPIC},
+            modes={"talk": "degraded"},
+        )
+        record.write(self.folder)
+        await self.answer(instance)
+        await self.client.registered(instance)
+        await self.change(instance, commands.WelcomeCommand(manager="a test"))
+
+    async def answer(self, instance: str) -> None:
+        """An agent for what is in the record: a manager's first one, or the next manager's."""
+        record = ForeignRecord.read(self.folder, instance)
+        assert record is not None and record.index is not None
+        agent = self.agents[instance] = ForeignAgent(record, self.folder, Gates(self.lab.page, record.index, TALKER))
+        await agent.open(self.transport)
+
+    async def change(self, instance: str, command: commands.Command[commands.R_co]) -> commands.R_co:
+        return await self.client.change(instance, command)
+
+    async def attach(self, instance: str, gate: str) -> None:
+        attach = commands.AttachCommand(port="out", topic=TOPIC, gate=gate, peers=3)  # type: ignore[arg-type]
+        assert (await self.change(instance, attach)).matched == 3
+        await self.change(instance, commands.ModesCommand(modes={"talk": "normal"}))
+
+    def index(self, instance: str) -> int:
+        index = self.agents[instance].record.index
+        assert index is not None
+        return index
+
+    async def cut(self, old: str, new: str) -> None:
+        swaps = [commands.CutSwap(port="out", topic=TOPIC)]
+        await self.change(old, commands.CutOutCommand(cut="c", swaps=swaps, at=0, resume_after=1))
+        await self.change(new, commands.CutInCommand(cut="c", swaps=swaps, at=0, peer=old, address=""))
+
+    async def results(self, *instances: str) -> list[commands.CutResult]:
+        await_cut = commands.AwaitCutCommand(cut="c", timeout=30)
+        return await asyncio.gather(*(self.client.read(each, await_cut) for each in instances))
+
+    async def handed_over(self, old: str, new: str) -> commands.CutResult:
+        """Hand over; the old side's result."""
+        await self.cut(old, new)
+        incoming, outgoing = await self.results(new, old)
+        assert (incoming.outcome, outgoing.outcome) == ("done", "done")
+        return outgoing
+
+    async def gate(self, instance: str) -> str | None:
+        return (await self.client.observe(instance)).ports["out"][TOPIC].gate
+
+    async def until(self, condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + 30
+        while not condition():
+            assert time.monotonic() < deadline, "it did not come true in time"
+            await asyncio.sleep(0.005)
+
+    async def publishes(self, instance: str) -> None:
+        before = self.lab.written_by(self.index(instance))
+        await self.until(lambda: self.lab.written_by(self.index(instance)) > before + 3)
+
+
+@asynccontextmanager
+async def nodes(folder: Path, programs: Path, library: Path) -> AsyncIterator[Nodes]:
+    made = Nodes(folder, programs, library)
+    try:
+        await made.start("old")
+        await made.attach("old", "open")
+        await made.publishes("old")
+        await made.start("new")
+        await made.attach("new", "closed")
+        yield made
+    finally:
+        made.client.close()
+        for agent in made.agents.values():
+            await agent.close()
+        made.lab.close()
+
+
+def test_a_hand_over_and_the_way_back(tmp_path: Path, programs: Path, gate_library: Path) -> None:
+    async def scenario() -> None:
+        async with nodes(tmp_path, programs, gate_library) as system:
+            probation = commands.AwaitWriteCommand(port="out", topic=TOPIC, calls=3, patience=5)
+            assert (await system.client.read("new", probation)).gated > 0
+            assert (await system.gate("old"), await system.gate("new")) == ("open", "closed")
+            outgoing = await system.handed_over("old", "new")
+            last = outgoing.last[f"out {TOPIC}"]
+            assert last is not None and last.number == system.lab.written_by(system.index("old"))
+            assert (await system.gate("old"), await system.gate("new")) == ("closed", "open")
+            await system.publishes("new")
+            await system.change("new", commands.CancelCutCommand(cut="c"))  # a roll-back
+            await system.change("old", commands.CancelCutCommand(cut="c"))
+            assert (await system.gate("old"), await system.gate("new")) == ("open", "closed")
+            await system.publishes("old")
+            await system.handed_over("old", "new")
+            detached = await system.change("old", commands.DetachCommand(port="out", topic=TOPIC))
+            assert detached.last == system.lab.written_by(system.index("old"))
+            assert system.lab.word(system.lab.port(system.index("new")).baton).predecessor == 0
+            assert system.lab.overlaps() == 0
+
+    asyncio.run(scenario())
+
+
+def test_another_manager_goes_on(tmp_path: Path, programs: Path, gate_library: Path) -> None:
+    async def scenario() -> None:
+        async with nodes(tmp_path, programs, gate_library) as system:
+            os.kill(system.lab.processes[system.index("new")].pid, signal.SIGSTOP)
+            baton = system.lab.port(system.index("old")).baton
+            await system.cut("old", "new")
+            await system.agents["old"].close()  # its manager ends in the middle
+            await system.until(lambda: system.lab.word(baton).holder == system.index("old") + 1)
+            await system.publishes("old")
+            await system.answer("old")
+            state = await system.client.observe("old")
+            assert (state.functionalities["talk"].mode, state.waiting) == ("normal", None)
+            assert state.ports["out"][TOPIC].gate == "open"
+            assert not system.lab.word(baton).successor
+
+    asyncio.run(scenario())
+
+
+def test_one_that_hangs_is_fenced(tmp_path: Path, programs: Path, gate_library: Path) -> None:
+    async def scenario() -> None:
+        async with nodes(tmp_path, programs, gate_library) as system:
+            index = system.index("old")
+            assert (await system.client.read("old", commands.AwaitIdleCommand())).busy is None
+            fence = commands.FenceCommand(attachments=[("out", TOPIC)])
+            await system.client.read("old", fence)
+            before = system.lab.written_by(index)
+            gated = system.lab.port(index).gated
+            await system.until(lambda: system.lab.port(index).gated > gated + 3)
+            assert system.lab.written_by(index) == before
+            assert (await system.client.observe("old")).ports["out"][TOPIC].fenced
+            await system.client.read("old", commands.FenceCommand(attachments=[("out", TOPIC)], lift=True))
+            await system.publishes("old")
+            os.kill(system.lab.processes[index].pid, signal.SIGSTOP)
+            while (await system.client.read("old", commands.AwaitIdleCommand())).busy is None:
+                await asyncio.sleep(0.05)
+
+    asyncio.run(scenario())
+
+
+def test_what_it_cannot_do_is_refused(tmp_path: Path, programs: Path, gate_library: Path) -> None:
+    async def scenario() -> None:
+        async with nodes(tmp_path, programs, gate_library) as system:
+            detach = commands.DetachCommand(port="out", topic=TOPIC)
+            await system.change("new", detach)
+            for command, words in (
+                (commands.AttachCommand(port="out", topic="/other"), "fixed at its start"),
+                (commands.AttachCommand(port="in", topic=TOPIC), "there is no port in"),
+                (detach, "is not attached"),
+                (commands.ModesCommand(modes={"talk": "slow"}), "no functionality talk with a mode 'slow'"),
+                (commands.SetParametersCommand(parameters={"a": 1}), "does not use Midstride's API"),
+                (commands.AttachCommand(port="out", topic=TOPIC, peers=9, timeout=0.1), "only 3 of 9 endpoints"),
+            ):
+                with pytest.raises(CommandRefused, match=words):
+                    await system.change("new", command)
+            stranger = ComponentClient(system.transport, SystemClock(), "another token")
+            with pytest.raises(CommandRefused, match="token"):
+                await stranger.observe("new")
+            stranger.close()
+
+    asyncio.run(scenario())

@@ -1,0 +1,246 @@
+"""The preloaded library itself, in plain processes: instead of librcl, they are linked with one that keeps a log."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import struct
+import subprocess
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from midstride.errors import BackendError, StartFailed
+from midstride.foreign import build
+from midstride.foreign.page import (
+    OPEN,
+    BatonState,
+    BatonStep,
+    Page,
+    PageBaton,
+    PageLayout,
+    PageNode,
+    PagePort,
+    PortFlag,
+)
+from tests.foreign.lab import LOG_SIZE, Lab, until
+
+RATED, TIMED = PortFlag.RATED | PortFlag.LAYS, PortFlag.TIMED | PortFlag.LAYS
+MS = 1_000_000
+
+
+@pytest.fixture
+def lab(tmp_path: Path, programs: Path, gate_library: Path) -> Iterator[Lab]:
+    made = Lab(tmp_path, programs, gate_library)
+    yield made
+    made.close()
+
+
+def started(lab: Lab, period: int, flags: PortFlag) -> tuple[int, int, int]:
+    """An old node that publishes, and a new one that waits at its open gate; their indices, and the baton."""
+    old = lab.node(period, flags)
+    baton = lab.port(old).baton
+    lab.port(old).gate = OPEN
+    until(lambda: lab.written_by(old) > 0, "the old one does not publish")
+    return old, lab.node(period, flags, baton=baton), baton
+
+
+def test_the_layout_is_that_of_the_library(gate_library: Path) -> None:
+    sizes = (ctypes.c_uint32 * 5)()
+    ctypes.CDLL(str(gate_library)).midstride_layout(sizes)
+    assert list(sizes) == [1, *(ctypes.sizeof(each) for each in (PageLayout, PageBaton, PageNode, PagePort))]
+
+
+@pytest.mark.parametrize(("period", "flags"), [(0, TIMED), (MS, RATED)], ids=["flat out", "1 kHz"])
+def test_one_writer_at_each_moment_and_nothing_missing(lab: Lab, period: int, flags: PortFlag) -> None:
+    old, new, baton = started(lab, period, flags)
+    lab.page.layout.batons[baton - 1].patience = 10**12
+    swaps = 0
+
+    def published(index: int, before: int) -> bool:
+        return lab.written_by(index) > before
+
+    def answered() -> bool:
+        return lab.word(baton).holder == new + 1
+
+    while swaps < 10:
+        before = lab.written_by(new)
+        lab.page.step(baton, BatonStep.NAME_SUCCESSOR, old, new)
+        until(answered, "no answer")
+        until(partial(published, new, before), "the new one does not publish")
+        old, new, swaps = new, old, swaps + 1
+    lab.page.step(baton, BatonStep.SETTLE, old)  # the other one does not go on when this one is ended
+    lab.close()
+    assert lab.overlaps() == 0
+    records = lab.records()
+    changes = [index for index in range(1, len(records)) if records[index][0] != records[index - 1][0]]
+    assert len(changes) == swaps
+    held_back = 0
+    for (before, last, _), (writer, number, _) in pairwise(records):
+        if writer == before:
+            held_back += number != last + 1
+    # While it has the baton, nothing of it is held back, but for one slot that it may have left to its successor.
+    assert held_back <= (swaps if flags == RATED else 0)
+
+
+def test_the_old_one_goes_on_if_the_new_one_dies_with_the_baton(lab: Lab) -> None:
+    old, new, baton = started(lab, MS, RATED)
+    while lab.word(baton).holder != new + 1:
+        lab.page.step(baton, BatonStep.NAME_SUCCESSOR, old, new)
+        time.sleep(0.01)
+    lab.kill(new)
+    before = lab.written_by(old)
+    until(lambda: lab.written_by(old) > before + 10, "the old one does not go on")
+    assert lab.word(baton).holder == old + 1
+    assert lab.page.is_dead(new)
+    assert not lab.page.is_dead(old)
+
+
+def test_what_is_settled_is_not_taken_back(lab: Lab) -> None:
+    old, new, baton = started(lab, MS, RATED)
+    while lab.word(baton).holder != new + 1:
+        lab.page.step(baton, BatonStep.NAME_SUCCESSOR, old, new)
+        time.sleep(0.01)
+    lab.page.step(baton, BatonStep.SETTLE, new)
+    lab.kill(new)
+    gated = lab.port(old).gated
+    until(lambda: lab.port(old).gated > gated + 10, "the old one does not write")
+    assert lab.word(baton).holder == new + 1
+
+
+def test_the_new_one_takes_over_if_the_old_one_dies(lab: Lab) -> None:
+    old, new, baton = started(lab, MS, RATED)
+    os.kill(lab.processes[old].pid, signal.SIGSTOP)
+    lab.page.step(baton, BatonStep.NAME_SUCCESSOR, old, new)
+    lab.kill(old)
+    until(lambda: lab.written_by(new) > 10, "the new one does not take over")
+
+
+def test_the_old_one_misses_one_slot_if_the_new_one_does_not_write(lab: Lab) -> None:
+    old, new, baton = started(lab, MS, RATED)
+    os.kill(lab.processes[new].pid, signal.SIGSTOP)
+    before, gated = lab.written_by(old), lab.port(old).gated
+    lab.page.step(baton, BatonStep.NAME_SUCCESSOR, old, new)
+    until(lambda: lab.written_by(old) > before + 10, "the old one does not go on")
+    assert lab.port(old).gated == gated + 1
+    os.kill(lab.processes[new].pid, signal.SIGCONT)
+    until(lambda: lab.written_by(new) > 10, "the new one does not take it when it goes on")
+    assert lab.overlaps() == 0
+
+
+def test_one_that_is_stopped_is_fenced_and_held_back_when_it_goes_on(lab: Lab) -> None:
+    old, new, baton = started(lab, MS, RATED)
+    os.kill(lab.processes[old].pid, signal.SIGSTOP)
+    lab.page.step(baton, BatonStep.FENCE, old)
+    if lab.word(baton).writers:  # it was stopped while it published: such a process is killed
+        lab.kill(old)
+    lab.page.step(baton, BatonStep.GIVE, new)
+    until(lambda: lab.written_by(new) > 10, "the new one does not take over")
+    if lab.processes[old].poll() is None:
+        gated = lab.port(old).gated
+        os.kill(lab.processes[old].pid, signal.SIGCONT)
+        until(lambda: lab.port(old).gated > gated + 10, "the old one does not go on")
+    assert lab.overlaps() == 0 or lab.processes[old].poll() is not None
+    assert lab.word(baton).state is BatonState.HELD
+
+
+def test_without_a_rate_it_is_left_to_the_successor_for_a_stated_time(lab: Lab) -> None:
+    old, new, baton = started(lab, MS, TIMED)
+    lab.page.layout.batons[baton - 1].patience = 10**12
+    os.kill(lab.processes[new].pid, signal.SIGSTOP)
+    lab.page.step(baton, BatonStep.NAME_SUCCESSOR, old, new, at_once=True)
+    until(lambda: lab.word(baton).state is BatonState.LAID, "it is not laid down")
+    gated = lab.port(old).gated
+    until(lambda: lab.port(old).gated > gated + 10, "the old one does not wait")
+    before = lab.written_by(old)
+    lab.page.layout.batons[baton - 1].patience = 0
+    until(lambda: lab.written_by(old) > before + 10, "the old one does not go on")
+
+
+def test_a_message_written_once_is_kept_and_published_when_the_gate_opens(lab: Lab) -> None:
+    index = lab.node(0, TIMED | PortFlag.KEEPS, messages=1)
+    until(lambda: bool(lab.port(index).kept), "it is not kept")
+    assert lab.count() == 0
+    lab.port(index).gate = OPEN
+    lab.page.ring(index)
+    until(lambda: lab.count() == 1, "it is not published")
+    assert lab.records()[0][:2] == (index + 1, 1)
+    assert not lab.port(index).kept
+
+
+def test_one_written_once_is_published_at_the_change(lab: Lab) -> None:
+    old = lab.node(0, TIMED | PortFlag.KEEPS, messages=1)
+    baton = lab.port(old).baton
+    lab.port(old).gate = OPEN
+    lab.page.ring(old)
+    until(lambda: lab.count() == 1, "the old one's message is not published")
+    new = lab.node(0, TIMED | PortFlag.KEEPS, baton=baton, messages=1)
+    lab.page.step(baton, BatonStep.NAME_SUCCESSOR, old, new, at_once=True)
+    lab.page.ring(new)
+    until(lambda: lab.count() == 2, "the new one's message is not published")
+    assert [writer for writer, _, _ in lab.records()] == [old + 1, new + 1]
+
+
+def test_the_helper_thread_reports_how_many_readers_there_are(lab: Lab) -> None:
+    index = lab.node(MS, RATED)
+    until(lambda: lab.port(index).matched == 3, "it does not say")
+
+
+@pytest.mark.parametrize("page", ["nothing there", "another version", "cut off", "no number"])
+def test_without_a_page_a_process_behaves_as_without_the_library(
+    tmp_path: Path, programs: Path, gate_library: Path, page: str
+) -> None:
+    path, node = tmp_path / "page", "0"
+    if page != "nothing there":
+        Page(path, gate_library).layout.version = 2 if page == "another version" else 1
+    if page == "cut off":
+        os.truncate(path, 100)
+    if page == "no number":
+        node = "128"
+    log = tmp_path / "log"
+    log.touch()
+    os.truncate(log, LOG_SIZE)
+    environment = {
+        **os.environ,
+        "LD_PRELOAD": str(gate_library),
+        "LD_LIBRARY_PATH": str(programs),
+        "FAKE_LOG": str(log),
+        "MIDSTRIDE_GATE_PAGE": str(path),
+        "MIDSTRIDE_GATE_NODE": node,
+    }
+    command = [str(programs / "node"), "1", "/chat", "0", "100", "time"]
+    subprocess.run(command, env=environment, check=True, capture_output=True, timeout=60)
+    with open(log, "rb") as file:
+        assert struct.unpack("Q", file.read(8))[0] == 100
+    if page in ("another version", "cut off"):
+        with pytest.raises(BackendError, match="midstride down"):
+            Page(path, gate_library)
+
+
+def test_it_is_compiled_once(tmp_path: Path) -> None:
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    with ThreadPoolExecutor() as pool:
+        first, second = pool.map(lambda _: build.library(environment), range(2))
+    assert first == second
+    assert [path.name for path in (tmp_path / "midstride").iterdir()] == [first.name]
+    assert build.library({"HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path), "PATH": ""}) == first
+
+
+def test_without_a_compiler_it_says_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(StartFailed, match=r"no(ne on the PATH|.*`gate none`)"):
+        build.library({"XDG_CACHE_HOME": str(tmp_path), "PATH": str(tmp_path)})
+
+
+def test_what_the_compiler_says_is_reported(tmp_path: Path) -> None:
+    broken = tmp_path / "broken"
+    broken.write_text("#!/bin/sh\necho 'no libc here' >&2\nexit 1\n")
+    broken.chmod(0o755)
+    with pytest.raises(StartFailed, match="no libc here"):
+        build.library({"XDG_CACHE_HOME": str(tmp_path), "PATH": os.environ["PATH"], "CC": str(broken)})
+    assert list((tmp_path / "midstride").iterdir()) == []

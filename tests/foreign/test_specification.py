@@ -1,0 +1,215 @@
+"""Components without Midstride's API: in the language, in JSON, in plans, and how they are started."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import pytest
+from immutables import Map
+
+from midstride.backends.naming import full
+from midstride.backends.ros2.foreign_nodes import ForeignNodes, ros_arguments
+from midstride.codec.specification import decode_specification, encode_specification
+from midstride.errors import StepFailed
+from midstride.foreign.page import Page
+from midstride.generate.project import project
+from midstride.lang.load import load
+from midstride.model.action import Swap
+from midstride.model.component import PortRef
+from midstride.model.configuration import Configuration
+from midstride.model.specification import Node, Specification, initial
+from midstride.plan.change_builder import change_between
+from midstride.plan.specification_diff import differences
+from midstride.runtime.agreed_cut import early_publishers, publishers_found, require_found, require_same_gate
+from midstride.runtime.backend import Launch
+from midstride.wire.commands import Attached, AwaitMatchCommand
+from midstride.wire.sockets import SocketFolder
+
+TEXT = """system chat
+
+topic /chat : std_msgs/msg/String @ 50 Hz
+topic /talk : std_msgs/msg/String @ 50 Hz
+
+component Talker {
+  run "python3 talker.py" takes 1 s gate preload
+  parameters { word = "hello", levels = [1, 2] }
+  output out as chatter
+  output log as ~/log
+  functionality talk {
+    produces out, log
+    mode normal {
+      guarantee out : std_msgs/msg/String @ 50 Hz
+      guarantee log : std_msgs/msg/String
+    }
+    mode degraded { }
+  }
+}
+
+component Other like Talker {
+  run "python3 other.py"
+  output out as chat
+}
+
+node talker : Talker { out -> /chat }
+"""
+
+
+def parsed(text: str, folder: Path) -> Specification:
+    path = folder / "chat.stride"
+    path.write_text(text, encoding="utf-8")
+    return load(path).require()
+
+
+def test_the_gate_and_the_names_of_topics_are_read_and_written(tmp_path: Path) -> None:
+    specification = parsed(TEXT.replace('other.py"', 'other.py" gate none'), tmp_path)
+    talker, other = specification.components["Talker"], specification.components["Other"]
+    assert (talker.gate, talker.topics, talker.startup_seconds) == ("preload", Map(out="chatter", log="~/log"), 1)
+    assert (other.gate, other.topics) == ("none", Map(out="chat", log="~/log"))
+    assert not talker.same_body(other)
+    assert decode_specification(encode_specification(specification)) == specification
+
+
+def test_a_program_of_another_kind_has_no_gate_but_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "chat.stride"
+    path.write_text(TEXT, encoding="utf-8")
+    found = [(each.code, each.message) for each in load(path).diagnostics if each.severity == "error"]
+    assert found == [
+        ("E027", f"port {port} of Other states what the program calls its topic, but Other has no gate")
+        for port in ("log", "out")
+    ]
+
+
+def test_an_unknown_gate_is_reported(tmp_path: Path) -> None:
+    path = tmp_path / "chat.stride"
+    path.write_text(TEXT.replace("gate preload", "gate open"), encoding="utf-8")
+    assert any("`open` is not a kind of gate" in each.message for each in load(path).diagnostics)
+
+
+def test_another_topic_means_another_instance(tmp_path: Path) -> None:
+    before = parsed(TEXT.partition("component Other")[0] + "node talker : Talker { out -> /chat }\n", tmp_path)
+    after = before.with_node(Node("talker", "Talker", Map(out=("/talk",))))
+    change = change_between(initial(before), before, after)
+    assert change.replaced == Map(talker="talker_2")
+    assert [str(each).partition("\n")[0] for each in differences(before, after)] == ["node talker: replaced"]
+    assert not change_between(initial(before), before, before).replaced
+
+
+def test_it_gets_no_skeleton(tmp_path: Path) -> None:
+    specification = parsed(TEXT.partition("component Other")[0] + "node talker : Talker\n", tmp_path)
+    found = project(specification, "chat.stride", {})
+    assert found.skipped == {"Talker": "its program does not use Midstride's API: it has a gate"}
+
+
+def launched(component: str, specification: Specification, namespace: str) -> Launch:
+    return Launch(
+        f"{namespace}/talker".lstrip("/"),
+        namespace,
+        ("talker",),
+        "token",
+        Path("/"),
+        {"word": "it's", "use_sim_time": True},
+        {"word": "bye"},
+        foreign=specification.components[component],
+        topics={"out": "/chat"},
+    )
+
+
+def test_what_the_program_is_started_with(tmp_path: Path) -> None:
+    specification = parsed(TEXT.partition("component Other")[0], tmp_path)
+    launch = launched("Talker", specification, "robot1")
+    component = specification.components["Talker"]
+    node = full(launch.instance, launch.namespace)
+    assert ros_arguments(launch, component, node) == [
+        "--ros-args",
+        *("-r", "__node:=talker", "-r", "__ns:=/robot1", "-r", "chatter:=/chat"),
+        *("-p", 'word:="bye"', "-p", "use_sim_time:=true"),
+    ]
+
+
+def test_its_page_is_prepared_before_it_starts(
+    tmp_path: Path, gate_library: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(gate_library.parents[1]))
+    specification = parsed(TEXT.partition("component Other")[0], tmp_path)
+    launch, component = launched("Talker", specification, "robot1"), specification.components["Talker"]
+
+    async def scenario() -> None:
+        nodes = ForeignNodes(tmp_path / "gates", SocketFolder(tmp_path / "components"))
+        base = {"XDG_CACHE_HOME": str(gate_library.parents[1]), "PATH": "/usr/bin:/bin", "LD_PRELOAD": "/lib/other.so"}
+        variables, record = await nodes.prepare(launch, component, "/robot1/talker", base)
+        assert variables["LD_PRELOAD"] == f"{gate_library}:/lib/other.so"
+        assert record.topics == {"out": "/chat", "log": "/robot1/talker/log"}
+        page = Page(Path(variables["MIDSTRIDE_GATE_PAGE"]), gate_library)
+        node = page.layout.nodes[int(variables["MIDSTRIDE_GATE_NODE"])]
+        assert [(port.topic, port.gate) for port in node.ports][:3] == [
+            (b"/chat", 0),
+            (b"/robot1/talker/log", 0),
+            (b"", 0),
+        ]
+        nodes.discard(record)
+        assert not node.used
+        await nodes.close()
+
+    asyncio.run(scenario())
+
+
+def test_a_hand_over_is_between_two_of_one_kind(tmp_path: Path) -> None:
+    specification = parsed(TEXT.replace('other.py"', 'other.py" gate none'), tmp_path)
+    unmodified = specification.instance("talker")
+    other = specification.with_replaced("talker", "Other").instance("talker", "talker_2")
+    both = Configuration(specification.context).with_instance(unmodified).with_instance(other)
+    require_same_gate(both, "talker", "talker")
+    with pytest.raises(StepFailed, match="talker has `gate preload` and talker_2 `gate none`; use `--strategy paper`"):
+        require_same_gate(both, "talker", "talker_2")
+    port = initial(specification).attached_ports("talker")[0][0]
+    assert early_publishers(both, [port]) == 1
+
+
+class Counting:
+    """Subscribers that count so many publishers."""
+
+    def __init__(self, matched: int) -> None:
+        self.matched = matched
+        self.wanted: list[int] = []
+
+    async def read(self, instance: str, command: AwaitMatchCommand) -> Attached:
+        self.wanted.append(command.peers)
+        return Attached(matched=self.matched)
+
+
+@pytest.mark.parametrize(("matched", "found"), [(1, False), (2, True), (3, True)])
+def test_a_publisher_that_exists_before_it_is_attached_is_counted_once(
+    tmp_path: Path, matched: int, found: bool
+) -> None:
+    """The subscriber may count the new one already, and one that has left without a word."""
+    listener = """component Listener {
+  run "python3 listener.py"
+  input in : std_msgs/msg/String @ 50 Hz
+  functionality listen {
+    uses in
+    mode normal { assume in }
+    mode degraded { }
+  }
+}
+node listener : Listener { in <- /chat }
+"""
+    specification = parsed(
+        TEXT.partition("component Other")[0] + listener + "node talker : Talker { out -> /chat }\n", tmp_path
+    )
+    configuration = initial(specification).with_instance(specification.instance("talker", "talker_2"))
+    old, new = PortRef("talker", "out"), PortRef("talker_2", "out")
+
+    async def scenario() -> None:
+        client: Any = Counting(matched)
+        before = await publishers_found(client, configuration, "/chat", lambda _: False, early=1)
+        assert client.wanted == [0]
+        await require_found(client, configuration, [Swap("/chat", old, new)], "/chat", before, lambda _: False)
+        assert client.wanted == [0, 2]
+
+    if found:
+        asyncio.run(scenario())
+    else:
+        with pytest.raises(StepFailed, match="has found only 1 of 2 publishers"):
+            asyncio.run(scenario())
