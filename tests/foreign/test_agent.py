@@ -83,7 +83,7 @@ class Nodes:
         await self.change(instance, commands.ModesCommand(modes={"talk": "normal"}))
 
     def index(self, instance: str) -> int:
-        index = self.agents[instance].record.index
+        index = self.agents[instance].node.record.index
         assert index is not None
         return index
 

@@ -111,7 +111,7 @@ class ForeignNodes:
     def gone(self, instance: str) -> None:
         """Its process has ended."""
         if (agent := self._agents.pop(instance, None)) is not None:
-            record = agent.record
+            record = agent.node.record
             closing = asyncio.get_running_loop().create_task(agent.close())
             self._closing.add(closing)
             closing.add_done_callback(self._closing.discard)

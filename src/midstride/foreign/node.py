@@ -1,0 +1,183 @@
+"""A node without Midstride's API, as its agent knows it: its record, its gates and its state."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import replace as replaced
+from pathlib import Path
+from typing import Any, Final
+
+from immutables import Map
+from msgspec.structs import replace
+
+from midstride.errors import CommandRefused
+from midstride.foreign.gates import Gates
+from midstride.foreign.record import ForeignRecord
+from midstride.model.component import ComponentSpec
+from midstride.node.message_times import window_of
+from midstride.wire.state import (
+    NOT_WELCOMED,
+    ComponentState,
+    FunctionalityState,
+    GateState,
+    LinkState,
+    Measured,
+)
+
+TICK: Final = 0.005
+# The shortest interval between two counts from which a rate is computed (s).
+SAMPLE: Final = 0.2
+# How long the helper thread of a node may take to look, once it is asked to (s).
+LOOK: Final = 0.3
+
+
+class ForeignNode:
+    """The node of ``record``, whose file is in ``folder``. ``gates`` is None for `gate none`."""
+
+    def __init__(self, record: ForeignRecord, folder: Path, gates: Gates | None) -> None:
+        self.record = record
+        self.gates = gates
+        self.component = record.declaration.declared()
+        self._folder = folder
+        self._since = dict.fromkeys(record.modes, time.monotonic())
+        self._because = dict.fromkeys(record.modes, "started")
+        self._counts: dict[str, deque[tuple[float, int]]] = {}
+
+    async def comes_true(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Wait until ``condition`` holds, no longer than ``timeout`` (s); whether it does."""
+        deadline = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() >= deadline:
+                return False
+            await asyncio.sleep(TICK)
+        return True
+
+    def change_record(self, **changes: Any) -> None:
+        """Change these fields of the record, also in its file. Raises BackendError."""
+        self.record = replace(self.record, **changes)
+        self.record.write(self._folder)
+
+    def require_gates(self) -> Gates:
+        """Raises CommandRefused for `gate none`."""
+        if self.gates is None:
+            raise CommandRefused(f"{self.record.instance} has no gate (`gate none`), so it cannot be held back")
+        return self.gates
+
+    def adjust(self, port: str) -> None:
+        """Open or close the gate of an output, as its attachment and the mode of its functionality say."""
+        if self.gates is None or not self.component.has_output(port):
+            return
+        owner = self.component.owner(port)
+        works = self.record.modes[owner.name] != owner.modes[-1].name
+        self.gates.set_gate(port, works and self.record.links.get(port) == "open")
+
+    def require_attached(self, port: str, topic: str) -> None:
+        """Raises CommandRefused."""
+        if port not in self.record.links or self.record.topics[port] != topic:
+            raise CommandRefused(f"{port} is not attached to {topic}")
+
+    async def matched(self, port: str, wanted: int, patience: float) -> int:
+        """With how many endpoints a port is matched, once that is ``wanted`` or after ``patience`` (s)."""
+        gates = self.require_gates()
+        looked = gates.node.beat
+        gates.page.ring(gates.index)
+        await self.comes_true(lambda: gates.node.beat != looked, LOOK)
+        await self.comes_true(lambda: gates.entry(port).matched >= wanted, patience)
+        return int(gates.entry(port).matched)
+
+    def writers(self, baton: int) -> int:
+        """How many calls of the holder of ``baton`` are publishing."""
+        return self.require_gates().page.word(baton).writers
+
+    def enter_modes(self, modes: Mapping[str, str], because: str) -> None:
+        """Raises CommandRefused if a functionality or one of its modes is not declared."""
+        for name, mode in modes.items():
+            found = self.component.functionalities.get(name)
+            if found is None or mode not in [each.name for each in found.modes]:
+                raise CommandRefused(f"{self.record.instance} has no functionality {name} with a mode {mode!r}")
+        self.change_record(modes={**self.record.modes, **modes})
+        for name in modes:
+            self._since[name], self._because[name] = time.monotonic(), because
+            for port in self.component.functionalities[name].outputs:
+                self.adjust(port)
+
+    def state(self) -> ComponentState:
+        record, now = self.record, time.monotonic()
+        functionalities = {
+            name: FunctionalityState(mode=mode, since=now - self._since[name], because=self._because[name])
+            for name, mode in record.modes.items()
+        }
+        return ComponentState(
+            instance=record.instance,
+            uuid=record.uuid,
+            pid=record.pid,
+            revision=record.revision,
+            functionalities=functionalities,
+            ports={port: {record.topics[port]: self._link(port)} for port in record.links},
+            parameters={},
+            stopping=0.0,
+            waiting=None if record.welcomed else NOT_WELCOMED,
+            node=record.node,
+            imported=1,
+        )
+
+    def _link(self, port: str) -> LinkState:
+        output, gates = self.component.has_output(port), self.gates
+        if gates is None:
+            return LinkState(gate="open" if output else None, count=0)
+        entry = gates.entry(port)
+        gate: GateState | None = None
+        if output:
+            gate = "open" if self.record.links[port] == "open" and gates.has_it(port) else "closed"
+        return LinkState(
+            gate=gate,
+            count=entry.passed,
+            gated=entry.gated,
+            measured=self._measured(port),
+            fenced=output and gates.fenced(port),
+        )
+
+    def _measured(self, port: str) -> Measured:
+        """From the counts at each report, so less exact than a component's own figures; there is no jitter."""
+        gates, now = self.require_gates(), time.monotonic()
+        entry, window = gates.entry(port), window_of(self.component.stated_rate(port, self.record.modes))
+        seen, total = self._counts.setdefault(port, deque()), int(entry.passed + entry.gated)
+        if not seen or now - seen[-1][0] >= SAMPLE:
+            seen.append((now, total))
+        while len(seen) > 2 and seen[1][0] <= now - window:
+            seen.popleft()
+        covered, age = now - seen[0][0], gates.age(port)
+        rate = None if age is None or covered < SAMPLE else (total - seen[0][1]) / covered
+        return Measured(window=window, covered=min(window, covered), rate=rate, age=age)
+
+
+def without_ports(component: ComponentSpec, missing: list[str]) -> ComponentSpec:
+    """``component`` as a node is that lacks the endpoints of these ports."""
+    if not missing:
+        return component
+    kept = {
+        name: replaced(
+            found,
+            inputs=tuple(port for port in found.inputs if port not in missing),
+            outputs=tuple(port for port in found.outputs if port not in missing),
+            modes=tuple(
+                replaced(
+                    mode,
+                    assumptions=(),
+                    guarantees=Map({port: g for port, g in mode.guarantees.items() if port not in missing}),
+                )
+                for mode in found.modes
+            ),
+        )
+        for name, found in component.functionalities.items()
+    }
+    return replaced(
+        component,
+        inputs=Map({name: p for name, p in component.inputs.items() if name not in missing}),
+        input_order=tuple(name for name in component.input_order if name not in missing),
+        outputs=tuple(name for name in component.outputs if name not in missing),
+        functionalities=Map(kept),
+    )
