@@ -182,6 +182,7 @@ def test_a_replacement_is_shown_and_measured(talker: Midstride) -> None:
     assert playing(talker)[1] == "Talker"
 
 
+@pytest.mark.full
 def test_the_paper_s_strategy_is_measured_as_well(talker: Midstride) -> None:
     _, component = playing(talker)
     other = "NewTalker" if component == "Talker" else "Talker"
@@ -394,6 +395,7 @@ def test_the_api_over_tcp(midstride: Midstride) -> None:
     assert answer.json()["valid"]
 
 
+@pytest.mark.full
 def test_several_systems(talker: Midstride) -> None:
     file = str(EXAMPLES / "obstacle" / "obstacle.json")
     assert talker("up", file, "--backend", "sim", "-d").status == 0
@@ -406,6 +408,7 @@ def test_several_systems(talker: Midstride) -> None:
     assert talker("status").status == 0
 
 
+@pytest.mark.full
 def test_the_state_of_a_killed_manager_is_recovered_from(midstride: Midstride) -> None:
     """In the simulator components die with their manager; what is left written must not be in anybody's way."""
     assert midstride("up", TALKER, "--backend", "sim", "-d").status == 0

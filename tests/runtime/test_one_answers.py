@@ -86,6 +86,7 @@ def test_a_replacement_answers_although_the_old_one_dies(at: str, tmp_path: Path
     managed("talker", tmp_path, body, simulator)
 
 
+@pytest.mark.full
 def test_whichever_command_a_manager_sent_last_one_answers_then_and_with_the_next_manager(tmp_path: Path) -> None:
     async def changed_until(manager: Manager, number: int) -> bool:
         """Restart the talker; only ``number`` commands are sent. Whether that was all."""

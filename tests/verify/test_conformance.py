@@ -13,7 +13,7 @@ from tests.verify.conformance import ATOMS, Batch, Disagreement, explained
 from tests.verify.faults import FAULTS, Fault
 from tests.verify.walks import Claim, World, claimed, key, walks
 
-pytestmark = pytest.mark.alloy
+pytestmark = [pytest.mark.alloy, pytest.mark.full]
 
 # Of each fault so many of the claims it changes are put to the specification.
 SHOWN = 2
