@@ -101,7 +101,13 @@ class Nodes:
         await self.cut(old, new)
         incoming, outgoing = await self.results(new, old)
         assert (incoming.outcome, outgoing.outcome) == ("done", "done")
+        # The manager compares what was reported with its model now.
+        assert (self.reported(old), self.reported(new)) == ("closed", "open")
         return outgoing
+
+    def reported(self, instance: str) -> str | None:
+        latest = self.client.latest(instance)
+        return None if latest is None else latest.state.ports["out"][TOPIC].gate
 
     async def gate(self, instance: str) -> str | None:
         return (await self.client.observe(instance)).ports["out"][TOPIC].gate

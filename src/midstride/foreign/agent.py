@@ -26,12 +26,12 @@ from midstride.wire.command_server import CommandServer
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply, Request
 from midstride.wire.program import Program
-from midstride.wire.state import (
-    WireValue,
-)
+from midstride.wire.state import GateState, WireValue
 from midstride.wire.transport import Transport
 
 HEARTBEAT: Final = 0.5
+# How often it looks whether a baton has moved (s).
+WATCH: Final = 0.05
 # How long a node may take to create the publishers and subscriptions that are declared (s).
 ENDPOINTS_TIMEOUT: Final = 20.0
 # A best-effort message right after the match is often lost, one a moment later is not (s).
@@ -54,6 +54,7 @@ class ForeignAgent:
         self._lock = asyncio.Lock()
         self._registered = asyncio.Event()
         self._tasks: list[asyncio.Task[None]] = []
+        self._reported: dict[str, GateState | None] = {}
         greeting = frames.Greeting(
             protocol=frames.PROTOCOL,
             instance=record.instance,
@@ -73,7 +74,7 @@ class ForeignAgent:
             commands.CutOutCommand: self._cuts.cut_out,
             commands.CutInCommand: self._cuts.cut_in,
             commands.CancelCutCommand: self._cuts.cancel_cut,
-            commands.AwaitCutCommand: self._cuts.await_cut,
+            commands.AwaitCutCommand: self._await_cut,
             commands.AwaitIdleCommand: self._await_idle,
             commands.FenceCommand: self._fence,
             commands.ModesCommand: self._modes,
@@ -108,10 +109,11 @@ class ForeignAgent:
         self._server.register(frames.Registration(declaration=declaration, endpoints=[]))
 
     async def _heartbeat(self) -> None:
+        """Report twice a second, and soon after a baton has moved, which the nodes do without a command."""
+        await self._registered.wait()
         while True:
-            await asyncio.sleep(HEARTBEAT)
-            if self._registered.is_set():
-                self._report()
+            await self.node.comes_true(lambda: self.node.gate_states() != self._reported, HEARTBEAT, every=WATCH)
+            self._report()
 
     # -- requests --------------------------------------------------------------------------------------
 
@@ -182,6 +184,7 @@ class ForeignAgent:
         return commands.Done()
 
     def _report(self) -> None:
+        self._reported = self.node.gate_states()
         self._server.report(frames.StateChanged(state=self.node.state()))
 
     # -- modes and gates -------------------------------------------------------------------------------
@@ -285,6 +288,11 @@ class ForeignAgent:
             if rate and age is not None and age > max(HANGS, HANGS_PERIODS / rate):
                 return commands.Idle(busy=f"it has written nothing on {self.node.record.topics[port]} for {age:.1f} s")
         return commands.Idle(busy=None)
+
+    async def _await_cut(self, command: commands.AwaitCutCommand) -> commands.CutResult:
+        result = await self._cuts.await_cut(command)
+        self._report()  # the manager compares what is reported with its model as soon as the change ends
+        return result
 
     async def _fence(self, command: commands.FenceCommand) -> commands.FencedOutputs:
         gates = self.node.require_gates()

@@ -46,13 +46,13 @@ class ForeignNode:
         self._because = dict.fromkeys(record.modes, "started")
         self._counts: dict[str, deque[tuple[float, int]]] = {}
 
-    async def comes_true(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Wait until ``condition`` holds, no longer than ``timeout`` (s); whether it does."""
+    async def comes_true(self, condition: Callable[[], bool], timeout: float, every: float = TICK) -> bool:
+        """Wait until ``condition`` holds, no longer than ``timeout`` (s); whether it does. ``every``: in s."""
         deadline = time.monotonic() + timeout
         while not condition():
             if time.monotonic() >= deadline:
                 return False
-            await asyncio.sleep(TICK)
+            await asyncio.sleep(every)
         return True
 
     def change_record(self, **changes: Any) -> None:
@@ -124,20 +124,28 @@ class ForeignNode:
             imported=1,
         )
 
+    def gate_states(self) -> dict[str, GateState | None]:
+        """By attached port. An output is open where the node also has the baton; inputs have none."""
+        return {port: self._gate_state(port) for port in self.record.links}
+
+    def _gate_state(self, port: str) -> GateState | None:
+        if not self.component.has_output(port):
+            return None
+        if self.gates is None:
+            return "open"
+        return "open" if self.record.links[port] == "open" and self.gates.has_it(port) else "closed"
+
     def _link(self, port: str) -> LinkState:
-        output, gates = self.component.has_output(port), self.gates
+        gates = self.gates
         if gates is None:
-            return LinkState(gate="open" if output else None, count=0)
+            return LinkState(gate=self._gate_state(port), count=0)
         entry = gates.entry(port)
-        gate: GateState | None = None
-        if output:
-            gate = "open" if self.record.links[port] == "open" and gates.has_it(port) else "closed"
         return LinkState(
-            gate=gate,
+            gate=self._gate_state(port),
             count=entry.passed,
             gated=entry.gated,
             measured=self._measured(port),
-            fenced=output and gates.fenced(port),
+            fenced=self.component.has_output(port) and gates.fenced(port),
         )
 
     def _measured(self, port: str) -> Measured:
