@@ -13,9 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from midstride.simulation.campaign import Summary, simulate_many
+from midstride.simulation.campaign import Summary, simulate, simulate_many
 from midstride.simulation.faults import KINDS
-from midstride.simulation.run import simulate
 from tests.simulation.planted import PLANTED, planted
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(0)]

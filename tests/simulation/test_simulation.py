@@ -8,9 +8,8 @@ import sys
 
 import pytest
 
-from midstride.simulation.campaign import Summary, simulate_many
+from midstride.simulation.campaign import Summary, simulate, simulate_many
 from midstride.simulation.faults import KINDS
-from midstride.simulation.run import simulate
 from tests.simulation.planted import planted
 
 # How many seeds `make test` runs, and in how many parts, which run at the same time.
@@ -46,7 +45,7 @@ def test_a_run_repeats_exactly_also_in_another_process() -> None:
     here = [simulate(seed).digest for seed in seeds]
     assert [simulate(seed).digest for seed in seeds] == here
     assert len(set(here)) == len(here)
-    code = f"from midstride.simulation.run import simulate; print([simulate(seed).digest for seed in {seeds!r}])"
+    code = f"from midstride.simulation.campaign import simulate; print([simulate(seed).digest for seed in {seeds!r}])"
     environment = {**os.environ, "PYTHONHASHSEED": "4711"}
     result = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert result.stdout.strip() == str(here)

@@ -132,6 +132,19 @@ class SeededLoop(asyncio.AbstractEventLoop):
             asyncio._set_running_loop(None)
         return done.result()
 
+    def end(self) -> None:
+        """Cancel what is left, and close."""
+        try:
+            asyncio._set_running_loop(self)
+            tasks = asyncio.all_tasks(self)
+            for task in tasks:
+                task.cancel()
+            asyncio._set_running_loop(None)
+            if tasks:
+                self.run_until_complete(asyncio.gather(*tasks, return_exceptions=True))
+        finally:
+            self.close()
+
     # -- running -----------------------------------------------------------------------------------
 
     def _run(self, done: asyncio.Future[Any]) -> None:
@@ -174,13 +187,4 @@ def run(loop: SeededLoop, main: Coroutine[Any, Any, T]) -> T:
     try:
         return loop.run_until_complete(main)  # type: ignore[no-any-return]
     finally:
-        try:
-            asyncio._set_running_loop(loop)
-            tasks = asyncio.all_tasks(loop)
-            for task in tasks:
-                task.cancel()
-            asyncio._set_running_loop(None)
-            if tasks:
-                loop.run_until_complete(asyncio.gather(*tasks, return_exceptions=True))
-        finally:
-            loop.close()
+        loop.end()

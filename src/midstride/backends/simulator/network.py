@@ -116,7 +116,7 @@ class Network:
         # The manager's endpoints, and when each was created; they belong to no process.
         self.probes: dict[str, float] = {}
         self._jitter = jitter
-        self._random = random.Random(seed)
+        self.random = random.Random(seed)
         self._identities = 0
         # The processes that find no endpoints any more, and since when (steady s): a fault.
         self.undiscovering: dict[SimulatedProcess, float] = {}
@@ -196,7 +196,7 @@ class Network:
     def _send(
         self, writer: SimulatedWriter, reader: SimulatedReader, message: Any, info: Any, extra: float = 0.0
     ) -> None:
-        jitter = self._random.uniform(0.0, self._jitter) if self._jitter else 0.0
+        jitter = self.random.uniform(0.0, self._jitter) if self._jitter else 0.0
         at = self.clock.steady() + self.latency + jitter + self.topic(writer.topic).delay + extra
         waiting = self._in_flight.setdefault((writer, reader), deque())
         if waiting:
