@@ -15,7 +15,7 @@ from midstride.simulation.scenario import Scenario, rover
 from midstride.simulation.system import System
 
 # How many seeds in succession change one system: the first of them brings it up.
-SHARED_BY: Final = 10
+SHARED_BY: Final = 20
 
 
 @dataclass

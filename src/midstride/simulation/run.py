@@ -81,7 +81,6 @@ class Simulation:
         self._loop, self._platform, self._disk = system.loop, system.platform, system.disk
         self._loop.random.seed(self._random.getrandbits(32))
         self._platform.reseed(self._random.getrandbits(32))
-        self._loop.errors.clear()
         system.on_event, system.on_exit = self._on_manager_event, self._on_exit
         system.invariants.begin(self._reaction, self._punctual, self._uninterrupted, self._violated)
         self._platform.control.before_request = self._before_request
@@ -118,6 +117,7 @@ class Simulation:
     # -- what happens ------------------------------------------------------------------------------
 
     async def _supervised(self) -> None:
+        self._loop.errors.clear()
         try:
             await self._main()
         except MidstrideError as error:
@@ -128,7 +128,7 @@ class Simulation:
             self._platform.time.drive(1.0)
         if self._system.manager is None:
             await self._up()
-        await asyncio.sleep(0.3)
+            await asyncio.sleep(SETTLING)
         self._note("faults", "on: " + "; ".join(map(str, self._faults)))
         self._waiting, self._faulty = list(self._faults), True
         self._since, self._step = {"change": 0}, "none"
@@ -155,6 +155,7 @@ class Simulation:
     async def _ended(self, life: Life, command: Any) -> Any:
         """The result of a command; None where its manager is killed meanwhile."""
         task = asyncio.ensure_future(command)
+        task.add_done_callback(lambda task: task.cancelled() or task.exception())  # retrieved, also if it is abandoned
         begun = self._platform.time.steady()
         self._busy = True
         try:
@@ -165,7 +166,6 @@ class Simulation:
                     self._reached("manager killed")
                     return None
                 if life.cut_off is not None:
-                    task.add_done_callback(lambda task: task.cancelled() or task.exception())  # retrieved
                     self._note("manager", "cut off")
                     return None
                 if self._platform.time.steady() - begun > LONGEST_CHANGE:
@@ -214,7 +214,7 @@ class Simulation:
             for name in closed_outputs(self._platform):
                 self._violated(f"{name} is closed after a roll-back")
         request = self._again(manager)
-        outcome = await self._ended(self._system.lives[-1], manager.change(request, brief=self._brief))
+        outcome = await self._ended(self._system.lives[-1], manager.change(request, brief=True))
         if outcome is None or outcome.outcome != "done":
             because = "the manager is dead" if outcome is None else outcome.because
             self._violated(f"without faults, `{request.describe()}` is not done: {because}")

@@ -36,6 +36,7 @@ class System:
 
     def __init__(self, specification: Specification, specifications: list[Specification]) -> None:
         self.specification = specification
+        gc.disable()  # finalizers would be called at moments that differ from run to run; and it takes time
         # What it does not implement, sockets and processes, the simulation does not have.
         self.loop = SeededLoop(0)  # type: ignore[abstract]
         self.platform = Platform(self._on_change)
@@ -52,11 +53,9 @@ class System:
     def run(self, main: Coroutine[Any, Any, None]) -> None:
         """Run the coroutine; what else is under way goes on meanwhile. Raises BackendError, as the loop does."""
         logging.disable(logging.CRITICAL)
-        gc.disable()  # finalizers would be called at moments that differ from run to run; and it takes time
         try:
             self.loop.run_until_complete(main)
         finally:
-            gc.enable()
             logging.disable(logging.NOTSET)
 
     def new_manager(self) -> Manager:
@@ -82,8 +81,8 @@ class System:
 
     def recorded(self) -> list[str]:
         """The instances that the next manager would find."""
-        saved = self.saved()
-        return [] if saved is None else sorted(each.instance.name for each in saved.instances)
+        database = self.disk.read_only(WORKSPACE.state)
+        return [] if database is None else [name for (name,) in database.read("SELECT name FROM instances")]
 
     def lease(self) -> str | None:
         """Which manager has the lease."""
@@ -93,6 +92,7 @@ class System:
 
     def close(self) -> None:
         """End everything that is left of it."""
+        self.on_event, self.on_exit = lambda life, event: None, lambda process: None
         self.invariants.violated = lambda words: None
 
         async def end() -> None:
@@ -105,6 +105,7 @@ class System:
                 self.run(end())
             finally:
                 self.loop.end()
+        gc.enable()
 
     def _on_change(self, process: StandIn) -> None:
         self.invariants.on_change(process)
