@@ -159,7 +159,6 @@ class SeededLoop(asyncio.AbstractEventLoop):
             if not batch:
                 self._jump()
                 batch, at_once = self._ready, 0
-            self._ready = []
             if len(batch) > 1:
                 at_once += len(batch)
                 for last in range(len(batch) - 1, 0, -1):  # random.shuffle, which takes several times longer
@@ -170,6 +169,7 @@ class SeededLoop(asyncio.AbstractEventLoop):
             if at_once > MOST_AT_ONCE:
                 words = f"{batch[0].callback!r} and others run for ever"
                 raise BackendError(f"livelock at {self._now:.6f} s: {words}")
+            self._ready = []
             for handle in batch:
                 if not handle.cancelled_:
                     try:
