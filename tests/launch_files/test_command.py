@@ -28,7 +28,7 @@ def test_the_specification_is_printed_and_the_findings_beside_it(
     assert printed.out.endswith("node me : A\n")
     assert printed.err.splitlines() == [
         "robot.launch.xml:3: package: package `nix` is not here",
-        "1 nodes from 1 launch files; 1 findings (1 package)",
+        "1 node from 1 launch file; 1 finding (1 package)",
     ]
 
 

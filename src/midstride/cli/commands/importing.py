@@ -58,8 +58,12 @@ def _arguments(words: tuple[str, ...]) -> dict[str, str]:
 def _summary(imported: Imported, output: Path | None) -> str:
     counts = ", ".join(f"{count} {kind}" for kind, count in imported.findings.counts().items())
     where = f" in {output}" if output is not None else ""
-    left = f"{len(imported.findings)} findings ({counts})" if counts else "no findings"
-    return f"{imported.nodes} nodes{where} from {imported.files} launch files; {left}"
+    left = f"{_number(len(imported.findings), 'finding')} ({counts})" if counts else "no findings"
+    return f"{_number(imported.nodes, 'node')}{where} from {_number(imported.files, 'launch file')}; {left}"
+
+
+def _number(count: int, word: str) -> str:
+    return f"{count} {word}{'' if count == 1 else 's'}"
 
 
 def _print_document(imported: Imported, output: Path | None) -> None:
