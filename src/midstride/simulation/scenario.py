@@ -141,7 +141,7 @@ _steps: dict[tuple[object, ...], list[str]] = {}
 
 def _steps_of(specification: Specification, request: PlanRequest) -> list[str]:
     target = request.target(specification)
-    change = change_between(initial(specification), specification, target, renewed=request.renewed())
+    change = change_between(initial(specification), specification, target, renewed=request.renewed(target))
     kinds = [step.action.kind for step in planner(request.strategy)(change).steps]
     return kinds + 2 * [kind for kind in kinds if kind == "handover"]
 
