@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -44,10 +46,16 @@ class Node(LifecycleNode):
     def on_configure(self, state):
         if self.get_name().startswith("talker"):
             self.out = self.create_lifecycle_publisher(String, "chatter", 10)
-            self.create_timer(0.02, lambda: self.out.is_activated and self.out.publish(String(data=self.get_name())))
+            self.count = 0
+            self.create_timer(0.02, self.talk)
         else:
             self.create_subscription(String, "chatter", lambda message: None, 10)
         return self.note("configure")
+
+    def talk(self):
+        if self.out.is_activated:
+            self.count += 1
+            self.out.publish(String(data=f"{self.get_name()} {self.count}"))
 
     def on_activate(self, state):
         super().on_activate(state)
@@ -105,12 +113,16 @@ node listener : Listener { in <- /chat }
 """
 
 
+def manager_of(folder: Path, text: str) -> Manager:
+    (folder / "node.py").write_text(PROGRAM, encoding="utf-8")
+    (folder / "chat.stride").write_text(text, encoding="utf-8")
+    (folder / "system").mkdir()
+    workspace = Workspace(folder / "system")
+    return Manager(load(folder / "chat.stride").require(), backends.make("ros2", workspace), workspace, folder)
+
+
 def test_their_transitions_are_the_steps_of_a_change(tmp_path: Path) -> None:
-    (tmp_path / "node.py").write_text(PROGRAM, encoding="utf-8")
-    (tmp_path / "chat.stride").write_text(TEXT, encoding="utf-8")
-    (tmp_path / "system").mkdir()
-    workspace = Workspace(tmp_path / "system")
-    manager = Manager(load(tmp_path / "chat.stride").require(), backends.make("ros2", workspace), workspace, tmp_path)
+    manager = manager_of(tmp_path, TEXT)
     heard: list[str] = []
 
     def events() -> list[str]:
@@ -133,7 +145,7 @@ def test_their_transitions_are_the_steps_of_a_change(tmp_path: Path) -> None:
             "talker configure hi 1.5",
         ]
         with Bare("recorder") as bare:
-            bare.node.create_subscription(String, "/chat", lambda message: heard.append(message.data), 1000)
+            bare.node.create_subscription(String, "/chat", lambda message: heard.append(message.data.split()[0]), 1000)
 
             async def changed(component: str, writer: str, strategy: str = "minimal") -> Outcome:
                 outcome = await manager.change(PlanRequest(replace=(("talker", component),), strategy=strategy))
@@ -185,3 +197,34 @@ def test_their_transitions_are_the_steps_of_a_change(tmp_path: Path) -> None:
 
     with ended():
         run(scenario(), 280)
+
+
+def test_with_the_library_no_message_is_missed(tmp_path: Path) -> None:
+    manager = manager_of(tmp_path, TEXT.replace("gate lifecycle", "gate lifecycle preload"))
+    heard: list[tuple[str, int]] = []
+
+    async def scenario() -> None:
+        from std_msgs.msg import String
+
+        await manager.up()
+        with Bare("recorder") as bare:
+
+            def hear(message: String) -> None:
+                name, number = message.data.split()
+                heard.append((name, int(number)))
+
+            bare.node.create_subscription(String, "/chat", hear, 1000)
+            await bare.until(lambda: len(heard) > 20, 60)
+            change = asyncio.ensure_future(manager.change(PlanRequest(replace=(("talker", "Other"),))))
+            await bare.until(change.done, 90)
+            assert (change.result().outcome, change.result().because) == ("done", None)
+            count = len(heard)
+            await bare.until(lambda: len(heard) > count + 20, 60)
+        assert (await manager.status()).valid
+        await manager.down()
+        await manager.close()
+
+    with ended():
+        run(scenario(), 280)
+    assert [(old, new) for (old, _), (new, _) in pairwise(heard) if old != new] == [("talker", "talker_2")]
+    assert all(number == last + 1 for (before, last), (writer, number) in pairwise(heard) if before == writer)

@@ -187,6 +187,7 @@ def test_an_old_one_that_cannot_be_deactivated_goes_on(tmp_path: Path) -> None:
     managed(tmp_path, body, {"Talker": {"refuses": {"deactivate"}}})
 
 
+@pytest.mark.full
 def test_the_next_manager_finds_one_of_two_active(tmp_path: Path) -> None:
     """A manager ends at any moment of a hand-over."""
     for moment in range(30):
