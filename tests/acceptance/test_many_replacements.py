@@ -9,12 +9,15 @@ from __future__ import annotations
 import asyncio
 import itertools
 import os
+import time
+from bisect import bisect_left, bisect_right
 from pathlib import Path
 
 import pytest
 
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
+from midstride.runtime.measure import Observation
 from midstride.runtime.reports import Event
 from midstride.wire.commands import Receipt
 from tests.acceptance.support import (
@@ -122,18 +125,36 @@ def test_the_status_is_true_while_readers_come_and_go(tmp_path: Path, monkeypatc
     assert len(given_up) <= GIVEN_UP_AT_MOST * POLLED_REPLACEMENTS, given_up
     assert len(seen) == POLLED_REPLACEMENTS
     outside = by_source(rows)
+    sources = sorted(outside)
     disagreeing = []
     for number, observed in enumerate(seen):
         own = by_source(window(observed))
-        heard = {source for source in outside if min(own) <= source <= max(own)}
+        heard = set(sources[bisect_left(sources, min(own)) : bisect_right(sources, max(own))])
         if own.keys() != heard:
-            missed, extra = sorted(own.keys() - heard), sorted(heard - own.keys())
-            # Of its publisher's messages, the number of each: the first ones, where a reader was found late.
-            at = [row.number for row in (*map(own.get, missed), *map(outside.get, extra)) if row is not None]
+            inside, elsewhere = own.keys() - heard, heard - own.keys()
+            rows = sorted(map((own | outside).__getitem__, own.keys() ^ heard), key=lambda row: row.received)
             disagreeing.append(
-                f"{number}: {len(missed)} only inside, {len(extra)} only outside, numbers {at}; {notes[number]}"
+                f"{number}: {len(inside)} only inside, {len(elsewhere)} only outside; {notes[number]}; "
+                f"{(observed.ended - observed.begun) / 1e9:.2f} s; number, publisher, published and received after "
+                f"the beginning (s), longest silence inside just then (s): {[described(row, observed) for row in rows]}"
             )
     assert not disagreeing, "\n".join(disagreeing)
+
+
+def described(row: Receipt, observed: Observation) -> tuple[int | None, str, float, float, float]:
+    """Which message it is, when it came, and for how long the component that should have it received nothing."""
+    assert row.source is not None
+    times = sorted(other.received for other in observed.rows)
+    place = bisect_left(times, row.received)
+    silence = max((b - a for a, b in itertools.pairwise(times[max(place - 2, 0) : place + 2])), default=0)
+    steady = row.source - time.time_ns() + time.monotonic_ns()
+    return (
+        row.number,
+        str(row.publisher)[-12:],
+        round((steady - observed.begun) / 1e9, 3),
+        round((row.received - observed.begun) / 1e9, 3),
+        round(silence / 1e9, 3),
+    )
 
 
 async def poll(manager: Manager) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import re
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,18 +15,17 @@ from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
-from tests.acceptance.support import ROOT, ended
+from tests.acceptance.foreign_support import programs_of_the_page
+from tests.acceptance.support import ended
 from tests.backends.ros2_support import Bare, run
 
-PAGE = ROOT / "docs" / "how-to" / "unmodified-nodes.md"
 SWAPS = int(os.environ.get("MIDSTRIDE_UNMODIFIED_SWAPS", "4"))
 pytestmark = [pytest.mark.ros2, pytest.mark.full, pytest.mark.timeout(120 + 10 * SWAPS)]
 
 
 def specification(folder: Path) -> Specification:
     """That of the page, with its programs in ``folder``."""
-    for name, text in re.findall(r"```\w+ file=(\S+)\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL):
-        (folder / name).write_text(text, encoding="utf-8")
+    programs_of_the_page(folder)
     return load(folder / "chat.stride").require()
 
 

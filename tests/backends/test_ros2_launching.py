@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import sysconfig
 from pathlib import Path
 
 import pytest
@@ -89,6 +90,32 @@ def test_the_same_interpreter_keeps_its_libraries_and_another_one_finds_its_own(
     assert "LD_LIBRARY_PATH" not in alone
     sourced = environment(launch(), "/usr/bin/python3", DEFAULTS, {"LD_LIBRARY_PATH": own})
     assert sourced["LD_LIBRARY_PATH"] == own  # not of the wheels: a distribution's own setting
+
+
+def test_a_program_that_is_linked_with_the_wheels_gets_their_libraries(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prefix = tmp_path / "venv"
+    (prefix / "lib").mkdir(parents=True)
+    (prefix / "lib" / "librcl.so").touch()
+    monkeypatch.setattr(sys, "prefix", str(prefix))
+    wheels = f"{prefix}/lib/python3/site-packages/ros_rcl.libs:{prefix}/lib"
+    base = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "LD_LIBRARY_PATH": wheels}
+    program = tmp_path / "talker"
+    for content, linked in (
+        (b"\x7fELF\0\0librcl.so\0libc.so.6\0", True),
+        (b"\x7fELF\0\0libc.so.6\0", False),
+        (b"#!/bin/sh\nexec env LD_PRELOAD=librcl.so talker\n", False),
+    ):
+        program.write_bytes(content)
+        given = environment(launch(), str(program), DEFAULTS, base)
+        assert given.get("LD_LIBRARY_PATH", "").startswith(wheels) == linked
+        assert sysconfig.get_config_var("LIBDIR") in given.get("LD_LIBRARY_PATH", "").split(":") or not linked
+        assert "_ROS_WHEELS_BOOTSTRAP_COMPLETE" not in given  # a Python that it starts is another one
+        assert (
+            environment(launch(), str(program), DEFAULTS, {"LD_LIBRARY_PATH": "/opt/ros/lib"})["LD_LIBRARY_PATH"]
+            == "/opt/ros/lib"
+        )  # sourced: as it is
 
 
 def test_ros_1_is_taken_off_the_path(tmp_path: Path) -> None:

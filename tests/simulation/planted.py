@@ -166,7 +166,7 @@ def _saved_by_superseded(patch: pytest.MonkeyPatch) -> None:
     """A superseded manager goes on to save the state of the system."""
 
     def write(self: Any, statements: Any) -> None:
-        self._holds = False
+        self._lease.renew()
         original(self, statements)
 
     original = state_store.StateStore._write

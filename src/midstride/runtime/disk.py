@@ -7,6 +7,7 @@ another :class:`Disk` can make a write fail, lose it, or cut it off.
 from __future__ import annotations
 
 import os
+import secrets
 import sqlite3
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -50,6 +51,33 @@ class Database:
     def close(self) -> None:
         with self._lock, suppress(sqlite3.Error):
             self.connection.close()
+
+
+class Lease:
+    """The right to write to a database of a system, kept in its ``table``: the manager that took it last has it."""
+
+    def __init__(self, table: str) -> None:
+        self.superseded = False  # another manager has taken it
+        self._taken = False
+        self._holder = (f"{os.getpid()} {secrets.token_hex(8)}",)
+        self._take: Statement = (f"INSERT OR REPLACE INTO {table} VALUES ('holder', ?)", self._holder)
+        self._held: Statement = (f"SELECT 1 FROM {table} WHERE key = 'holder' AND value = ?", self._holder)
+
+    def write(self, database: Database, statements: Iterable[Statement]) -> None:
+        """As :meth:`Database.write`; the first write takes the lease. Raises Superseded if it has been lost since."""
+        if not self._taken:
+            database.write([self._take, *statements])
+            self._taken = True
+            return
+        try:
+            database.write(statements, only_if=self._held)
+        except Superseded:
+            self.superseded = True
+            raise
+
+    def renew(self) -> None:
+        """The database is a new one: the next write takes the lease."""
+        self._taken = False
 
 
 class Disk:

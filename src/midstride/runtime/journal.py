@@ -10,8 +10,6 @@ journal, but from the components (docs/semantics.md section 7).
 from __future__ import annotations
 
 import asyncio
-import os
-import secrets
 import sqlite3
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -25,7 +23,7 @@ import msgspec
 from midstride.errors import ManagerError, MidstrideError, Superseded
 from midstride.model.specification import Specification
 from midstride.runtime import journal_records
-from midstride.runtime.disk import DISK, Database, Disk, Statement
+from midstride.runtime.disk import DISK, Database, Disk, Lease, Statement
 from midstride.runtime.history import History, SpecificationVersion, read_history, read_specification
 from midstride.runtime.journal_records import Interrupted, NewChange
 from midstride.runtime.measure import SwapReport
@@ -42,7 +40,6 @@ INCIDENTS: Final = frozenset(
 BACKLOG: Final = 2_000
 # SQLite's words for damage that it reports as an error of the statement.
 _DAMAGE: Final = ("no such table", "no such column", "Could not decode")
-_HOLDER: Final = "SELECT 1 FROM about WHERE key = 'holder' AND value = ?"
 
 
 class Journal:
@@ -60,13 +57,16 @@ class Journal:
         self._backend = backend
         self._disk = disk
         self._database: Database | None = None
-        self._holder = f"{os.getpid()} {secrets.token_hex(8)}"
-        self._holds = False  # the lease: taken with the first write to a file
-        self.superseded = False  # another manager has taken it
+        self._lease = Lease("about")
         self._backlog: list[Statement] = []
         self._flushing: asyncio.Task[None] | None = None
         self._writer = ThreadPoolExecutor(1, "journal")  # one thread: writes happen in order
         self._closed = False
+
+    @property
+    def superseded(self) -> bool:
+        """Another manager of the system has taken the lease."""
+        return self._lease.superseded
 
     async def take_over(self) -> list[Interrupted]:
         """Take the lease, with a later write if the disk refuses it; returns what was interrupted, oldest first.
@@ -89,7 +89,7 @@ class Journal:
         self._closed = True
         if self._flushing is not None:
             self._flushing.cancel()
-        self._writer.shutdown()  # waits for the writes that have begun, also where nobody awaits them any more
+        self._writer.shutdown()  # waits for the writes that have begun, including those whose caller was cancelled
         with suppress(Superseded):
             if self._backlog:
                 self._write(())
@@ -158,16 +158,7 @@ class Journal:
 
     def _commit(self, database: Database, statements: Sequence[Statement]) -> None:
         waiting = self._backlog[:]
-        if self._holds:
-            try:
-                database.write([*waiting, *statements], only_if=(_HOLDER, (self._holder,)))
-            except Superseded:
-                self.superseded = True
-                raise
-        else:
-            lease = ("INSERT OR REPLACE INTO about VALUES ('holder', ?)", (self._holder,))
-            database.write([lease, *waiting, *statements])
-        self._holds = True
+        self._lease.write(database, [*waiting, *statements])
         del self._backlog[: len(waiting)]
         self.unwritten = None
 
@@ -247,7 +238,7 @@ class Journal:
 
     def _keep_aside(self, error: Exception) -> str:
         self._disconnect()
-        self._holds = False
+        self._lease.renew()
         aside = self._disk.set_aside(self.path)
         self.damaged = f"the journal {self.path} was damaged ({error}): it is kept as {aside}, and a new one is begun"
         return self.damaged

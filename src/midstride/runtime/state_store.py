@@ -7,7 +7,6 @@ on the size of the system.
 
 from __future__ import annotations
 
-import secrets
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
@@ -26,7 +25,7 @@ from midstride.errors import ManagerError, MidstrideError, Superseded
 from midstride.model.configuration import Instance
 from midstride.model.specification import Specification
 from midstride.runtime.backend import Handle
-from midstride.runtime.disk import DISK, Database, Disk, Statement
+from midstride.runtime.disk import DISK, Database, Disk, Lease, Statement
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.wire.folders import COMPONENTS
 
@@ -43,7 +42,6 @@ CREATE TABLE IF NOT EXISTS instances (name TEXT PRIMARY KEY, form TEXT NOT NULL,
 _REST: Final = "rest"
 # Before the name of a role, for its parameter values that were set at run time.
 _VALUES: Final = "values of "
-_HOLDER: Final = "SELECT 1 FROM system WHERE key = 'holder' AND value = ?"
 # Statements by what they write.
 _Statements: TypeAlias = dict[str, Statement]
 
@@ -86,9 +84,12 @@ class StateStore:
         self._database: Database | None = None
         self._specification = Specification("")  # as last written
         self._pending: _Statements = {}  # writes that failed
-        self._holder = secrets.token_hex(8)
-        self._holds = False  # the lease: taken with the first write
-        self.superseded = False  # another manager has taken it
+        self._lease = Lease("system")
+
+    @property
+    def superseded(self) -> bool:
+        """Another manager of the system has taken the lease."""
+        return self._lease.superseded
 
     # -- reading -----------------------------------------------------------------------------------
 
@@ -215,7 +216,7 @@ class StateStore:
         """Delete the database: the system is down, or was never up."""
         self.close()
         self._disk.remove(self.path)
-        self._holds = False
+        self._lease.renew()
 
     def close(self) -> None:
         database, self._database = self._database, None
@@ -228,12 +229,9 @@ class StateStore:
     def _write(self, statements: _Statements) -> None:
         self._pending.update(statements)
         try:
-            if self._holds:
-                self._open().write(self._pending.values(), only_if=(_HOLDER, (self._holder,)))
-            else:
-                self._open().write([*_puts("holder", self._holder).values(), *self._pending.values()])
+            self._lease.write(self._open(), self._pending.values())
         except Superseded as error:
-            self.superseded, self.unwritten = True, str(error)
+            self.unwritten = str(error)
             self._pending.clear()
             return
         except (sqlite3.Error, OSError) as error:
@@ -243,7 +241,7 @@ class StateStore:
             self.unwritten = why
             return
         self._pending.clear()
-        self._holds, self.unwritten = True, None
+        self.unwritten = None
 
     def _open(self) -> Database:
         if self._database is None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
+import sysconfig
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
@@ -25,8 +27,12 @@ def environment(
     result, variables = dict(base), settings.variables
     if program != sys.executable:
         if result.pop(_BOOTSTRAPPED, None) is not None:
-            # It finds its own libraries: those of the wheels in this interpreter's prefix would come first.
-            drop_paths(result, "LD_LIBRARY_PATH", lambda path: not path or Path(path).is_relative_to(sys.prefix))
+            if _is_linked_with_wheels(program):
+                # The wheels' librcl needs the library of Python, too, which no wheel contains.
+                result["LD_LIBRARY_PATH"] += f"{os.pathsep}{sysconfig.get_config_var('LIBDIR')}"
+            else:
+                # It finds its own libraries: those of the wheels in this interpreter's prefix would come first.
+                drop_paths(result, "LD_LIBRARY_PATH", lambda path: not path or Path(path).is_relative_to(sys.prefix))
         # The Fast DDS that it will load may be another one than the manager's.
         major = dds_profiles.installed_major(Path(program).parent.parent)
         if major is not None and variables:
@@ -34,3 +40,16 @@ def environment(
     # ROS 1 and ROS 2 on one path break each other's messages.
     drop_paths(result, "PYTHONPATH", lambda path: os.path.isdir(os.path.join(path, "rospy")))
     return {**result, **variables, **processes.identity(launch, "ros2", control)}
+
+
+def _is_linked_with_wheels(program: str) -> bool:
+    """Whether ``program`` is compiled, and linked with a library that the ROS wheels have installed."""
+    try:
+        content = Path(program).read_bytes()
+    except OSError:
+        return False
+    if not content.startswith(b"\x7fELF"):
+        return False
+    # The names of needed libraries are among the strings of the file.
+    named = set(re.findall(rb"(?<=\0)lib[\w.+-]+\.so[.\d]*(?=\0)", content))
+    return any((Path(sys.prefix) / "lib" / os.fsdecode(name)).exists() for name in named)

@@ -1,0 +1,165 @@
+"""Talkers of every kind on real ROS 2: in plain rclpy, in C on rcl, and with Midstride's API. They replace each other.
+
+Each publishes "NAME NUMBER", where NAME is that of its instance, and a bare recorder listens.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import time
+from collections.abc import AsyncIterator, Awaitable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from midstride import backends
+from midstride.lang.load import load
+from midstride.model.specification import Specification
+from midstride.plan.request import PlanRequest
+from midstride.runtime.manager import Manager
+from midstride.runtime.reports import Outcome
+from midstride.runtime.workspace import Workspace
+from tests.acceptance.support import ROOT
+from tests.backends.ros2_support import Bare
+from tests.native import compiled
+
+PAGE = ROOT / "docs" / "how-to" / "unmodified-nodes.md"
+
+OURS = """
+import os
+
+from midstride import Component
+from std_msgs.msg import String
+
+comp = Component("Ours")
+out = comp.create_output("out", String)
+talk = comp.create_functionality("talk", outputs=[out])
+count = 0
+
+def normal():
+    global count
+    count += 1
+    out.write(String(data=f"{os.environ['MIDSTRIDE_INSTANCE']} {count}"))
+
+talk.set_normal_mode(normal, rate=50, outputs=[out])
+talk.set_degraded_mode(lambda: None)
+comp.start()
+"""
+
+TALKER = """component %s {
+  run "%s"
+  output out%s
+  functionality talk {
+    produces out
+    mode normal   { guarantee out : std_msgs/msg/String @ %g Hz }
+    mode degraded { }
+  }
+}
+"""
+
+
+def programs_of_the_page(folder: Path) -> None:
+    """The files that the how-to shows, in ``folder``."""
+    for name, text in re.findall(r"```\w+ file=(\S+)\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL):
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+def talkers(folder: Path, first: str = "Plain", rate: float = 50) -> Specification:
+    """A node `talker`, at first a ``first``; it can become `Plain` (rclpy), `Native` (C) and `Ours`, at ``rate`` Hz.
+
+    All write at 50 Hz, but `Native` at ``rate``.
+    """
+    programs_of_the_page(folder)
+    (folder / "ours.py").write_text(OURS, encoding="utf-8")
+    compiled(folder)
+    text = f"system swaps\ntopic /chat : std_msgs/msg/String @ {rate:g} Hz\n"
+    for name, run, gate in (
+        ("Plain", "python3 talker.py", " gate preload"),
+        ("Native", f"./c_talker {1e9 / rate:.0f} chatter", " gate preload"),
+        ("Ours", "python3 ours.py", ""),
+    ):
+        words = TALKER % (name, run, " as chatter" if gate else "", rate if name == "Native" else 50)
+        text += words.replace(f'"{run}"', f'"{run}"{gate}')
+    path = folder / "swaps.stride"
+    path.write_text(f"{text}node talker : {first} {{ out -> /chat }}\n", encoding="utf-8")
+    return load(path).require()
+
+
+@dataclass
+class Robot:
+    """A system that runs, and what a bare recorder hears of it: when (monotonic, s), from which instance, number."""
+
+    folder: Path
+    manager: Manager
+    bare: Bare
+    heard: list[tuple[float, str, int]] = field(default_factory=list)
+
+    def hear(self, message: Any) -> None:
+        name, number = message.data.split()
+        self.heard.append((time.monotonic(), name, int(number)))
+
+    async def hears(self, messages: int = 20) -> None:
+        """Return when so many more have been heard."""
+        count = len(self.heard)
+        await self.bare.until(lambda: len(self.heard) >= count + messages, 60)
+
+    async def meanwhile(self, work: Awaitable[Any]) -> Any:
+        task = asyncio.ensure_future(work)
+        await self.bare.until(task.done, 120)
+        return task.result()
+
+    async def change(self, component: str) -> Outcome:
+        """Replace the talker by a ``component``; it may be refused."""
+        report: Outcome = await self.meanwhile(self.manager.change(PlanRequest(replace=(("talker", component),))))
+        return report
+
+    async def replaced(self, component: str) -> None:
+        report = await self.change(component)
+        assert (report.outcome, report.because) == ("done", None)
+        await self.hears()
+
+    async def another_manager(self) -> None:
+        """The manager ends; the nodes go on, and the next one goes on with them."""
+        await self.manager.close()
+        await self.hears()
+        self.manager = manager_of(self.manager.specification, self.folder)
+        await self.manager.up()
+
+    def changes(self) -> list[tuple[str, str]]:
+        """Each change of the writer that was heard."""
+        return [(old, new) for (_, old, _), (_, new, _) in pairwise(self.heard) if old != new]
+
+    def holes(self) -> list[str]:
+        """Messages that are missing between two of one writer."""
+        return [
+            f"{name}: {last} to {number}"
+            for (_, before, last), (_, name, number) in pairwise(self.heard)
+            if name == before and number != last + 1
+        ]
+
+
+def manager_of(specification: Specification, folder: Path) -> Manager:
+    workspace = Workspace(folder / "system")
+    return Manager(specification, backends.make("ros2", workspace), workspace, folder)
+
+
+@asynccontextmanager
+async def robot(specification: Specification, folder: Path, topic: str = "/chat") -> AsyncIterator[Robot]:
+    """Bring ``specification``, whose programs are in ``folder``, up, and down again."""
+    from std_msgs.msg import String
+
+    (folder / "system").mkdir()
+    manager = manager_of(specification, folder)
+    with Bare("recorder") as bare:
+        made = Robot(folder, manager, bare)
+        bare.node.create_subscription(String, topic, made.hear, 1000)
+        try:
+            await made.meanwhile(manager.up())
+            await made.hears()
+            yield made
+        finally:
+            await made.manager.down()
+            await made.manager.close()

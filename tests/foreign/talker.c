@@ -1,0 +1,61 @@
+/* A node on rcl alone, without a client library: `talker PERIOD_NS TOPIC… --ros-args …`.
+ *
+ * Once a period it publishes "NAME NUMBER" on each topic, where NAME is that of its node. With a period of 0 it publishes
+ * one message, and then none. */
+#include <rcl/error_handling.h>
+#include <rcl/rcl.h>
+#include <rosidl_runtime_c/string_functions.h>
+#include <std_msgs/msg/string.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+#include <unistd.h>
+
+#define MOST 8
+
+static void require(rcl_ret_t result, const char *what)
+{
+  if (result == RCL_RET_OK)
+    return;
+  fprintf(stderr, "%s: %s\n", what, rcl_get_error_string().str);
+  exit(1);
+}
+
+int main(int count, char **arguments)
+{
+  rcl_init_options_t options = rcl_get_zero_initialized_init_options();
+  rcl_context_t context = rcl_get_zero_initialized_context();
+  rcl_node_t node = rcl_get_zero_initialized_node();
+  rcl_node_options_t node_options = rcl_node_get_default_options();
+  require(rcl_init_options_init(&options, rcl_get_default_allocator()), "options");
+  require(rcl_init(count, (const char *const *)arguments, &options, &context), "init");
+  require(rcl_node_init(&node, "c_talker", "", &context, &node_options), "node");
+  rcl_publisher_t publishers[MOST];
+  rcl_publisher_options_t publisher_options = rcl_publisher_get_default_options();
+  int topics = 0;
+  while (topics < MOST && topics + 2 < count && strcmp(arguments[topics + 2], "--ros-args") != 0) {
+    publishers[topics] = rcl_get_zero_initialized_publisher();
+    require(rcl_publisher_init(&publishers[topics], &node, ROSIDL_GET_MSG_TYPE_SUPPORT(std_msgs, msg, String),
+                               arguments[topics + 2], &publisher_options),
+            arguments[topics + 2]);
+    topics++;
+  }
+  std_msgs__msg__String message;
+  std_msgs__msg__String__init(&message);
+  long long period = atoll(arguments[1]);
+  struct timespec slot;
+  clock_gettime(CLOCK_MONOTONIC, &slot);
+  for (long long number = 1;; number++) {
+    char text[300];
+    snprintf(text, sizeof text, "%s %lld", rcl_node_get_name(&node), number);
+    rosidl_runtime_c__String__assign(&message.data, text);
+    for (int topic = 0; topic < topics; topic++)
+      require(rcl_publish(&publishers[topic], &message, NULL), "publish");
+    while (period == 0)
+      pause();
+    long long next = slot.tv_sec * 1000000000ll + slot.tv_nsec + period;
+    slot = (struct timespec){next / 1000000000, next % 1000000000};
+    clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &slot, NULL);
+  }
+}

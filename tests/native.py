@@ -1,0 +1,47 @@
+"""Programs in C on rcl, compiled against the ROS 2 that the tests run with: the wheels, or one that is sourced."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import pytest
+
+from midstride.foreign import build
+
+SOURCE = Path(__file__).parent / "foreign" / "talker.c"
+_LIBRARIES = (
+    "rcl",
+    "rcutils",
+    "rosidl_runtime_c",
+    "std_msgs__rosidl_typesupport_c",
+    "std_msgs__rosidl_generator_c",
+)
+
+
+def compiled(folder: Path) -> Path:
+    """The talker of tests/foreign/talker.c as a program in ``folder``. Skips the test where it cannot be compiled."""
+    compiler = build.compiler()
+    if compiler is None:
+        pytest.skip("no C compiler here")
+    prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
+    prefix = next((Path(found) for found in prefixes if (Path(found) / "include" / "rcl").is_dir()), None)
+    if prefix is None:
+        pytest.skip(f"the headers of rcl are in none of {', '.join(prefixes)}")
+    include = prefix / "include"
+    headers = [f"-I{each}" for each in (include, *sorted(include.iterdir())) if each.is_dir()]
+    libraries = [f"-L{prefix / 'lib'}", "-Wl,--no-as-needed", *(f"-l{name}" for name in _LIBRARIES)]
+    folder_of_python, version = sysconfig.get_config_vars("LIBDIR", "LDVERSION")
+    if (
+        Path(folder_of_python) / f"libpython{version}.so"
+    ).exists():  # libraries of the wheels need it, without naming it
+        libraries += [f"-L{folder_of_python}", f"-lpython{version}"]
+    libraries.append("-Wl,--allow-shlib-undefined")
+    program = folder / "c_talker"
+    command = [*compiler, "-std=gnu11", "-O2", *headers, str(SOURCE), "-o", str(program), *libraries]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return program
