@@ -18,8 +18,8 @@ from midstride.errors import CommandRefused, MidstrideError
 from midstride.foreign.cuts import PUBLISHING, ForeignCuts
 from midstride.foreign.gates import Gates
 from midstride.foreign.node import TICK, ForeignNode, without_ports
-from midstride.foreign.page import BatonStep
 from midstride.foreign.record import ForeignRecord
+from midstride.node.baton import BatonStep
 from midstride.node.rate_watch import RateWatch
 from midstride.wire import commands, frames
 from midstride.wire.command_server import CommandServer
@@ -71,6 +71,7 @@ class ForeignAgent:
             commands.AwaitRateCommand: self._await_rate,
             commands.AwaitWriteCommand: self._await_write,
             commands.GridCommand: self._cuts.grid,
+            commands.SeatCommand: self._cuts.seat,
             commands.CutOutCommand: self._cuts.cut_out,
             commands.CutInCommand: self._cuts.cut_in,
             commands.CancelCutCommand: self._cuts.cancel_cut,
