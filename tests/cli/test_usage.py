@@ -291,6 +291,49 @@ def test_a_plan_in_which_nothing_degrades(capsys: pytest.CaptureFixture[str]) ->
     assert document["target"]["nodes"]["talker"]["component"] == "NewTalker"
 
 
+def test_the_plans_of_every_strategy_are_compared_on_one_time_axis(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("plan", TALKER, "--replace", "talker=NewTalker", "--compare")
+    status, out, err = run(capsys, *words)
+    assert (status, err) == (0, "")
+    assert [line.split()[:2] for line in out.splitlines()[2:6]] == [
+        ["minimal", "0"],
+        ["paper", "3.6"],
+        ["quiesce", "3.6"],
+        ["stop", "8.4"],
+    ]
+    axes = dict(line.split() for line in out.partition("listener.listen\n")[2].splitlines()[:4])
+    assert {name: set(axis) for name, axis in axes.items()} == {
+        "minimal": {"─"},
+        "paper": {"▒"},
+        "quiesce": {"▒"},
+        "stop": {"▒", "█"},
+    }
+    assert len(axes["stop"]) == 60 > len(axes["paper"]) > len(axes["minimal"])
+    _, out, _ = run(capsys, *words, "--json")
+    plans = json.loads(out)["strategies"]
+    assert [(name, plan["strategy"], len(plan["steps"])) for name, plan in plans.items()] == [
+        ("minimal", "minimal", 4),
+        ("paper", "paper", 7),
+        ("quiesce", "quiesce", 8),
+        ("stop", "stop", 12),
+    ]
+
+
+def test_a_strategy_that_refuses_does_not_hide_the_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    document = json.loads(Path(TALKER).read_text())
+    document["constraints"] = [{"keep": "listener.listen", "at": "normal"}]
+    file = tmp_path / "talker.json"
+    file.write_text(json.dumps(document))
+    status, out, _ = run(capsys, "plan", str(file), "--replace", "talker=NewTalker", "--compare")
+    assert status == 0
+    assert "0 (minimal)" in out
+    assert "paper: " in out and "keep listener.listen" in out
+    status, _, err = run(capsys, "plan", str(file), "--replace", "nobody=NewTalker", "--compare")
+    assert status == 1 and "nobody" in err
+    status, _, err = run(capsys, "plan", TALKER, "--remove", "talker", "--compare", "--strategy", "paper")
+    assert status == 2 and "--strategy" in err
+
+
 def test_a_plan_shows_what_stays_lower(capsys: pytest.CaptureFixture[str]) -> None:
     file = str(EXAMPLES / "obstacle" / "obstacle.json")
     _, out, _ = run(capsys, "plan", file, "--remove", "detector")

@@ -137,7 +137,7 @@ def test_its_page_is_prepared_before_it_starts(
     launch, component = launched("Talker", specification, "robot1"), specification.components["Talker"]
 
     async def scenario() -> None:
-        nodes = ForeignNodes(tmp_path / "gates", SocketFolder(tmp_path / "components"))
+        nodes = ForeignNodes(tmp_path / "gates", SocketFolder(tmp_path / "components"), lambda _: None)
         base = {"XDG_CACHE_HOME": str(gate_library.parents[1]), "PATH": "/usr/bin:/bin", "LD_PRELOAD": "/lib/other.so"}
         variables, record = await nodes.prepare(launch, component, "/robot1/talker", base)
         assert variables["LD_PRELOAD"] == f"{gate_library}:/lib/other.so"
@@ -162,7 +162,7 @@ def test_a_hand_over_is_between_two_that_can_be_held_back(tmp_path: Path) -> Non
     other = specification.with_replaced("talker", "Other").instance("talker", "talker_2")
     both = Configuration(specification.context).with_instance(unmodified).with_instance(other)
     require_baton(both, "talker", "talker")
-    words = "talker has `gate preload` and talker_2 has `gate none`, so talker_2 cannot be held back; use `--strategy"
+    words = "talker has `gate preload` and talker_2 has `gate none`, so talker_2 cannot be held back for the other; use"
     with pytest.raises(StepFailed, match=words):
         require_baton(both, "talker", "talker_2")
     ours = replace(unmodified, name="talker_3", component=replace(unmodified.component, gate=None))

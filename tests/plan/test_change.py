@@ -131,20 +131,24 @@ def test_a_hand_over_takes_its_probation_and_the_watch_after_it() -> None:
 def test_a_node_gets_a_new_instance_of_the_component_that_it_has(request_: PlanRequest, strategy: str) -> None:
     """Its program may have changed."""
     start = talker()
+    request_ = replace(request_, strategy=strategy)
     target = request_.target(start)
     assert target == start
-    whole = change_between(initial(start), start, target, renewed=request_.renewed())
+    roles = ["listener", "talker"] if strategy == "stop" else ["talker"]
+    whole = change_between(initial(start), start, target, renewed=request_.renewed(target))
     for change in (whole, requested_change(initial(start), start, request_, target)):
-        assert change.leaving == ("talker",)
-        assert [(new.name, new.role, new.component.name) for new in change.coming] == [("talker_2", "talker", "Talker")]
-        assert dict(change.replaced) == {"talker": "talker_2"}
+        assert list(change.leaving) == roles
+        assert [(new.name, new.role) for new in change.coming] == [(f"{role}_2", role) for role in roles]
+        assert [new.component for new in change.coming] == [start.component_of(role) for role in roles]
+        assert dict(change.replaced) == {role: f"{role}_2" for role in roles}
         assert planner(strategy)(change).steps
 
 
 def test_restarted_nodes_are_handed_over_without_a_loss() -> None:
     start = talker()
     request = PlanRequest(restart=("talker", "listener"))
-    change = change_between(initial(start), start, request.target(start), renewed=request.renewed())
+    target = request.target(start)
+    change = change_between(initial(start), start, target, renewed=request.renewed(target))
     plan = planner("minimal")(change)
     assert plan.disruption == 0
     assert any(isinstance(step.action, Handover) for step in plan.steps)
@@ -300,7 +304,7 @@ def calls_to_plan(specification: Specification, strategy: str) -> int:
     return count
 
 
-@pytest.mark.parametrize("strategy", sorted(STRATEGIES))
+@pytest.mark.parametrize("strategy", sorted(set(STRATEGIES) - {"stop"}))
 def test_planning_costs_what_the_change_costs(strategy: str) -> None:
     small, large = cells(5), cells(1500)
     calls_to_plan(small, strategy)

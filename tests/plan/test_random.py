@@ -131,13 +131,10 @@ def test_minimal_is_as_good_as_every_order_tried(seed: int) -> None:
     plan = planned(change, "minimal")
     least = twin.optimum()
     assert least is not None
-    if least == 0.0:  # no conflict core, or one that can be untied
-        assert plan.disruption == 0.0
-        if plan.fallen:
-            assert twin.optimum(spotless=True) is None
-    else:
-        assert plan.disruption >= least - 1e-9
-        assert not plan.proved_minimal
+    assert plan.disruption == pytest.approx(least)
+    assert (plan.proved_minimal, plan.lower_bound) == (True, plan.disruption)
+    if least == 0.0 and plan.fallen:
+        assert twin.optimum(spotless=True) is None
 
 
 @given(SEEDS)

@@ -47,7 +47,7 @@ def test_a_replacement_nobody_notices(name: str, role: str, component: str, tmp_
 
 
 @pytest.mark.parametrize(("name", "role", "component"), CHANGES)
-@pytest.mark.parametrize("strategy", ["paper", "quiesce"])
+@pytest.mark.parametrize("strategy", ["paper", "quiesce", "stop"])
 def test_the_other_strategies_end_in_the_same_place_and_say_what_they_cost(
     name: str, role: str, component: str, strategy: str, tmp_path: Path
 ) -> None:

@@ -78,7 +78,7 @@ def test_the_openapi_document_has_every_operation() -> None:
             path for path, operations in document["paths"].items() if "get" in operations
         }
         strategies = document["components"]["schemas"]["ChangeRequest"]["properties"]["strategy"]["enum"]
-        assert strategies == ["minimal", "paper", "quiesce"]
+        assert strategies == ["minimal", "paper", "quiesce", "stop"]
 
     served(test)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-STRATEGIES = ("minimal", "paper", "quiesce")
+STRATEGIES = ("minimal", "paper", "quiesce", "stop")
 
 
 def strategy_option(function: Any) -> Any:
@@ -17,7 +17,8 @@ def strategy_option(function: Any) -> Any:
         type=click.Choice(STRATEGIES),
         default="minimal",
         show_default=True,
-        help="minimal hands over; paper follows the paper's algorithm; quiesce first degrades everything affected.",
+        help="minimal hands over; paper follows the paper's algorithm; quiesce first degrades everything affected; "
+        "stop stops everything, and starts it again.",
     )(function)
 
 

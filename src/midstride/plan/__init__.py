@@ -1,8 +1,8 @@
 """Plans: from a running configuration to a target, with the least loss of functionality on the way.
 
-A `request` and the two specifications make a `change` (what differs); a strategy of the `registry` (`minimal`, `paper`
-or `quiesce`) makes a `plan` (steps and costs) of it. The strategies write their plans with `plan_builder`, which adds
-the mode changes that a structural change needs (`mode_ordering`); `minimal` searches the conflict core
+A `request` and the two specifications make a `change` (what differs); a strategy of the `registry` (`minimal`, `paper`,
+`quiesce` or `stop`) makes a `plan` (steps and costs) of it. The strategies write their plans with `plan_builder`, which
+adds the mode changes that a structural change needs (`mode_ordering`); `minimal` searches the conflict core
 (`search_state`, `moves`). `disruption` and `schedule` are the costs, `constraints` what the user asks for, `explain`
 the reasons why something degrades, `validate` an independent replay. `impact` and `specification_diff` answer
 questions about specifications without a plan.

@@ -66,11 +66,12 @@ def requested_change(
 ) -> Change:
     """The change that a request asks for; ``target`` is the specification that it leads to.
 
-    The cost follows the change, unless the request names a whole specification. Raises PlanRefused.
+    The cost follows the change, unless the request concerns every role. Raises PlanRefused.
     """
-    if request.to is not None:
-        return change_between(configuration, specification, target, measured, request.renewed())
-    return change_of_roles(configuration, specification, target, request.roles(), measured, request.renewed())
+    renewed = request.renewed(target)
+    if request.to is not None or request.stops_everything:
+        return change_between(configuration, specification, target, measured, renewed)
+    return change_of_roles(configuration, specification, target, request.roles(), measured, renewed)
 
 
 def change_of_roles(

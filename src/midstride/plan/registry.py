@@ -13,11 +13,12 @@ from midstride.plan.paper import paper
 from midstride.plan.plan import Plan
 from midstride.plan.quiesce import quiesce
 from midstride.plan.request import require
+from midstride.plan.stop import stop
 
 Planner: TypeAlias = Callable[[Change], Plan]
 
 # The tests replay plans of every planner listed here.
-STRATEGIES: Final[Mapping[str, Planner]] = Map({"minimal": minimal, "paper": paper, "quiesce": quiesce})
+STRATEGIES: Final[Mapping[str, Planner]] = Map({"minimal": minimal, "paper": paper, "quiesce": quiesce, "stop": stop})
 
 
 def planner(name: str = "minimal") -> Planner:

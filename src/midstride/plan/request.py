@@ -47,7 +47,7 @@ class PlanRequest:
             raise PlanRefused(
                 "the request is empty: name nodes to replace, restart, add or remove, or give a specification"
             )
-        named = [*self.remove, *self.renewed()]
+        named = [*self.remove, *self.replaced()]
         for index, role in enumerate(named):
             if role in named[:index]:
                 raise PlanRefused(f"node {role} is named twice; name each node once")
@@ -91,10 +91,19 @@ class PlanRequest:
 
     def roles(self) -> list[str]:
         """The roles that are named."""
-        return [*self.remove, *self.renewed(), *(node.role for node in self.add)]
+        return [*self.remove, *self.replaced(), *(node.role for node in self.add)]
 
-    def renewed(self) -> list[str]:
-        """The roles that get a new instance in any case."""
+    def renewed(self, target: Specification) -> list[str]:
+        """The roles of ``target`` that get a new instance in any case: all of them, where everything is stopped."""
+        return sorted(target.nodes) if self.stops_everything else self.replaced()
+
+    @property
+    def stops_everything(self) -> bool:
+        """Whether every role is concerned, named or not."""
+        return self.strategy == "stop"
+
+    def replaced(self) -> list[str]:
+        """The roles that are named to get a new instance."""
         return [*self.restart, *(role for role, _ in self.replace)]
 
     def describe(self) -> str:

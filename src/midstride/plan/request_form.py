@@ -13,7 +13,7 @@ from midstride.model.diagnostics import Problem
 from midstride.model.name_checks import component_names, specification_names
 from midstride.plan.request import PlanRequest
 
-Strategy: TypeAlias = Literal["minimal", "paper", "quiesce"]
+Strategy: TypeAlias = Literal["minimal", "paper", "quiesce", "stop"]
 Replacement: TypeAlias = Annotated[tuple[Name, Name], field("a replacement", "[node, component]")]
 
 

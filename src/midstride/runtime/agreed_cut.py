@@ -42,6 +42,8 @@ RESUME_PERIODS: Final = 10
 SHORTEST_RESUME: Final = 0.1
 # The same if no rate defines a period (s).
 RESUME_WITHOUT_RATE: Final = 2.0
+# How long two lifecycle nodes may take to be deactivated and activated (s).
+TRANSITIONS: Final = 10.0
 # How long a subscriber may take to find the new publishers (s).
 FIND_TIMEOUT: Final = 5.0
 # How often, and at which interval (s), a subscriber may still count a publisher that has left.
@@ -105,7 +107,9 @@ class Cut:
 
     def timeout(self, stretch: float) -> float:
         """How long it may take until both sides know how it ended (s); ``stretch`` as for a slow clock."""
-        return self.lead + self.resume_after() * stretch + 2.0 + (0.0 if self.state is None else self.state.timeout)
+        transitions = TRANSITIONS if self.configuration.component(self.new).gate == "lifecycle" else 0.0
+        moving = 0.0 if self.state is None else self.state.timeout
+        return self.lead + self.resume_after() * stretch + 2.0 + moving + transitions
 
     def incoming(self, address: str, seat: Seat | None = None) -> CutInCommand:
         """The cut as the new side is sent it; ``address`` is that of the old side."""
@@ -285,12 +289,14 @@ def has_gate(configuration: Configuration, old: str, new: str) -> bool:
 
 def require_baton(configuration: Configuration, old: str, new: str) -> None:
     """Raises StepFailed where the gates of the two are of different kinds, and one of them knows no baton."""
-    gates = [configuration.component(name).gate for name in (old, new)]
-    for name, gate in zip((old, new), gates, strict=True):
-        if gates[0] != gates[1] and gate not in (None, "preload"):
+    components = {name: configuration.component(name) for name in (old, new)}
+    if components[old].gate == components[new].gate:
+        return
+    for name, component in components.items():
+        if component.gate is not None and not component.preloads:
             kinds = " and ".join(
-                f"{each} has `gate {kind}`" if kind else f"{each} uses Midstride's API"
-                for each, kind in zip((old, new), gates, strict=True)
+                f"{each} has `gate {found.gate}`" if found.gate else f"{each} uses Midstride's API"
+                for each, found in components.items()
             )
-            words = f"{kinds}, so {name} cannot be held back; use `--strategy paper`"
+            words = f"{kinds}, so {name} cannot be held back for the other; use `--strategy paper`"
             raise StepFailed(f"{old} cannot hand over to {new}: {words}")

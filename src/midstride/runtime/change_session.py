@@ -308,7 +308,7 @@ def _plan(
     if request.to is None and len(request.roles()) == 1:
         change = requested_change(configuration, specification, request, planned, measured)
     else:
-        change = change_between(configuration, specification, planned, measured, request.renewed())
+        change = change_between(configuration, specification, planned, measured, request.renewed(planned))
     parameters = of_change(change, values, keep=keep)
     return replace(planner(request.strategy)(change), parameters=parameters), target
 

@@ -35,7 +35,7 @@ def replaced_first(
         if partners:
             roles.append(instance.role)
             orders += [Order(instance.role, partner) for partner in sorted(partners)]
-    also = tuple(role for role in roles if role not in request.renewed())
+    also = tuple(role for role in roles if role not in request.replaced())
     words = tuple(f"{role} is replaced first: its middleware discovers no new endpoints" for role in roles)
     orders = [order for order in orders if order.then not in roles]
     return replace(request, restart=(*request.restart, *also)), tuple(orders), words
