@@ -136,7 +136,7 @@ def test_its_page_is_prepared_before_it_starts(
     launch, component = launched("Talker", specification, "robot1"), specification.components["Talker"]
 
     async def scenario() -> None:
-        nodes = ForeignNodes(tmp_path / "gates", SocketFolder(tmp_path / "components"))
+        nodes = ForeignNodes(tmp_path / "gates", SocketFolder(tmp_path / "components"), lambda _: None)
         base = {"XDG_CACHE_HOME": str(gate_library.parents[1]), "PATH": "/usr/bin:/bin", "LD_PRELOAD": "/lib/other.so"}
         variables, record = await nodes.prepare(launch, component, "/robot1/talker", base)
         assert variables["LD_PRELOAD"] == f"{gate_library}:/lib/other.so"

@@ -138,25 +138,20 @@ class Exhaustive:
         return cap is None or publishers_count(configuration, connector) + beside < cap
 
     def _hand_overs(self, state: State, configuration: Configuration, ready: list[Op]) -> Iterator[State]:
-        """One exchange on one topic, or all of a replaced role at once."""
-        together: dict[str, set[Op]] = {}
-        for new in ready:
-            if not configuration.is_output(new.port):
-                continue
-            if not satisfies(
-                configuration.guarantee(new.port), configuration.context.connectors[new.connector].guarantee
-            ):
-                continue
-            for old in self.detaches:
-                if old in state or old.connector != new.connector or not configuration.is_output(old.port):
-                    continue
-                yield state | {new, old}
-                if self.change.replaced.get(old.name) == new.name:
-                    together.setdefault(new.name, set()).update((new, old))
-        for pairs in together.values():
-            topics = [sorted(op.connector for op in pairs if op.kind == kind) for kind in ("attach", "detach")]
-            if topics[0] == topics[1]:
-                yield state | pairs
+        """Every set of exchanges in which no output occurs twice on a topic, made in one step."""
+        swaps: list[State] = [
+            frozenset((new, old))
+            for new in ready
+            if configuration.is_output(new.port)
+            and satisfies(configuration.guarantee(new.port), configuration.context.connectors[new.connector].guarantee)
+            for old in self.detaches
+            if old not in state and old.connector == new.connector and configuration.is_output(old.port)
+        ]
+        together: set[State] = {frozenset()}
+        for swap in swaps:
+            together |= {chosen | swap for chosen in together if not chosen & swap}
+        for chosen in sorted(together, key=len)[1:]:
+            yield state | chosen
 
     def cost(self, before: State, after: State) -> float:
         """The disruption of one step; only creating and removing have any."""

@@ -301,3 +301,71 @@ def constrained(rng: Random, start: Specification, target: Specification) -> Spe
         else:
             chosen.append(Order(role, rng.choice(sorted(target.nodes))))
     return replace(target, constraints=tuple(dict.fromkeys(chosen)))
+
+
+def tight(rng: Random, replaced: int) -> tuple[Specification, Specification]:
+    """Nodes in chains that are all replaced, while they share two resources of which there is hardly enough.
+
+    Between each two of them is a topic, often an exclusive one; at the end of each chain is a node that stays.
+    """
+    predicate = Predicate(TYPES[0], 5.0)
+    connectors, components, nodes, succession = {}, {}, {}, {}
+    before: str | None = None
+    for number in range(replaced):
+        role, topic = f"n{number}", f"/t{number}"
+        connectors[topic] = Connector(topic, predicate, 1 if rng.random() < 0.4 else None)
+        read = before if before is not None and rng.random() < 0.6 else None
+        inputs = {"in": predicate} if read else {}
+        writes = rng.random() < 0.8
+        weight, modes = float(rng.choice((1, 1, 2, 5))), rng.choice((2, 2, 3))
+        for kind in ("Old", "New"):
+            chain = [
+                Mode("m0", (InputAlternatives(("in",)),) if read else (), Map({"out": predicate} if writes else {}))
+            ]
+            chain += [Mode(f"m{place}", (), Map()) for place in range(1, modes)]
+            components[f"{kind}{number}"] = ComponentSpec.of(
+                f"{kind}{number}",
+                inputs=inputs,
+                outputs=("out",) if writes else (),
+                functionalities=(
+                    FunctionalitySpec("f", tuple(chain), tuple(inputs), ("out",) if writes else (), weight),
+                ),
+                holds={name: float(rng.randint(1, 3)) for name in ("cpu", "gpu") if rng.random() < 0.7},
+                run=f"python3 {kind}{number}.py",
+                takes=rng.choice((0.5, 1.0, 2.0)),
+            )
+        attachments = {"in": (read,)} if read else {}
+        nodes[role] = Node(role, f"Old{number}", Map({**attachments, **({"out": (topic,)} if writes else {})}))
+        succession[role] = f"New{number}"
+        before = topic if writes else before
+    if before is not None:
+        components["User"] = ComponentSpec.of(
+            "User",
+            inputs={"in": predicate},
+            functionalities=(
+                FunctionalitySpec("f", (Mode("m", (InputAlternatives(("in",)),)), Mode("d")), ("in",), (), 2.0),
+            ),
+            run="python3 User.py",
+        )
+        nodes["user"] = Node("user", "User", Map({"in": (before,)}))
+    start = Specification(
+        "tight",
+        connectors=Map(connectors),
+        components=Map(components),
+        nodes=Map(nodes),
+        timing=Map({"remove": rng.choice((0.25, 0.5))}),
+    )
+    target = start
+    for role, of in succession.items():
+        target = target.with_replaced(role, of)
+    held = [
+        [sum(spec.component_of(role).resource_usage.get(name, 0.0) for role in spec.nodes) for spec in (start, target)]
+        for name in ("cpu", "gpu")
+    ]
+    resources = Map(
+        {
+            name: Resource(name, max(*amounts, 1.0) + rng.choice((0.0, 0.0, 1.0, 2.0)))
+            for name, amounts in zip(("cpu", "gpu"), held, strict=True)
+        }
+    )
+    return replace(start, resources=resources), replace(target, resources=resources)

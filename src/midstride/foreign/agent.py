@@ -17,9 +17,13 @@ from midstride.codec.component import NamedComponentForm
 from midstride.errors import CommandRefused, MidstrideError
 from midstride.foreign.cuts import PUBLISHING, ForeignCuts
 from midstride.foreign.gates import Gates
+from midstride.foreign.lifecycle_cuts import LifecycleCuts, LifecyclePeers
+from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.node import TICK, ForeignNode, without_ports
 from midstride.foreign.page import BatonStep
+from midstride.foreign.parameters import ForeignParameters
 from midstride.foreign.record import ForeignRecord
+from midstride.foreign.services import NoAnswer, NodeServices
 from midstride.node.rate_watch import RateWatch
 from midstride.wire import commands, frames
 from midstride.wire.command_server import CommandServer
@@ -30,6 +34,8 @@ from midstride.wire.state import GateState, WireValue
 from midstride.wire.transport import Transport
 
 HEARTBEAT: Final = 0.5
+# How often it asks a lifecycle node for its state and its parameters (s).
+LOOK: Final = 1.0
 # How often it looks whether a baton has moved (s).
 WATCH: Final = 0.05
 # How long a node may take to create the publishers and subscriptions that are declared (s).
@@ -47,9 +53,24 @@ Handler = Callable[[Any], Awaitable[WireValue]]
 class ForeignAgent:
     """Answers for the node of ``record``, whose file is in ``folder``. ``gates`` is None for `gate none`."""
 
-    def __init__(self, record: ForeignRecord, folder: Path, gates: Gates | None) -> None:
+    def __init__(
+        self,
+        record: ForeignRecord,
+        folder: Path,
+        gates: Gates | None,
+        services: NodeServices | None = None,
+        peers: LifecyclePeers | None = None,
+    ) -> None:
         self.node = ForeignNode(record, folder, gates)
-        self._cuts = ForeignCuts(self.node)
+        self._cuts: ForeignCuts | LifecycleCuts = ForeignCuts(self.node)
+        self.lifecycle: LifecycleNode | None = None
+        self._parameters: ForeignParameters | None = None
+        if services is not None and self.node.component.has_lifecycle:
+            self._parameters = ForeignParameters(self.node, services)
+            self.lifecycle = LifecycleNode(self.node, services)
+            if gates is None:
+                self._cuts = LifecycleCuts(self.lifecycle, peers or LifecyclePeers())
+        self._failed: str | None = None  # why it has not been configured
         self._replies: dict[str, asyncio.Task[Reply]] = {}
         self._lock = asyncio.Lock()
         self._registered = asyncio.Event()
@@ -90,7 +111,9 @@ class ForeignAgent:
                 self.node.gates.step(baton, BatonStep.WITHDRAW)
         await self._server.open(transport)
         loop = asyncio.get_running_loop()
-        self._tasks = [loop.create_task(self._register()), loop.create_task(self._heartbeat())]
+        self._tasks = [
+            loop.create_task(each) for each in (self._register(), self._heartbeat(), self._watch_lifecycle())
+        ]
 
     async def close(self) -> None:
         for task in self._tasks:
@@ -100,7 +123,14 @@ class ForeignAgent:
 
     async def _register(self) -> None:
         missing: list[str] = []
-        if self.node.gates is not None:
+        if self.lifecycle is not None:
+            try:
+                await (self.lifecycle.configure() if not self.node.record.welcomed else self.lifecycle.look())
+            except CommandRefused as error:
+                self._failed = str(error)
+        if self._parameters is not None:
+            await self._parameters.read()
+        if self.node.gates is not None and self._failed is None:
             await self.node.comes_true(lambda: not self.node.require_gates().missing(), ENDPOINTS_TIMEOUT)
             missing = self.node.gates.missing()
         self._registered.set()
@@ -114,6 +144,19 @@ class ForeignAgent:
         while True:
             await self.node.comes_true(lambda: self.node.gate_states() != self._reported, HEARTBEAT, every=WATCH)
             self._report()
+
+    async def _watch_lifecycle(self) -> None:
+        """Look now and then which lifecycle state and which parameters the node has: others may change them."""
+        await self._registered.wait()
+        while self.lifecycle is not None and self._parameters is not None and self._failed is None:
+            await asyncio.sleep(LOOK)
+            async with self._lock:
+                left = await self.lifecycle.look()
+                if self.lifecycle.lifecycle.responsive:
+                    await self._parameters.read()
+                if left:
+                    self.node.change_record(revision=self.node.record.revision + 1)
+                    self._report()
 
     # -- requests --------------------------------------------------------------------------------------
 
@@ -162,8 +205,14 @@ class ForeignAgent:
             return await handler(command)
         match command:
             case commands.ObserveCommand():
+                if self._parameters is not None and self.lifecycle is not None and self.lifecycle.lifecycle.responsive:
+                    await self._parameters.read()
                 return self.node.state()
+            case commands.SetParametersCommand() if self._parameters is not None:
+                return await self._parameters.set(command)
             case commands.WelcomeCommand():
+                if self._failed is not None:
+                    raise CommandRefused(self._failed)
                 self.node.change_record(welcomed=True)
             case commands.PingCommand() | commands.MeetCommand() | commands.AnswerCommand():
                 pass
@@ -191,7 +240,11 @@ class ForeignAgent:
 
     async def _modes(self, command: commands.ModesCommand) -> commands.PreviousModes:
         before = {name: mode for name, mode in self.node.record.modes.items() if name in command.modes}
-        self.node.enter_modes(command.modes, command.because)
+        self.node.require_modes(command.modes)
+        if self.lifecycle is not None:
+            await self.lifecycle.enter_modes(command.modes, command.because)
+        else:
+            self.node.enter_modes(command.modes, command.because)
         return commands.PreviousModes(before=before)
 
     async def _attach(self, command: commands.AttachCommand) -> commands.Attached:
@@ -204,6 +257,9 @@ class ForeignAgent:
             words = f"{port} was started on topic {record.topics[port]}, and cannot be attached to {topic}"
             raise CommandRefused(f"{words}: the names of a node without Midstride's API are fixed at its start")
         if self.node.gates is None:
+            if self.lifecycle is not None:
+                await self.lifecycle.set_links({port: command.gate})
+                return commands.Attached(matched=0)
             if command.gate == "closed":
                 raise CommandRefused(
                     f"{record.instance} has no gate (`gate none`), so {topic} cannot be handed over to it; "
@@ -230,6 +286,9 @@ class ForeignAgent:
     async def _detach(self, command: commands.DetachCommand) -> commands.Detached:
         port = command.port
         self.node.require_attached(port, command.topic)
+        if self.lifecycle is not None and self.node.gates is None:
+            await self.lifecycle.set_links({port: None})
+            return commands.Detached(acknowledged=None, last=None)
         self.node.change_record(links={name: gate for name, gate in self.node.record.links.items() if name != port})
         if self.node.gates is None:
             return commands.Detached(acknowledged=None, last=None)
@@ -245,6 +304,9 @@ class ForeignAgent:
 
     async def _gate(self, command: commands.GateCommand) -> commands.Done:
         self.node.require_attached(command.port, command.topic)
+        if self.lifecycle is not None and self.node.gates is None:
+            await self.lifecycle.set_links({command.port: command.gate})
+            return commands.Done()
         self.node.require_gates()
         self.node.change_record(links={**self.node.record.links, command.port: command.gate})
         self.node.adjust(command.port)
@@ -254,6 +316,8 @@ class ForeignAgent:
 
     async def _await_match(self, command: commands.AwaitMatchCommand) -> commands.Attached:
         self.node.require_attached(command.port, command.topic)
+        if self.node.gates is None:  # with how many is not known, and delays nothing
+            return commands.Attached(matched=command.peers)
         return commands.Attached(matched=await self.node.matched(command.port, command.peers, command.timeout))
 
     async def _await_write(self, command: commands.AwaitWriteCommand) -> commands.GatedWrites:
@@ -266,6 +330,10 @@ class ForeignAgent:
         return commands.GatedWrites(gated=entry.gated - begun, wrong_type=None)
 
     async def _await_rate(self, command: commands.AwaitRateCommand) -> commands.RateVerdict:
+        if self.lifecycle is not None and self.node.gates is None:
+            # What can be known of it: that it does not leave its lifecycle state.
+            left = await self.node.comes_true(self.lifecycle.left, command.timeout, every=WATCH)
+            return commands.RateVerdict(reached=left == (command.until == "broken"), rate=0.0, pause=0.0)
         entry, deadline = self.node.require_gates().entry(command.port), time.monotonic() + command.timeout
         begun = entry.passed + entry.gated
         watch = RateWatch(command.rate, command.window, time.monotonic_ns())
@@ -277,7 +345,16 @@ class ForeignAgent:
             await asyncio.sleep(TICK)
 
     async def _await_idle(self, command: commands.AwaitIdleCommand) -> commands.Idle:
-        """It hangs if an output with a rate has been silent for long, whether its gate is open or not."""
+        """It hangs if an output with a rate has been silent for long, whether its gate is open or not.
+
+        A lifecycle node without a gate hangs if it does not say its state.
+        """
+        if self.lifecycle is not None and self.node.gates is None:
+            try:
+                await self.lifecycle.lifecycle.look(command.timeout)
+            except NoAnswer as error:
+                return commands.Idle(busy=str(error))
+            return commands.Idle(busy=None)
         for port in self.node.record.links:
             rate = (
                 self.node.component.stated_rate(port, self.node.record.modes)

@@ -41,6 +41,9 @@ class ForeignNode:
         self.record = record
         self.gates = gates
         self.component = record.declaration.declared()
+        # As of the last time that the node was asked: its parameters, and those set while it ran with what they were.
+        self.parameters: dict[str, Any] = {}
+        self.declared: dict[str, Any] = {}
         self._folder = folder
         self._since = dict.fromkeys(record.modes, time.monotonic())
         self._because = dict.fromkeys(record.modes, "started")
@@ -48,9 +51,10 @@ class ForeignNode:
 
     async def comes_true(self, condition: Callable[[], bool], timeout: float, every: float = TICK) -> bool:
         """Wait until ``condition`` holds, no longer than ``timeout`` (s); whether it does. ``every``: in s."""
-        deadline = time.monotonic() + timeout
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + timeout
         while not condition():
-            if time.monotonic() >= deadline:
+            if loop.time() >= deadline:
                 return False
             await asyncio.sleep(every)
         return True
@@ -61,9 +65,12 @@ class ForeignNode:
         self.record.write(self._folder)
 
     def require_gates(self) -> Gates:
-        """Raises CommandRefused for `gate none`."""
+        """Raises CommandRefused where no library is preloaded."""
         if self.gates is None:
-            raise CommandRefused(f"{self.record.instance} has no gate (`gate none`), so it cannot be held back")
+            kind = f"`gate {self.component.gate}`"
+            raise CommandRefused(
+                f"{self.record.instance} has no gate in its process ({kind}), so it cannot be held back"
+            )
         return self.gates
 
     def adjust(self, port: str) -> None:
@@ -92,12 +99,14 @@ class ForeignNode:
         """How many calls of the holder of ``baton`` are publishing."""
         return self.require_gates().page.word(baton).writers
 
-    def enter_modes(self, modes: Mapping[str, str], because: str) -> None:
+    def require_modes(self, modes: Mapping[str, str]) -> None:
         """Raises CommandRefused if a functionality or one of its modes is not declared."""
         for name, mode in modes.items():
             found = self.component.functionalities.get(name)
             if found is None or mode not in [each.name for each in found.modes]:
                 raise CommandRefused(f"{self.record.instance} has no functionality {name} with a mode {mode!r}")
+
+    def enter_modes(self, modes: Mapping[str, str], because: str) -> None:
         self.change_record(modes={**self.record.modes, **modes})
         for name in modes:
             self._since[name], self._because[name] = time.monotonic(), because
@@ -117,7 +126,8 @@ class ForeignNode:
             revision=record.revision,
             functionalities=functionalities,
             ports={port: {record.topics[port]: self._link(port)} for port in record.links},
-            parameters={},
+            parameters=self.parameters,
+            declared=self.declared,
             stopping=0.0,
             waiting=None if record.welcomed else NOT_WELCOMED,
             node=record.node,
@@ -131,9 +141,7 @@ class ForeignNode:
     def _gate_state(self, port: str) -> GateState | None:
         if not self.component.has_output(port):
             return None
-        if self.gates is None:
-            return "open"
-        return "open" if self.record.links[port] == "open" and self.gates.has_it(port) else "closed"
+        return "open" if self.record.links[port] == "open" and (not self.gates or self.gates.has_it(port)) else "closed"
 
     def _link(self, port: str) -> LinkState:
         gates = self.gates

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 
@@ -18,7 +18,10 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     """One instance. ``index``: of its node in the page, None where it has no gate.
 
     ``topics``: by port, the full name that its process uses, after remapping. ``links``: by port, the gate of its
-    attachment, of those that are attached. ``modes``: by functionality. ``revision`` counts its changes.
+    attachment, of those that are attached. ``outputs``: those that the specification attaches. ``modes``: by
+    functionality. ``stated``: the parameters of the specification; ``taken_over``: those that were set while its
+    predecessor ran; ``started_with``: all that it had at first, once known, except what is only taken over.
+    ``revision`` counts its changes.
     """
 
     instance: str
@@ -32,6 +35,10 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     topics: dict[str, str]
     modes: dict[str, str]
     links: dict[str, GateState] = {}
+    outputs: list[str] = []
+    stated: dict[str, Any] = {}
+    taken_over: dict[str, Any] = {}
+    started_with: dict[str, Any] | None = None
     welcomed: bool = False
     revision: int = 0
 

@@ -272,11 +272,16 @@ MODEL: Final = (
     _entry(
         "E027: gate that cannot work",
         """A component with a `gate`, whose program does not use Midstride's API, has no `run` command, a parameter that
-        is `changeable`, or a functionality with more than two modes; its node attaches a port to several topics; or a
-        component without a `gate` has a name for the topic of a port (`as`).""",
+        is `changeable`, or a functionality with more than two modes; with `gate lifecycle`, it has several
+        functionalities; its node attaches a port to several topics; or a component without a `gate` has a name for the
+        topic of a port (`as`).""",
         "correct the statement that the message names",
         STARTED.replace("output out", "output out as chat") + NODE,
         STARTED.replace('talker"', 'talker" gate preload').replace("mode silent", "mode quiet { }\n    mode silent")
+        + NODE,
+        STARTED.replace('talker"', 'talker" gate lifecycle').replace(
+            "  functionality", "  functionality log { mode on { } mode off { } }\n  functionality"
+        )
         + NODE,
         STARTED.replace('talker"\n', 'talker" gate none\n  parameters { changeable volume = 1 }\n') + NODE,
         STARTED.replace('talker"', 'talker" gate preload').replace(

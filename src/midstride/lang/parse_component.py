@@ -59,14 +59,18 @@ class ComponentParser(ContractParser):
             raise self.fail("a command in double quotes after `run`", f'write `run "{words}"`')
         command = self.text("a command in double quotes after `run`")
         startup = self.seconds("a startup time") if self.accept_word("takes") else None
-        gate = None
-        if self.accept_word("gate"):
-            gate = self.name("`preload` or `none` after `gate`")
-            if gate.text not in GATES:
-                help = "use `preload` or `none`"
-                self.reporter.report("E120", gate.span, f"`{gate.text}` is not a kind of gate", help=help)
-                gate = None
+        gate = self._gate() if self.accept_word("gate") else None
         return syntax.Run(command, startup, gate, self.since(start))
+
+    def _gate(self) -> syntax.Name | None:
+        gate, start = self.name("`preload`, `lifecycle` or `none` after `gate`"), self.i - 1
+        if gate.text == "lifecycle" and self.accept_word("preload"):
+            return syntax.Name("lifecycle preload", self.since(start))
+        if gate.text in GATES:
+            return gate
+        help = "use `preload`, `lifecycle`, `lifecycle preload` or `none`"
+        self.reporter.report("E120", gate.span, f"`{gate.text}` is not a kind of gate", help=help)
+        return None
 
     def _holds(self) -> tuple[syntax.ResourceUse, ...]:
         if self.accept_word("nothing"):

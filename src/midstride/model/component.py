@@ -23,8 +23,9 @@ ParameterValue: TypeAlias = "bool | int | float | str | list[bool] | list[int] |
 # What every node of ROS 2 has: it may be set for a node although its component does not declare it.
 ROS_PARAMETERS: Final[Mapping[str, ParameterValue]] = {"use_sim_time": False}
 
-# What holds back the outputs of a program that does not use Midstride's API: a preloaded library, or nothing.
-Gate: TypeAlias = Literal["preload", "none"]
+# What holds back the outputs of a program that does not use Midstride's API: a preloaded library, the lifecycle of its
+# ROS 2 node, both, or nothing.
+Gate: TypeAlias = Literal["preload", "lifecycle", "lifecycle preload", "none"]
 GATES: Final[tuple[Gate, ...]] = get_args(Gate)
 
 _KINDS: Final[Mapping[type, str]] = {bool: "boolean", int: "integer", float: "float", str: "string"}
@@ -234,6 +235,21 @@ class ComponentSpec:
     def __iter__(self) -> Iterator[FunctionalitySpec]:
         """The functionalities, in order of declaration."""
         return (self.functionalities[name] for name in self.functionality_order)
+
+    @property
+    def preloads(self) -> bool:
+        """Whether a preloaded library holds back what its program publishes."""
+        return self.gate in ("preload", "lifecycle preload")
+
+    @property
+    def counts_messages(self) -> bool:
+        """Whether it is known what its nodes publish and receive: by their own count, or by that of the library."""
+        return self.gate is None or self.preloads
+
+    @property
+    def has_lifecycle(self) -> bool:
+        """Whether its ROS 2 node is a lifecycle node, which is active in all modes but the last."""
+        return self.gate in ("lifecycle", "lifecycle preload")
 
     def topic_of(self, port: str) -> str:
         """The name that a program without Midstride's API has for the topic of ``port``."""

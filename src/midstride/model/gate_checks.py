@@ -27,6 +27,10 @@ def gate_problems(component: ComponentSpec, path: Path) -> Iterator[Problem]:
     if component.run is None:
         message = f"{name} has a gate, but no `run` command: it must be started with its gate"
         yield Problem(_CODE, (*path, "gate"), message)
+    if component.gate == "lifecycle" and len(component.functionalities) > 1:
+        message = f"{name} has {len(component.functionalities)} functionalities; its node has one lifecycle state"
+        help = "declare one functionality, or close the gate of each output as well: `gate lifecycle preload`"
+        yield Problem(_CODE, (*path, "gate"), message, help)
     for functionality in component:
         if len(functionality.modes) > 2:
             message = f"{functionality.name} of {name} has {len(functionality.modes)} modes; with a gate there are two"

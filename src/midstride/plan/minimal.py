@@ -1,8 +1,8 @@
 """Strategy ``minimal``: make before break, hand over, and break before make only where it is forced.
 
-Where caps, capacities and orders leave a choice, several ways through the conflict core are tried and the best is
-kept, by disruption, then number of functionalities that fall, makespan and number of steps (docs/semantics.md section
-6). The search is not exact: minimality is proved only where nothing is lost.
+The conflict core is searched for the least disruption there is (:mod:`midstride.plan.core_plan`). Of the plans that
+have it, several ways through the core are tried and the best is kept, by number of functionalities that fall, makespan
+and number of steps (docs/semantics.md section 6).
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from math import inf
 from typing import Final
 
 from midstride.errors import PlanRefused
@@ -19,6 +20,7 @@ from midstride.model.contract import format_number
 from midstride.model.specification import Constraint, Order, roles_of
 from midstride.plan.change import Change
 from midstride.plan.constraints import Breach, ConstraintMonitor, breaches, conflict, in_force, refusal
+from midstride.plan.core_plan import Budget, CoreResult, plans_along, search_core
 from midstride.plan.disruption import Levels
 from midstride.plan.moves import moves, play
 from midstride.plan.plan import Plan
@@ -30,6 +32,8 @@ from midstride.plan.step import Step
 # How many moves are tried in all; after that only the first few of each choice, and only one is followed.
 _TRIALS: Final = 600
 _FEW: Final = 6
+# Where a plan is known and more actions than these are tied, only the first few of each choice are tried at all.
+_MANY: Final = 24
 
 Key = tuple[bool, float, int, float, int]
 
@@ -48,11 +52,17 @@ class Candidate:
         return self.key[:3] == (False, 0.0, 0)
 
 
-def minimal(change: Change) -> Plan:
-    """The best plan found. Raises PlanRefused, with the constraints in conflict, where it does not meet all of them."""
+def minimal(change: Change, within: float | None = None) -> Plan:
+    """The best plan found, with the lower bound proved ``within`` so many seconds (None: so many states of the search).
+
+    An interrupt (Ctrl-C) ends the search for the proof, and keeps what was found. Raises PlanRefused, with the
+    constraints in conflict, where no plan was found that meets all of them.
+    """
     levels = Levels(change)
     constraints = in_force(change)
-    found = _find(levels, constraints)
+    core = search_core(levels, constraints, Budget() if within is None else Budget(inf, within))
+    found = _along(core, levels, constraints)
+    found = _find(levels, constraints, found, few=sum(map(len, core.moves or ())) > _MANY)
     if found is None or found.breaches:
         broken = () if found is None else found.breaches
         relevant = _relevant(change, found, constraints)
@@ -64,7 +74,17 @@ def minimal(change: Change) -> Plan:
         if can_meet(()):
             raise refusal(conflict(relevant, can_meet), broken, _no_room(change))
         raise PlanRefused("no order of the steps was found that respects all caps and capacities")
-    return Plan.of("minimal", found.steps, levels)
+    return Plan.of("minimal", found.steps, levels, core.lower_bound)
+
+
+def _along(core: CoreResult, levels: Levels, constraints: Sequence[Constraint]) -> Candidate | None:
+    """The best plan along the core's moves."""
+    if not core.moves:
+        return None
+    orders = [constraint for constraint in constraints if isinstance(constraint, Order)]
+    state = SearchState.at_start(PlanBuilder.at_start(levels), orders)
+    candidates = (_candidate(levels, constraints, builder) for builder in plans_along(state, core.moves))
+    return min(candidates, key=lambda candidate: candidate.key, default=None)
 
 
 def _no_room(change: Change) -> list[str]:
@@ -91,16 +111,22 @@ def _relevant(change: Change, found: Candidate | None, constraints: Iterable[Con
     return [constraint for constraint in constraints if touched.intersection(roles_of(constraint))]
 
 
-def _find(levels: Levels, constraints: Sequence[Constraint]) -> Candidate | None:
-    """The best plan found under ``constraints``, perhaps one that breaks some; None where the orders leave none."""
+def _find(
+    levels: Levels, constraints: Sequence[Constraint], known: Candidate | None = None, *, few: bool = False
+) -> Candidate | None:
+    """The best plan found under ``constraints``, perhaps one that breaks some; None where the orders leave none.
+
+    A plan that is no better than the one ``known`` already is found only where it is as good.
+    """
+    most = inf if known is None or known.breaches else known.key[1]
     # Raising a functionality above its modes at both ends costs steps, and helps others only in a conflict.
-    found = _search(levels, constraints, _no_higher_than_the_ends(levels.change), None)
-    if found is not None and found.is_free:
-        return found
-    found = _search(levels, constraints, None, found)
-    if (found is not None and found.is_free) or not _shares_a_capped_topic(levels.change):
-        return found
-    return _search(levels, constraints, None, found, eager=False)
+    few = few and most < inf
+    found = _search(levels, constraints, _no_higher_than_the_ends(levels.change), None, most, few=few)
+    if found is None or not found.is_free:
+        found = _search(levels, constraints, None, found, most, few=few)
+        if (found is None or not found.is_free) and _shares_a_capped_topic(levels.change):
+            found = _search(levels, constraints, None, found, most, few=few, eager=False)
+    return known if found is None or (known is not None and known.key < found.key) else found
 
 
 def _shares_a_capped_topic(change: Change) -> bool:
@@ -128,24 +154,31 @@ def _search(
     constraints: Sequence[Constraint],
     ceiling: Ceiling | None,
     best: Candidate | None,
+    most: float,
     *,
+    few: bool,
     eager: bool = True,
 ) -> Candidate | None:
     """Depth first through the conflict core, cheapest first, within the number of trials.
 
-    ``best`` is the best plan found before; it is returned where no better one is found.
+    ``best`` is the best plan found before; it is returned where no better one is found. Only plans with at most the
+    disruption ``most`` are of interest.
     """
     orders = [constraint for constraint in constraints if isinstance(constraint, Order)]
     monitor = ConstraintMonitor.of(levels, constraints) if constraints else None
     start = SearchState.at_start(PlanBuilder.at_start(levels, ceiling, monitor), orders, eager=eager)
     if start.layers() is None:
         return best
-    trials = _TRIALS
+    trials = _TRIALS // 10 if few else _TRIALS
     stack = [start.advance()]
     while stack:
         state = stack.pop()
         doomed = state.builder.is_doomed
-        if best is not None and (trials <= 0 or doomed or _cannot_beat(state, best)):
+        if state.builder.meter.disruption > most:
+            continue
+        if (best is not None or most < inf) and (trials <= 0 or doomed):
+            continue
+        if best is not None and _cannot_beat(state, best):
             continue
         if state.only_removals_left:
             found = _candidate(levels, constraints, state.finish())
@@ -155,7 +188,7 @@ def _search(
                 break
             continue
         # A doomed state is followed to its end only while there is no other plan to report, and in one way only.
-        tried = moves(state)[: 1 if doomed else None if trials > 0 else _FEW]
+        tried = moves(state)[: 1 if doomed else _FEW if few or trials <= 0 else None]
         following = sorted((play(state, move).advance() for move in tried), key=_priority)
         trials -= len(tried)
         stack.extend(following[: None if trials > 0 else 1][::-1])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
@@ -15,6 +16,8 @@ from midstride.plan.explain import Degradation, LevelShift
 from midstride.plan.runtime_values import RuntimeValue
 from midstride.plan.schedule import dependencies, makespan
 from midstride.plan.step import Step
+
+_EPSILON: Final = 1e-6
 
 
 @dataclass(frozen=True)
@@ -40,19 +43,18 @@ class Plan:
     remarks: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, strategy: str, steps: Sequence[Step], levels: Levels) -> Plan:
-        """The plan that consists of ``steps``, with its costs.
-
-        No disruption is less than 0, so a plan without disruption is minimal; of any other, nothing is claimed.
-        """
+    def of(cls, strategy: str, steps: Sequence[Step], levels: Levels, lower_bound: float = 0.0) -> Plan:
+        """The plan that consists of ``steps``, with its costs; no plan has less disruption than ``lower_bound``."""
         *_, (_, meter) = follow(levels, steps)
+        # Sums of floats in another order may differ by less than any plan does.
+        is_minimal = meter.disruption - lower_bound < _EPSILON
         return cls(
             strategy=strategy,
             change=levels.change,
             steps=tuple(steps),
             disruption=meter.disruption,
-            lower_bound=0.0,
-            proved_minimal=meter.disruption == 0.0,
+            lower_bound=meter.disruption if is_minimal else round(lower_bound, DIGITS),
+            proved_minimal=is_minimal,
             makespan=makespan(steps, levels),
             seconds=round(sum(step.seconds for step in steps), DIGITS),
             fallen=tuple(sorted(meter.fallen)),

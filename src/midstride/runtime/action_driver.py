@@ -158,6 +158,8 @@ class ActionDriver:
         standby, topics = self.system.has_instance(instance.role), self._topics(instance)
         if self.parameters is None:
             return await self.launcher.start(instance, standby=standby, topics=topics)
+        if instance.component.has_lifecycle:
+            await self.parameters.ask(instance)
         start_values = self.parameters.start_values
         return await self.launcher.start(instance, standby=standby, start_values=start_values, topics=topics)
 

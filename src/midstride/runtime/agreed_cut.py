@@ -39,6 +39,8 @@ RESUME_PERIODS: Final = 10
 SHORTEST_RESUME: Final = 0.1
 # The same if no rate defines a period (s).
 RESUME_WITHOUT_RATE: Final = 2.0
+# How long two lifecycle nodes may take to be deactivated and activated (s).
+TRANSITIONS: Final = 10.0
 # How long a subscriber may take to find the new publishers (s).
 FIND_TIMEOUT: Final = 5.0
 # How often, and at which interval (s), a subscriber may still count a publisher that has left.
@@ -96,7 +98,9 @@ class Cut:
 
     def timeout(self, stretch: float) -> float:
         """How long it may take until both sides know how it ended (s); ``stretch`` as for a slow clock."""
-        return self.lead + self.resume_after() * stretch + 2.0 + (0.0 if self.state is None else self.state.timeout)
+        transitions = TRANSITIONS if self.configuration.component(self.new).gate == "lifecycle" else 0.0
+        moving = 0.0 if self.state is None else self.state.timeout
+        return self.lead + self.resume_after() * stretch + 2.0 + moving + transitions
 
     def incoming(self, address: str) -> CutInCommand:
         """The cut as the new side is sent it; ``address`` is that of the old side."""

@@ -353,6 +353,8 @@ class LiveHandover:
             if incoming.outcome != "done" or outgoing.outcome != "done":
                 raise OldSideFailed(f"{cut.old} resumed before it learned that {cut.new} had published{reason}")
             self.states.ended(cut, incoming)
+            if because is not None and self.configuration.component(cut.new).gate == "lifecycle":
+                self.events.add("note", f"{cut.old} was deactivated before {cut.new} was activated: {because}")
             for swap in cut.swaps:
                 write = outgoing.last.get(f"{swap.old.port} {self._topic(swap)}")
                 last[swap.old] = None if write is None else write.number

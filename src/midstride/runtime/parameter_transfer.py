@@ -48,6 +48,11 @@ class ParameterTransfer:
 
     # -- a new instance ----------------------------------------------------------------------------
 
+    async def ask(self, instance: Instance) -> None:
+        """Have the predecessor of ``instance`` say its values, which it does not report at once."""
+        if (old := self._predecessors.get(instance.name)) is not None:
+            await self._observe(old)
+
     def start_values(self, instance: Instance) -> dict[str, Any]:
         """The values that ``instance`` starts with instead of the declared ones.
 

@@ -139,6 +139,8 @@ class SilenceMonitor:
             words = f"{instance} discovers no new endpoints, although its data flows: its middleware stands still"
             seconds = round(self.clock.steady() - since, 3)
             yield SilenceFault(kind="not_discovering", instance=instance, seconds=seconds, words=words)
+        if not configuration.component(instance).counts_messages:
+            return
         for port, connector in configuration.attached_ports(instance):
             topic = configuration.topic(connector)
             link = self._links.get(topic, {}).get(port)

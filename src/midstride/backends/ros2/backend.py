@@ -29,6 +29,7 @@ from midstride.backends.ros2 import dds_profiles, launching, names
 from midstride.backends.ros2.early_join import hidden_node
 from midstride.backends.ros2.foreign_nodes import ForeignNodes, ros_arguments
 from midstride.backends.ros2.graph import Graph
+from midstride.backends.ros2.node_services import RosNodeServices
 from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middleware
 from midstride.runtime.process import Process
@@ -62,7 +63,7 @@ class Ros2Backend(ProcessBackend):
         self._context: Any = None
         self._probes = 0
         self._probe_stuck = False
-        self._foreign_nodes = ForeignNodes(control / "gates", self.transport)
+        self._foreign_nodes = ForeignNodes(control / "gates", self.transport, self._services_of)
 
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
         self._on_exit = on_exit
@@ -135,6 +136,14 @@ class Ros2Backend(ProcessBackend):
         else:
             self._foreign_nodes.gone(handle.instance)
         return runs
+
+    async def end(self, instance: str, grace: float) -> None:
+        if grace:
+            await self._foreign_nodes.finish(instance)
+        await super().end(instance, grace)
+
+    def _services_of(self, node: str) -> RosNodeServices:
+        return RosNodeServices(self._node, node)
 
     def _python(self) -> str:
         return sys.executable

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import os
 import time
 import uuid
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -16,12 +17,14 @@ from msgspec.structs import replace
 
 from midstride.backends.naming import split
 from midstride.codec.component import NamedComponentForm
-from midstride.errors import BackendError
+from midstride.errors import BackendError, CommandRefused
 from midstride.foreign import build
 from midstride.foreign.agent import ForeignAgent
 from midstride.foreign.gates import Gates
+from midstride.foreign.lifecycle_cuts import LifecyclePeers
 from midstride.foreign.page import Page
 from midstride.foreign.record import ForeignRecord
+from midstride.foreign.services import NodeServices
 from midstride.model.component import ComponentSpec
 from midstride.runtime.backend import Handle, Launch
 from midstride.wire.transport import Transport
@@ -30,13 +33,20 @@ ENV_PAGE: Final = "MIDSTRIDE_GATE_PAGE"
 ENV_NODE: Final = "MIDSTRIDE_GATE_NODE"
 _PAGE: Final = "page"
 
+log = logging.getLogger(__name__)
+
 
 class ForeignNodes:
-    """Those of one system. Their page and records are in ``folder``; their agents listen on ``transport``."""
+    """Those of one system. Their page and records are in ``folder``; their agents listen on ``transport``.
 
-    def __init__(self, folder: Path, transport: Transport) -> None:
+    ``services(node)``: what a node, by its full name, can be asked.
+    """
+
+    def __init__(self, folder: Path, transport: Transport, services: Callable[[str], NodeServices | None]) -> None:
         self._folder = folder
         self._transport = transport
+        self._services = services
+        self._peers = LifecyclePeers()
         self._page: Page | None = None
         self._agents: dict[str, ForeignAgent] = {}
         self._closing: set[asyncio.Task[None]] = set()
@@ -48,12 +58,13 @@ class ForeignNodes:
 
         ``node`` is the full name of its ROS node.
         """
+        await asyncio.gather(*self._closing)  # the name may be that of one that has just ended
         topics = {
             port: launch.topics.get(port) or _resolved(component.topic_of(port), node) for port in component.ports()
         }
         index, variables = None, dict(environment)
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if component.gate == "preload":
+        if component.preloads:
             page, library = await self._opened(environment)
             index = page.allocate(launch.instance)
             Gates(page, index, component).prepare(topics)
@@ -71,6 +82,9 @@ class ForeignNodes:
             index=index,
             topics=topics,
             modes={functionality.name: functionality.modes[-1].name for functionality in component},
+            outputs=[port for port in component.outputs if port in launch.topics],
+            stated=launch.parameters,
+            taken_over=launch.set_parameters,
         )
         return variables, record
 
@@ -105,11 +119,22 @@ class ForeignNodes:
         if record.index is not None and self._page is not None:
             gates = Gates(self._page, record.index, record.declaration.declared())
         record.write(self._folder)
-        agent = self._agents[record.instance] = ForeignAgent(record, self._folder, gates)
+        services = self._services(record.node)
+        agent = self._agents[record.instance] = ForeignAgent(record, self._folder, gates, services, self._peers)
         await agent.open(self._transport)
+
+    async def finish(self, instance: str) -> None:
+        """Before its process is ended: the last transitions of a lifecycle node, which may fail."""
+        agent = self._agents.get(instance)
+        if agent is not None and agent.lifecycle is not None and agent.lifecycle.lifecycle.responsive:
+            try:
+                await agent.lifecycle.finish()
+            except CommandRefused as error:
+                log.warning("%s; its process is ended all the same", error)
 
     def gone(self, instance: str) -> None:
         """Its process has ended."""
+        self._peers.nodes.pop(instance, None)
         if (agent := self._agents.pop(instance, None)) is not None:
             record = agent.node.record
             closing = asyncio.get_running_loop().create_task(agent.close())

@@ -1,0 +1,126 @@
+"""The lifecycle and parameter services of another node, called from the manager's loop without a thread."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any, Final, TypeAlias
+
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces import srv as parameter_srv
+from rclpy.parameter import Parameter, parameter_value_to_python
+
+from midstride.foreign.services import NoAnswer
+
+# How often it looks for a service, or for an answer (s).
+INTERVAL: Final = 0.005
+# After how long without an answer a request is sent again (s): discovery may have shown a server whose process had just
+# ended, or the new one before it could answer.
+AGAIN: Final = 1.0
+Lost: TypeAlias = Callable[[], Awaitable[bool]]
+_TRANSITIONS: Final = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4, "shutdown": 5}
+
+
+class RosNodeServices:
+    """Those of the node with the full name ``name``: a :class:`midstride.foreign.services.NodeServices`.
+
+    ``node`` is the manager's, which no executor spins: a response is taken as soon as the middleware has it.
+    """
+
+    def __init__(self, node: Any, name: str) -> None:
+        self._node = node
+        self._name = name
+        self._clients: dict[str, Any] = {}
+        self._waiting: dict[str, dict[int, asyncio.Future[Any]]] = {}  # by service, and number of the request
+
+    def close(self) -> None:
+        for client in self._clients.values():
+            self._node.destroy_client(client)
+        self._clients.clear()
+
+    async def lifecycle_state(self, timeout: float) -> str:
+        return str((await self._call(GetState, "get_state", timeout)).current_state.label)
+
+    async def transition(self, name: str, timeout: float) -> bool:
+        request = ChangeState.Request()
+        request.transition.id = _TRANSITIONS[name]
+        before = await self.lifecycle_state(timeout)
+
+        async def lost() -> bool:
+            """Not if the node is busy with it."""
+            try:
+                return await self.lifecycle_state(AGAIN) == before
+            except NoAnswer:
+                return False
+
+        return bool((await self._call(ChangeState, "change_state", timeout, request, lost)).success)
+
+    async def parameters(self, timeout: float) -> dict[str, Any]:
+        names = (await self._call(parameter_srv.ListParameters, "list_parameters", timeout)).result.names
+        request = parameter_srv.GetParameters.Request(names=names)
+        values = (await self._call(parameter_srv.GetParameters, "get_parameters", timeout, request)).values
+        found = {name: _plain(value) for name, value in zip(names, values, strict=False)}
+        return {name: value for name, value in found.items() if value is not None}
+
+    async def set_parameters(self, values: Mapping[str, Any], timeout: float) -> str | None:
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        request = parameter_srv.SetParametersAtomically.Request(parameters=parameters)
+        type_, service = parameter_srv.SetParametersAtomically, "set_parameters_atomically"
+        result = (await self._call(type_, service, timeout, request)).result
+        return None if result.successful else str(result.reason)
+
+    async def _call(
+        self, type_: Any, service: str, timeout: float, request: Any = None, lost: Lost | None = None
+    ) -> Any:
+        """The response, within ``timeout`` seconds in all; a request that may be ``lost`` is sent again.
+
+        Raises NoAnswer.
+        """
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + timeout
+        name = f"{self._name}/{service}"
+        client = self._clients.get(service)
+        if client is None:
+            client = self._clients[service] = self._node.create_client(type_, name)
+        while not client.service_is_ready():
+            if loop.time() >= deadline:
+                raise NoAnswer(f"it offers no service {name}")
+            await asyncio.sleep(INTERVAL)
+        answered: asyncio.Future[Any] = loop.create_future()
+        waiting, sent = self._waiting.setdefault(service, {}), -math.inf
+        try:
+            while not answered.done():
+                if loop.time() >= deadline:
+                    raise NoAnswer(f"{name} has not answered within {timeout:g} s")
+                if loop.time() >= sent + AGAIN and (sent < 0 or lost is None or await lost()):
+                    with client.handle:
+                        waiting[client.handle.send_request(request or type_.Request())] = answered
+                    sent = loop.time()
+                self._take(client, waiting)
+                if not answered.done():
+                    await asyncio.sleep(INTERVAL)
+            return answered.result()
+        finally:
+            for number in [number for number, each in waiting.items() if each is answered]:
+                del waiting[number]
+
+    @staticmethod
+    def _take(client: Any, waiting: Mapping[int, asyncio.Future[Any]]) -> None:
+        """Take what has arrived, also for others that wait for the same service."""
+        while True:
+            with client.handle:
+                header, response = client.handle.take_response(client.srv_type.Response) or (None, None)
+            if header is None:
+                return
+            found = waiting.get(header.request_id.sequence_number)
+            if found is not None and not found.done():
+                found.set_result(response)
+
+
+def _plain(value: Any) -> Any:
+    """None for a value that no specification can have, as bytes, or that is not set."""
+    found = parameter_value_to_python(value)
+    if isinstance(found, bytes) or (isinstance(found, list) and any(isinstance(each, bytes) for each in found)):
+        return None
+    return list(found) if found is not None and not isinstance(found, bool | int | float | str) else found

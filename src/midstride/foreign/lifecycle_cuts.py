@@ -1,0 +1,96 @@
+"""The hand-over between two lifecycle nodes without a gate: the old one is deactivated, then the new one is activated.
+
+In this order there are never two publishers, and the topic is silent for the time that both transitions take
+(docs/semantics.md section 7, *Lifecycle nodes*).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from midstride.errors import CommandRefused
+from midstride.foreign.lifecycle_node import LifecycleNode
+from midstride.wire import commands
+from midstride.wire.state import GateState
+
+
+@dataclass
+class LifecyclePeers:
+    """Those of a system, and the hand-overs between them, by cut: how long the topics were silent (s)."""
+
+    nodes: dict[str, LifecycleNode] = field(default_factory=dict)
+    exchanges: dict[str, asyncio.Task[float]] = field(default_factory=dict)
+
+
+class LifecycleCuts:
+    """The cuts of ``own``. Each method carries out one command. Raises CommandRefused, as they do."""
+
+    def __init__(self, own: LifecycleNode, peers: LifecyclePeers) -> None:
+        self._own = own
+        self._peers = peers
+        self._cuts: dict[str, tuple[str | None, list[str]]] = {}  # the old side, None on that side, and the ports
+        peers.nodes[own.node.record.instance] = own
+
+    async def grid(self, command: commands.GridCommand) -> commands.Grid:
+        """Any moment will do."""
+        return commands.Grid(trigger="none", now=time.time_ns())
+
+    async def cut_out(self, command: commands.CutOutCommand) -> commands.Done:
+        """The old side: nothing until the new one begins."""
+        self._cuts[command.cut] = None, [swap.port for swap in command.swaps]
+        return commands.Done()
+
+    async def cut_in(self, command: commands.CutInCommand) -> commands.Done:
+        """The new side: begin."""
+        old = self._peers.nodes.get(command.peer)
+        if old is None:
+            raise CommandRefused(f"{command.peer} is no lifecycle node without a gate")
+        topics = {swap.topic: swap.port for swap in command.swaps}
+        theirs = [port for port, topic in old.node.record.topics.items() if topic in topics]
+        ours = [swap.port for swap in command.swaps]
+        self._cuts[command.cut] = command.peer, ours
+        exchange = asyncio.get_running_loop().create_task(self._exchange(old, theirs, ours))
+        self._peers.exchanges[command.cut] = exchange
+        exchange.add_done_callback(lambda done: done.cancelled() or done.exception())  # retrieved
+        return commands.Done()
+
+    async def _exchange(self, old: LifecycleNode, theirs: list[str], ours: list[str]) -> float:
+        begun = asyncio.get_running_loop().time()
+        await old.set_links(_all(theirs, "closed"))
+        await self._own.set_links(_all(ours, "open"))
+        return asyncio.get_running_loop().time() - begun
+
+    async def await_cut(self, command: commands.AwaitCutCommand) -> commands.CutResult:
+        """Both sides: until the new one is active, or one of them has failed to make its transition."""
+        if (exchange := self._peers.exchanges.get(command.cut)) is None:
+            raise CommandRefused(f"there is no cut {command.cut}")
+        await asyncio.wait({exchange}, timeout=command.timeout)
+        if not exchange.done() or exchange.cancelled():
+            return commands.CutResult(outcome="waiting", because="the transitions have not ended in time")
+        if (error := exchange.exception()) is not None:
+            return commands.CutResult(outcome="waiting", because=str(error))
+        words = f"{exchange.result():.3f} s for the transitions of both lifecycle nodes, in which neither was active"
+        return commands.CutResult(outcome="done", because=words)
+
+    async def cancel_cut(self, command: commands.CancelCutCommand) -> commands.Done:
+        """Either side: the new one becomes inactive again, and the old one active.
+
+        The old one does so even if the new one does not answer: what has failed is ended next.
+        """
+        peer, ports = self._cuts.pop(command.cut, (None, []))
+        exchange = self._peers.exchanges.get(command.cut)
+        if exchange is not None and peer is not None:
+            exchange.cancel()
+            await asyncio.wait({exchange})
+            await self._own.set_links(_all(ports, "closed"))
+        elif ports:
+            self._peers.exchanges.pop(command.cut, None)
+            await self._own.set_links(_all(ports, "open"))
+        return commands.Done()
+
+
+def _all(ports: list[str], gate: GateState) -> Mapping[str, GateState]:
+    return dict.fromkeys(ports, gate)

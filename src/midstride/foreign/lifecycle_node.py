@@ -1,0 +1,97 @@
+"""A lifecycle node as its agent knows it: which state its modes and attachments require, and that it has this state.
+
+It is active while a functionality of it is not in its last mode. Where nothing else holds it back (`gate lifecycle`),
+also only while all outputs that the specification attaches are open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from midstride.errors import CommandRefused
+from midstride.foreign.lifecycle import ACTIVE, FINALIZED, INACTIVE, SERVICES_TIMEOUT, NodeLifecycle
+from midstride.foreign.node import ForeignNode
+from midstride.foreign.services import NoAnswer, NodeServices
+from midstride.wire.state import GateState
+
+
+class LifecycleNode:
+    """``node``, whose lifecycle services are among ``services``."""
+
+    def __init__(self, node: ForeignNode, services: NodeServices) -> None:
+        self.node = node
+        self.lifecycle = NodeLifecycle(node.record.instance, services, node.component.startup_seconds or 0.0)
+
+    async def configure(self) -> None:
+        """After the start of its process. Raises CommandRefused."""
+        await self.lifecycle.reach(INACTIVE, SERVICES_TIMEOUT)
+
+    async def finish(self) -> None:
+        """Before its process ends: to `finalized`. Raises CommandRefused."""
+        if self.lifecycle.state != FINALIZED:
+            await self.lifecycle.reach(FINALIZED)
+
+    def required(self, modes: Mapping[str, str], links: Mapping[str, GateState]) -> str:
+        """The state for these modes (by functionality) and attachments (by port)."""
+        works = any(modes[each.name] != each.modes[-1].name for each in self.node.component)
+        if self.node.gates is None:
+            works = works and all(links.get(port) == "open" for port in self.node.record.outputs)
+        return ACTIVE if works else INACTIVE
+
+    async def enter_modes(self, modes: Mapping[str, str], because: str) -> None:
+        """Raises CommandRefused; then the modes are as before."""
+        record = self.node.record
+        before = {name: mode for name, mode in record.modes.items() if name in modes}
+        await self._change(
+            self.required({**record.modes, **modes}, record.links),
+            lambda: self.node.enter_modes(modes, because),
+            lambda: self.node.enter_modes(before, "roll-back"),
+        )
+
+    async def set_links(self, links: Mapping[str, GateState | None]) -> None:
+        """Open, close or take away (None) attachments, by port. Raises CommandRefused; then they are as before."""
+        before = {port: self.node.record.links.get(port) for port in links}
+        required = self.required(self.node.record.modes, _merged(self.node.record.links, links))
+        await self._change(required, lambda: self._record(links), lambda: self._record(before))
+
+    def _record(self, links: Mapping[str, GateState | None]) -> None:
+        self.node.change_record(links=_merged(self.node.record.links, links))
+        for port in links:
+            self.node.adjust(port)
+
+    async def _change(self, required: str, apply: Callable[[], None], undo: Callable[[], None]) -> None:
+        """``apply`` once the node is active, or before it is deactivated, so that what is open is active."""
+        if required == ACTIVE:
+            await self.lifecycle.reach(ACTIVE)
+            apply()
+            return
+        apply()
+        try:
+            await self.lifecycle.reach(INACTIVE)
+        except CommandRefused:
+            undo()
+            raise
+
+    def left(self) -> bool:
+        """Whether it should be active, and was not when it was last asked."""
+        return (
+            self.required(self.node.record.modes, self.node.record.links) == ACTIVE and self.lifecycle.state != ACTIVE
+        )
+
+    async def look(self) -> bool:
+        """Ask for the state. If it has left the one that it should have, its modes are the last ones from now on."""
+        record = self.node.record
+        try:
+            state = await self.lifecycle.look()
+        except NoAnswer:
+            return False
+        if not self.left() or record != self.node.record:
+            return False
+        last = {each.name: each.modes[-1].name for each in self.node.component}
+        self.node.enter_modes(last, f"its lifecycle state is {state}")
+        return True
+
+
+def _merged(links: Mapping[str, GateState], changes: Mapping[str, GateState | None]) -> dict[str, GateState]:
+    merged = {**links, **changes}
+    return {port: gate for port, gate in merged.items() if gate is not None}

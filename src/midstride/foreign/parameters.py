@@ -1,0 +1,71 @@
+"""The parameters of a foreign node: as they are now, and which of them were set while it ran."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from midstride.errors import CommandRefused
+from midstride.foreign.node import ForeignNode
+from midstride.foreign.services import NoAnswer, NodeServices
+from midstride.wire import commands
+
+# How long the node may take to say the values of its parameters, and to set some (s).
+READ_TIMEOUT: Final = 1.0
+SET_TIMEOUT: Final = 4.0
+# Parameters that ROS 2 itself declares, and that cannot be set.
+_OF_ROS: Final = ("qos_overrides.", "start_type_description_service")
+
+
+class ForeignParameters:
+    """Those of ``node``. They are in its state as of the last :meth:`read`."""
+
+    def __init__(self, node: ForeignNode, services: NodeServices) -> None:
+        self._node = node
+        self._services = services
+
+    async def read(self) -> None:
+        """Have the state show them. Does nothing where the node does not answer."""
+        try:
+            found = await self._services.parameters(READ_TIMEOUT)
+        except NoAnswer:
+            return
+        values = {name: value for name, value in found.items() if not name.startswith(_OF_ROS)}
+        record = self._node.record
+        if record.started_with is None:  # what the program itself has chosen is not known before
+            own = {name: value for name, value in values.items() if name not in record.taken_over}
+            self._node.change_record(started_with={**own, **record.stated})
+        started_with = self._node.record.started_with or {}
+        self._node.parameters = values
+        self._node.declared = {
+            name: started_with.get(name, value)
+            for name, value in values.items()
+            if name not in started_with or started_with[name] != value
+        }
+
+    async def set(self, command: commands.SetParametersCommand) -> commands.PreviousParameters:
+        """All of them or none; those that have their value already are not set. Raises CommandRefused."""
+        await self.read()
+        before, declared = dict(self._node.parameters), dict(self._node.declared)
+        changed = {name: value for name, value in command.parameters.items() if before.get(name) != value}
+        await self.apply(changed)
+        stated = command.parameters if command.declared is None else command.declared
+        self._node.change_record(started_with={**(self._node.record.started_with or {}), **stated})
+        await self.read()
+        names = command.parameters.keys()
+        return commands.PreviousParameters(
+            before={name: before[name] for name in names if name in before},
+            declared={name: declared[name] for name in names if name in declared},
+        )
+
+    async def apply(self, values: Mapping[str, Any]) -> None:
+        """Set all of these, or none. Raises CommandRefused with the node's reason."""
+        if not values:
+            return
+        what, instance = ", ".join(f"{name} = {value!r}" for name, value in values.items()), self._node.record.instance
+        try:
+            refused = await self._services.set_parameters(values, SET_TIMEOUT)
+        except NoAnswer as error:
+            raise CommandRefused(f"{instance} has not set {what}: {error}") from None
+        if refused is not None:
+            raise CommandRefused(f"{instance} refuses {what}: {refused or 'it gives no reason'}")

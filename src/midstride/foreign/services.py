@@ -1,0 +1,28 @@
+"""What the agent of a node without Midstride's API asks the node itself: its lifecycle state and its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+from midstride.errors import BackendError
+
+
+class NoAnswer(BackendError):
+    """The node has not answered a request in time, or does not serve it."""
+
+
+class NodeServices(Protocol):
+    """The services that a node of ROS 2 has without code of its author. Times are in s; each raises NoAnswer."""
+
+    async def lifecycle_state(self, timeout: float) -> str:
+        """The label of the state: `unconfigured`, `inactive`, `active`, `finalized`, or that of a transition."""
+
+    async def transition(self, name: str, timeout: float) -> bool:
+        """Have a lifecycle node make a transition, such as `configure`; whether it has succeeded."""
+
+    async def parameters(self, timeout: float) -> dict[str, Any]:
+        """The values of all parameters that have one."""
+
+    async def set_parameters(self, values: Mapping[str, Any], timeout: float) -> str | None:
+        """Set all of these parameters or none; None, or why the node refuses."""

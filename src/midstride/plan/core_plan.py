@@ -1,0 +1,150 @@
+"""The least that any plan of a change loses, and plans that lose no more: the conflict core searched part by part.
+
+The parts share no action, so no way through one of them makes another cheaper than it is by itself; what each costs at
+least adds up to a lower bound on every plan. Plans are made of the cheapest ways and cost what they cost: what is
+claimed of them never rests on the compiled core alone.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from math import inf
+
+from midstride.model.action import Swap
+from midstride.model.component import FunctionalityRef
+from midstride.model.specification import Constraint, Keep
+from midstride.plan.constraints import ConstraintMonitor
+from midstride.plan.core import Op, parts
+from midstride.plan.core_losses import PartLosses, fullest
+from midstride.plan.core_search import PartSearch
+from midstride.plan.disruption import Levels
+from midstride.plan.plan_builder import PlanBuilder
+from midstride.plan.search_state import SearchState
+
+
+class Budget:
+    """How long the search may take: in seconds, or in states, where the result must not depend on the machine."""
+
+    def __init__(self, states: float = 20_000, seconds: float = inf) -> None:
+        self._states, self._end = states, time.monotonic() + seconds
+
+    def is_used_up(self) -> bool:
+        """Counts one state more."""
+        self._states -= 1
+        return self._states < 0 or time.monotonic() > self._end
+
+
+@dataclass(frozen=True, slots=True)
+class CoreResult:
+    """No plan loses less than ``lower_bound`` (infinite: there is none). ``moves`` are tied actions, in order."""
+
+    lower_bound: float = 0.0
+    moves: tuple[tuple[Op, ...], ...] | None = ()
+
+
+def search_core(levels: Levels, constraints: Sequence[Constraint], budget: Budget) -> CoreResult:
+    """The lower bound, and the actions of a way through all parts that costs the least known."""
+    change = levels.change
+    found = [part for part in parts(change, constraints) if any(part.seconds) or constraints]
+    if not found:
+        return CoreResult()
+    keeps = _keeps(levels, constraints)
+    if any(most < 0 for most in keeps.values()):
+        return CoreResult(inf, None)
+    full = fullest(change)
+    searches = [PartSearch(part, PartLosses(change, part, levels, full), keeps) for part in found]
+    results = [search.beam() for search in searches]
+    for index, search in enumerate(searches):
+        results[index] = search.run(budget.is_used_up, results[index])
+    bound = sum(result.lower_bound for result in results)
+    if any(result.cost == inf for result in results):
+        return CoreResult(bound, None)
+    moves = [
+        tuple(op for bit, op in enumerate(part.ops) if move >> bit & 1)
+        for part, result in zip(found, results, strict=True)
+        for move in result.moves
+    ]
+    return CoreResult(bound, tuple(moves))
+
+
+def _keeps(levels: Levels, constraints: Iterable[Constraint]) -> dict[FunctionalityRef, int]:
+    """How many levels below its baseline each functionality may be that is to be kept."""
+    found: dict[FunctionalityRef, int] = {}
+    monitor = ConstraintMonitor.of(levels, [each for each in constraints if isinstance(each, Keep)])
+    for keep, _, threshold in monitor.keeps:
+        counted = levels.find(keep.functionality)
+        if counted is not None:
+            found[counted.ref] = min(found.get(counted.ref, counted.worst), threshold - counted.baseline)
+    return found
+
+
+# -- the plans -----------------------------------------------------------------------------------------------
+
+
+def plans_along(state: SearchState, moves: Sequence[tuple[Op, ...]]) -> Iterator[PlanBuilder]:
+    """The plans that make the tied actions in this order: with hand-overs, and with old and new side by side."""
+    yield from _along(state, moves)
+    beside = state
+    for new in state.swaps:
+        beside = beside.without_swaps(new)
+    yield from _along(beside, moves)
+
+
+def _along(state: SearchState, moves: Sequence[tuple[Op, ...]]) -> Iterator[PlanBuilder]:
+    state = state.advance()
+    for move in moves:
+        for op in sorted(move, key=lambda op: ("detach", "attach", "create", "remove").index(op.kind)):
+            state = _done(state, op, move)
+        state = state.raise_touched().advance()
+    for new in list(state.swaps):
+        swaps = state.swaps[new]
+        state = state.hand_over(new) if all(map(state.can_take_over, swaps)) else state.without_swaps(new)
+        state = state.raise_touched()
+    if state.creates:
+        return
+    builder = state.attach(*state.attaches).finish()
+    if _is_valid(builder):
+        yield builder
+
+
+def _done(state: SearchState, op: Op, move: tuple[Op, ...]) -> SearchState:
+    """The state after one tied action, unless it was made before, on the way."""
+    if op.kind == "create":
+        return state.create(op.instance) if op.instance in state.creates else state
+    if op.kind == "remove":
+        if op.instance not in state.removes:
+            return state
+        new = state.builder.change.replaced.get(op.instance)
+        if new is not None:
+            state = state.without_swaps(new)
+        return state.remove([op.instance], [pair for pair in state.detaches if pair[0].instance == op.instance])
+    if any(each.kind == "remove" and each.instance == op.instance for each in move):
+        return state  # comes with the removal
+    port, connector = op.attachment
+    for new, swaps in state.swaps.items():
+        swap = next((s for s in swaps if op.attachment in ((s.new, s.connector), (s.old, s.connector))), None)
+        if swap is not None:
+            both = {(each.port, each.connector) for each in move}
+            if (swap.new, connector) in both and all(map(state.can_take_over, swaps)):
+                return state.hand_over(new).raise_touched()
+            state = state.without_swaps(new, tuple(each for each in swaps if each != swap))
+            break
+    if op.kind == "detach":
+        taking = next((each for each in move if each.kind == "attach" and each.connector == connector), None)
+        if taking is not None and taking.attachment in state.attaches and op.attachment in state.detaches:
+            new_port, _ = taking.attachment
+            if state.satisfies_topic(new_port, connector):
+                return state.exchange(Swap(connector, port, new_port)).raise_touched()
+        return state.detach([op.attachment]) if op.attachment in state.detaches else state
+    return state.attach(op.attachment) if op.attachment in state.attaches else state
+
+
+def _is_valid(builder: PlanBuilder) -> bool:
+    configuration = builder.change.start
+    for step in builder.steps:
+        if step.action.check(configuration):
+            return False
+        configuration = step.action.effect(configuration)
+    return True

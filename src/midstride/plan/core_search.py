@@ -1,0 +1,186 @@
+"""The exact search of one part of the conflict core: A* over the sets of actions that are done.
+
+The cost of a step follows from the set alone (docs/semantics.md section 5, F4), so sets reached in different orders are
+one state. The frontier gives a lower bound at any time; a beam search before it gives a plan at once.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from midstride.model.component import FunctionalityRef
+from midstride.plan.core import Part
+from midstride.plan.core_bounds import RoleBounds
+from midstride.plan.core_losses import PartLosses
+
+_EPSILON: Final = 1e-7
+_BEAM: Final = 40
+
+
+@dataclass(frozen=True, slots=True)
+class PartResult:
+    """No way through the part costs less than ``lower_bound``; ``moves``, sets of actions by bit, cost ``cost``.
+
+    Without ``moves``, none was found; if the bound is infinite, there is none.
+    """
+
+    lower_bound: float
+    cost: float = float("inf")
+    moves: tuple[int, ...] = ()
+
+
+class PartSearch:
+    """``keeps``: for some functionalities of roles, how many levels below the baseline they may be."""
+
+    def __init__(self, part: Part, losses: PartLosses, keeps: dict[FunctionalityRef, int]) -> None:
+        self.part, self.losses, self.keeps = part, losses, keeps
+        self.bounds = RoleBounds(part, losses)
+        ops = part.ops
+        self._creates = [bit for bit, op in enumerate(ops) if op.kind == "create"]
+        self._removes = [bit for bit, op in enumerate(ops) if op.kind == "remove"]
+        self._attaches = sum(1 << bit for bit, op in enumerate(ops) if op.kind == "attach")
+        # A removal brings the detaching of what is still attached with it.
+        self._brings = {
+            bit: sum(1 << b for b, op in enumerate(ops) if op.kind == "detach" and op.instance == ops[bit].instance)
+            for bit in self._removes
+        }
+        self._alone = [  # detaching by itself is of use only where an order waits for it
+            bit for bit, op in enumerate(ops) if op.kind == "detach" and any(after >> bit & 1 for after in part.after)
+        ]
+        self._topic_of = {bit: topic for topic in part.topics for bit in range(len(ops)) if topic.attach >> bit & 1}
+        self._goal = part.everything & ~sum(1 << bit for bit, op in enumerate(ops) if op.kind == "detach")
+        self._allowed: dict[int, bool] = {}
+
+    # -- one state -------------------------------------------------------------------------------------
+
+    def _is_allowed(self, state: int) -> bool:
+        if not self.keeps:
+            return True
+        key = self.losses.key(state)
+        found = self._allowed.get(key)
+        if found is None:
+            lost = dict(self.losses.losses(state))
+            found = self._allowed[key] = all(lost.get(ref, 0) <= most for ref, most in self.keeps.items())
+        return found
+
+    def _is_due(self, bit: int, state: int) -> bool:
+        """Whether the user's orders allow an action now."""
+        after = self.part.after[bit]
+        return state & after == after
+
+    def _fits(self, bit: int, state: int) -> bool:
+        usage = self.part.usage
+        for resource, free in enumerate(self.part.free):
+            needed = usage[bit][resource]
+            if needed and free < needed + sum(
+                usage[done][resource] for done in (*self._creates, *self._removes) if state >> done & 1
+            ):
+                return False
+        return True
+
+    def moves(self, state: int) -> Iterator[tuple[int, float]]:
+        """The states that follow, each with what the step to it costs."""
+        part, loss = self.part, self.losses.loss
+        now = loss(state)
+        waiting = self._attaches & ~state
+        exchanges: list[int] = []
+        while waiting:
+            low = waiting & -waiting
+            waiting ^= low
+            bit = low.bit_length() - 1
+            if state & part.live[bit] != part.live[bit] or not self._is_due(bit, state):
+                continue
+            topic = self._topic_of.get(bit)
+            if topic is None:
+                yield state | low, 0.0
+                return
+            free = topic.free + (state & topic.detach).bit_count() - (state & topic.attach).bit_count()
+            if free >= (topic.attach & ~state).bit_count():
+                yield state | low, 0.0
+                return
+            if free > 0:
+                exchanges.append(state | low)
+                continue
+            olds = topic.detach & ~state
+            while olds:
+                old = olds & -olds
+                olds ^= old
+                if self._is_due(old.bit_length() - 1, state):
+                    exchanges.append(state | low | old)
+        removals = []
+        for bit in self._removes:
+            if not state >> bit & 1 and self._is_due(bit, state):
+                after = state | 1 << bit | self._brings[bit]
+                cost = part.seconds[bit] * loss(after)
+                if not cost and any(
+                    state & mask and gone >> bit & 1 and state & come == come
+                    for mask, gone, come in self.losses.equivalent
+                ):
+                    yield after, 0.0  # superseded: to go now costs nothing, and only makes room
+                    return
+                removals.append((after, cost))
+        yield from ((after, 0.0) for after in exchanges)
+        for bit in self._creates:
+            if not state >> bit & 1 and self._is_due(bit, state) and self._fits(bit, state):
+                yield state | 1 << bit, part.seconds[bit] * now
+        yield from removals
+        for bit in self._alone:
+            if not state >> bit & 1 and self._is_due(bit, state):
+                yield state | 1 << bit, 0.0
+
+    # -- searching -------------------------------------------------------------------------------------
+
+    def beam(self, width: int = _BEAM) -> PartResult:
+        """A way through the part, not always the cheapest: the most promising states with each number of actions."""
+        layers: list[dict[int, tuple[float, int]]] = [{} for _ in range(len(self.part.ops) + 1)]
+        layers[0][0] = (0.0, -1)
+        best, end, parents = float("inf"), -1, dict[int, int]()
+        for layer in layers:
+            ranked = heapq.nsmallest(width, layer.items(), key=lambda item: item[1][0] + self.bounds.of(item[0]))
+            for state, (cost, parent) in ranked:
+                parents[state] = parent
+                if state & self._goal == self._goal:
+                    if cost < best:
+                        best, end = cost, state
+                    continue
+                for after, more in self.moves(state):
+                    following = layers[after.bit_count()]
+                    if cost + more < following.get(after, (best, 0))[0] and self._is_allowed(after):
+                        following[after] = (cost + more, state)
+        return PartResult(self.bounds.of(0), best, _moves(parents, end) if end >= 0 else ())
+
+    def run(self, stop: Callable[[], bool], known: PartResult) -> PartResult:
+        """A*, until it is proved which way is the cheapest or ``stop`` says so. ``known`` is the best way known."""
+        costs = {0: 0.0}
+        parents = {0: -1}
+        queue = [(self.bounds.of(0), 0, 0.0, 0)]
+        while queue:
+            estimate, _, cost, state = queue[0]
+            if estimate >= known.cost - _EPSILON:
+                break
+            if stop():
+                return PartResult(estimate, known.cost, known.moves)
+            heapq.heappop(queue)
+            if cost > costs[state]:
+                continue  # reached more cheaply since
+            if state & self._goal == self._goal:
+                return PartResult(cost, cost, _moves(parents, state))
+            for after, more in self.moves(state):
+                total = cost + more
+                if total < costs.get(after, float("inf")) - 1e-12 and self._is_allowed(after):
+                    estimate = total + self.bounds.of(after)
+                    if estimate < known.cost - _EPSILON:
+                        costs[after], parents[after] = total, state
+                        heapq.heappush(queue, (estimate, -after.bit_count(), total, after))
+        return PartResult(known.cost, known.cost, known.moves)
+
+
+def _moves(parents: dict[int, int], end: int) -> tuple[int, ...]:
+    found = []
+    while parents[end] >= 0:
+        found.append(end & ~parents[end])
+        end = parents[end]
+    return tuple(reversed(found))

@@ -1,0 +1,164 @@
+"""Lifecycle nodes in virtual time, under a manager: their services are simulated, their agents are the real ones."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from midstride.backends.naming import full
+from midstride.backends.ros2.foreign_nodes import ForeignNodes
+from midstride.backends.simulator import Simulator
+from midstride.backends.simulator.control import SimulatedControl
+from midstride.foreign.lifecycle import ACTIVE, FINALIZED, INACTIVE, UNCONFIGURED
+from midstride.foreign.services import NoAnswer
+from midstride.runtime.backend import Exited, Handle, Launch
+from midstride.wire.transport import Connection, Serve, StopListening
+
+_AFTER = {
+    "configure": INACTIVE,
+    "activate": ACTIVE,
+    "deactivate": INACTIVE,
+    "cleanup": UNCONFIGURED,
+    "shutdown": FINALIZED,
+}
+
+
+@dataclass
+class SimulatedNode:
+    """A node that takes 20 ms for each transition. ``events`` is that of all nodes of a system.
+
+    ``refuses`` and ``hangs`` have transitions; ``rejects``: by parameter, why it cannot be set.
+    """
+
+    instance: str
+    events: list[str]
+    values: dict[str, Any] = field(default_factory=dict)
+    refuses: set[str] = field(default_factory=set)
+    hangs: set[str] = field(default_factory=set)
+    rejects: dict[str, str] = field(default_factory=dict)
+    state: str = UNCONFIGURED
+    hung: bool = False
+
+    async def _answers(self, timeout: float) -> None:
+        if self.hung:
+            await asyncio.sleep(timeout)
+            raise NoAnswer(f"{self.instance} has not answered within {timeout:g} s")
+        await asyncio.sleep(0.001)
+
+    async def lifecycle_state(self, timeout: float) -> str:
+        await self._answers(timeout)
+        return self.state
+
+    async def transition(self, name: str, timeout: float) -> bool:
+        self.hung |= name in self.hangs
+        await self._answers(timeout)
+        await asyncio.sleep(0.02)
+        if name in self.refuses:
+            return False
+        self.state = _AFTER[name]
+        self.events.append(f"{self.instance} {name}")
+        return True
+
+    async def parameters(self, timeout: float) -> dict[str, Any]:
+        await self._answers(timeout)
+        return dict(self.values)
+
+    async def set_parameters(self, values: Mapping[str, Any], timeout: float) -> str | None:
+        await self._answers(timeout)
+        if refused := [self.rejects[name] for name in values if name in self.rejects]:
+            return refused[0]
+        self.values |= values
+        self.events.append(f"{self.instance} set {' '.join(f'{name}={value}' for name, value in values.items())}")
+        return None
+
+
+class _Process:
+    """A process that is never frozen."""
+
+    async def wait_while_frozen(self) -> None:
+        pass
+
+
+class _Transport:
+    """The simulator's, for agents in the manager's process."""
+
+    def __init__(self, control: SimulatedControl) -> None:
+        self._control = control
+        self.address, self.present = control.address, control.present
+
+    async def listen(self, instance: str, serve: Serve) -> StopListening:
+        process: Any = _Process()
+        return await self._control.listen(instance, serve, process)
+
+    async def connect(self, address: str) -> Connection:
+        return await self._control.connect(address)
+
+
+class SimulatedRos(Simulator):
+    """A simulator with nodes that do not use Midstride's API, without a gate inside.
+
+    ``behaviour``: by component, what its nodes have of the fields of :class:`SimulatedNode`.
+    """
+
+    name = "ros2"
+
+    def __init__(self, folder: Path, behaviour: Mapping[str, Mapping[str, Any]] | None = None) -> None:
+        super().__init__()
+        self.nodes: dict[str, SimulatedNode] = {}
+        self.events: list[str] = []
+        self._behaviour = behaviour or {}
+        self._folder = folder
+        self._foreign = self._agents()
+
+    def _agents(self) -> ForeignNodes:
+        return ForeignNodes(self._folder, _Transport(self.control), lambda node: self.nodes.get(node.strip("/")))
+
+    async def start(self, launch: Launch) -> Handle:
+        if launch.foreign is None:
+            return await super().start(launch)
+        behaviour = self._behaviour.get(launch.foreign.name, {})
+        node = self.nodes[launch.instance] = SimulatedNode(launch.instance, self.events, **behaviour)
+        node.values = {"own": 1.5, **node.values, **launch.parameters, **launch.set_parameters}
+        _, record = await self._foreign.prepare(launch, launch.foreign, full(launch.instance, launch.namespace), {})
+        handle = Handle(launch.instance, None, self.time.steady())
+        await self._foreign.started(record, handle)
+        return handle
+
+    async def adopt(self, handle: Handle) -> bool:
+        if handle.instance not in self.nodes:
+            return await super().adopt(handle)
+        await self._foreign.adopt(handle.instance)
+        return True
+
+    async def end(self, instance: str, grace: float) -> None:
+        if instance not in self.nodes:
+            return await super().end(instance, grace)
+        if grace:
+            await self._foreign.finish(instance)
+        self._gone(instance)
+        self.events.append(f"{instance} {'ended' if grace else 'killed'}")
+
+    def _gone(self, instance: str) -> None:
+        self.nodes.pop(instance, None)
+        self._foreign.gone(instance)
+
+    def die(self, instance: str) -> None:
+        self._gone(instance)
+        self.events.append(f"{instance} died")
+        self._on_exit(Exited(instance, 1, "an error of its own"))
+
+    async def manager_killed(self) -> None:
+        """The agents are those of the next manager from now on."""
+        await self._foreign.close()
+        self._foreign = self._agents()
+
+    def of(self, role: str) -> SimulatedNode:
+        """The only node of that role."""
+        (found,) = (node for name, node in self.nodes.items() if name.startswith(role))
+        return found
+
+    def active(self) -> list[str]:
+        return sorted(name for name, node in self.nodes.items() if node.state == ACTIVE)

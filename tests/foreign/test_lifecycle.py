@@ -1,0 +1,225 @@
+"""Lifecycle nodes without a gate inside: started, moded, replaced, and what happens if they do not play along."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pytest
+
+from midstride.lang.load import load
+from midstride.model.rules import violations
+from midstride.model.specification import Specification
+from midstride.plan.request import PlanRequest
+from midstride.runtime.manager import Manager
+from midstride.runtime.reports import Outcome
+from midstride.runtime.workspace import Workspace
+from tests.foreign.simulated import SimulatedRos
+from tests.runtime.systems import saved
+
+T = TypeVar("T")
+
+TEXT = """system chat
+
+topic /chat : std_msgs/msg/String @ 50 Hz { publishers <= 1 }
+
+component Talker {
+  run "talker" gate lifecycle
+  parameters { word = "hello" }
+  output out as chatter
+  functionality talk {
+    produces out
+    mode normal { guarantee out : std_msgs/msg/String @ 50 Hz }
+    mode degraded { }
+  }
+}
+
+component Other like Talker { run "other" gate lifecycle }
+
+component Listener {
+  run "listener" gate lifecycle
+  input in : std_msgs/msg/String @ 50 Hz as chatter
+  functionality listen {
+    uses in
+    mode normal { assume in }
+    mode degraded { }
+  }
+}
+
+node talker   : Talker   { out -> /chat }
+node listener : Listener { in <- /chat }
+"""
+REPLACE = PlanRequest(replace=(("talker", "Other"),))
+
+
+def chat(folder: Path) -> Specification:
+    path = folder / "chat.stride"
+    path.write_text(TEXT, encoding="utf-8")
+    return load(path).require()
+
+
+def managed(
+    folder: Path,
+    body: Callable[[Manager, SimulatedRos], Awaitable[T]],
+    behaviour: Mapping[str, Mapping[str, Any]] | None = None,
+) -> T:
+    """Bring the system up in virtual time, and run ``body``."""
+    simulator = SimulatedRos(folder / "gates", behaviour)
+    (folder / "system").mkdir()
+    workspace = Workspace(folder / "system")
+
+    async def main() -> T:
+        manager = Manager(chat(folder), simulator, workspace, folder)
+        await manager.up()
+        assert simulator.active() == ["listener", "talker"]
+        simulator.events.clear()
+        try:
+            return await body(manager, simulator)
+        finally:
+            await manager.close()
+
+    return simulator.run(main())
+
+
+async def settled(manager: Manager, outcome: Outcome, active: list[str], simulator: SimulatedRos) -> None:
+    assert violations(manager.configuration) == []
+    await asyncio.sleep(20)  # that nothing counts their messages is no silence
+    assert (await manager.status()).valid
+    assert simulator.active() == active, outcome
+
+
+def test_the_old_one_is_deactivated_before_the_new_one_is_activated(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        simulator.nodes["talker"].values |= {"word": "bye", "own": 2.5}
+        outcome = await manager.change(REPLACE)
+        assert (outcome.outcome, outcome.because) == ("done", None)
+        assert simulator.events == [
+            "talker_2 configure",
+            "talker deactivate",
+            "talker_2 activate",
+            "talker cleanup",
+            "talker shutdown",
+            "talker ended",
+        ]
+        # What was set on the old one, the new one had from its start, before it was configured.
+        assert simulator.nodes["talker_2"].values == {"word": "bye", "own": 2.5}
+        await settled(manager, outcome, ["listener", "talker_2"], simulator)
+
+    managed(tmp_path, body)
+
+
+def test_what_is_set_later_is_taken_over_by_each_replacement(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        simulator.nodes["talker"].values["own"] = 2.5
+        await manager.change(REPLACE)
+        outcome = await manager.change(PlanRequest(replace=(("talker", "Talker"),)))
+        assert (outcome.outcome, outcome.because) == ("done", None)
+        assert simulator.of("talker").values == {"word": "hello", "own": 2.5}
+        assert [value.fate for value in outcome.parameters] == ["kept"]
+        outcome = await manager.change(PlanRequest(replace=(("talker", "Other"),), declared_parameters=True))
+        assert outcome.outcome == "done"
+        assert simulator.of("talker").values == {"word": "hello", "own": 1.5}
+
+    managed(tmp_path, body)
+
+
+def test_a_node_that_loses_its_input_is_inactive(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        talker = manager.specification.nodes["talker"]
+        outcome = await manager.change(PlanRequest(remove=("talker",)))
+        assert (outcome.outcome, outcome.because) == ("done", None)
+        await settled(manager, outcome, [], simulator)
+        assert simulator.events[0] == "listener deactivate"
+        outcome = await manager.change(PlanRequest(add=(talker,)))
+        assert (outcome.outcome, outcome.because) == ("done", None)
+        await settled(manager, outcome, ["listener", "talker"], simulator)
+
+    managed(tmp_path, body)
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "because"),
+    [
+        ({"refuses": {"configure"}}, "talker_2 has answered `configure` with a failure; it is unconfigured"),
+        ({"hangs": {"configure"}}, "talker_2 has not answered `configure` within 12 s; it was unconfigured before"),
+        ({"refuses": {"activate"}}, "talker_2 has answered `activate` with a failure; it is inactive"),
+        ({"hangs": {"activate"}}, "talker_2 has not answered `activate` within 5 s; it was inactive before"),
+    ],
+)
+def test_one_that_does_not_make_a_transition_is_not_let_in(
+    behaviour: Mapping[str, Any], because: str, tmp_path: Path
+) -> None:
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        outcome = await manager.change(REPLACE)
+        assert outcome.outcome == "rolled_back"
+        assert because in str(outcome.because)
+        assert ("talker deactivate" in simulator.events) == ("activate" in because)
+        await settled(manager, outcome, ["listener", "talker"], simulator)
+        assert sorted(simulator.nodes) == ["listener", "talker"]
+
+    managed(tmp_path, body, {"Other": behaviour})
+
+
+@pytest.mark.parametrize("during", ["configure", "activate"])
+def test_one_whose_process_ends_in_a_transition_is_not_let_in(during: str, tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        change = asyncio.ensure_future(manager.change(REPLACE))
+        while not ("talker_2" in simulator.nodes and simulator.nodes["talker_2"].hung):
+            await asyncio.sleep(0.01)
+        simulator.die("talker_2")
+        outcome = await change
+        assert outcome.outcome == "rolled_back"
+        assert "talker_2" in str(outcome.because)
+        await settled(manager, outcome, ["listener", "talker"], simulator)
+
+    managed(tmp_path, body, {"Other": {"hangs": {during}}})
+
+
+def test_an_old_one_that_cannot_be_deactivated_goes_on(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        outcome = await manager.change(REPLACE)
+        assert outcome.outcome == "rolled_back"
+        assert "talker has answered `deactivate` with a failure; it is active" in str(outcome.because)
+        await settled(manager, outcome, ["listener", "talker"], simulator)
+
+    managed(tmp_path, body, {"Talker": {"refuses": {"deactivate"}}})
+
+
+@pytest.mark.full
+def test_the_next_manager_finds_one_of_two_active(tmp_path: Path) -> None:
+    """A manager ends at any moment of a hand-over."""
+    for moment in range(30):
+        folder = tmp_path / str(moment)
+        folder.mkdir()
+
+        async def body(manager: Manager, simulator: SimulatedRos, moment: int = moment, folder: Path = folder) -> None:
+            change = asyncio.ensure_future(manager.change(REPLACE))
+            while "talker_2 configure" not in simulator.events:
+                await asyncio.sleep(0.001)
+            await asyncio.sleep(moment * 0.005)
+            workspace = Workspace(folder / "system")
+            manager._client.close()  # as if it had been killed
+            manager._store.close()
+            await simulator.manager_killed()
+            again = Manager(saved(workspace).specification, simulator, workspace, folder)
+            await again.up()
+            assert len([name for name in simulator.active() if name.startswith("talker")]) == 1, simulator.events
+            assert (await again.status()).valid
+            change.cancel()
+            await asyncio.wait({change})
+            await again.close()
+
+        managed(folder, body)
+
+
+def test_one_that_leaves_its_state_by_itself_is_degraded(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        simulator.nodes["talker"].state = "inactive"
+        while simulator.active():  # its dependant falls with it
+            await asyncio.sleep(0.1)
+        status = await manager.status()
+        assert "its lifecycle state is inactive" in str(status)
+
+    managed(tmp_path, body)
