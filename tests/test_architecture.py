@@ -19,7 +19,8 @@ ROOT = Path(__file__).parent.parent / "src"
 PACKAGE = "midstride"
 
 EVERY = frozenset(
-    "model codec wire lang plan verify generate runtime backends node foreign server cli testing simulation".split()
+    "model codec wire lang launch_files plan verify generate runtime backends node foreign server cli testing "
+    "simulation".split()
 )
 
 # What each room may import of the package, besides itself and `errors`. "" is the package's own __init__.
@@ -29,6 +30,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "codec": frozenset({"model"}),
     "wire": frozenset({"model", "codec"}),
     "lang": frozenset({"model", "codec"}),
+    "launch_files": frozenset({"model", "lang"}),
     "plan": frozenset({"model", "codec"}),
     "generate": frozenset({"model", "codec"}),
     "node": frozenset({"model", "codec", "wire"}),
@@ -36,7 +38,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "runtime": frozenset({"model", "codec", "wire", "plan", "verify"}),
     "backends": frozenset({"model", "codec", "wire", "node", "foreign", "runtime"}),
     "foreign": frozenset({"model", "codec", "wire", "node"}),
-    "server": EVERY - {"node", "cli", "testing", "simulation"} | {""},
+    "server": EVERY - {"node", "cli", "testing", "simulation", "launch_files"} | {""},
     "cli": EVERY - {"testing"} | {""},
     "testing": EVERY - {"server", "cli", "simulation"},
     "simulation": EVERY - {"server", "cli"},

@@ -83,6 +83,8 @@ class SimulatedNode:
 class _Process:
     """A process that is never frozen."""
 
+    runs = True
+
     async def wait_while_frozen(self) -> None:
         pass
 

@@ -29,6 +29,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
         "prove": ("prove", "prove that every action is safe, for systems of any size"),
         "generate": ("generate", "generate node skeletons, launch and package files"),
         "export": ("design", "print a specification as JSON"),
+        "import": ("importing", "write a specification of what a ROS 2 launch file starts"),
     },
     "Running system": {
         "up": ("up", "start a system and its manager, and watch it"),

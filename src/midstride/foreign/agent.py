@@ -20,10 +20,10 @@ from midstride.foreign.gates import Gates
 from midstride.foreign.lifecycle_cuts import LifecycleCuts, LifecyclePeers
 from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.node import TICK, ForeignNode, without_ports
-from midstride.foreign.page import BatonStep
 from midstride.foreign.parameters import ForeignParameters
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.services import NoAnswer, NodeServices
+from midstride.node.baton import BatonStep
 from midstride.node.rate_watch import RateWatch
 from midstride.wire import commands, frames
 from midstride.wire.command_server import CommandServer
@@ -101,6 +101,8 @@ class ForeignAgent:
             commands.FenceCommand: self._fence,
             commands.ModesCommand: self._modes,
         }
+        if isinstance(self._cuts, ForeignCuts):
+            self._handlers[commands.SeatCommand] = self._cuts.seat
 
     async def open(self, transport: Transport) -> None:
         """Listen for the manager, and register as soon as the node has the endpoints that are declared.

@@ -1,39 +1,23 @@
 """ROS parameter files: their sections, and which nodes each section applies to.
 
 The layout is that of ROS 2: a section is named after a node, with its namespace as a prefix or as enclosing sections,
-or with wildcards (``/**``, ``/*/camera``), and contains ``ros__parameters``. The YAML is parsed event by event, which
-limits its nesting and the expansion of aliases.
+or with wildcards (``/**``, ``/*/camera``), and contains ``ros__parameters``.
 """
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple
 
 from midstride.lang.diagnostics import Reporter
 from midstride.lang.files import resolve_name
 from midstride.lang.source import Source, Span
+from midstride.lang.yaml_tree import InvalidYaml, Tree, read_tree
 from midstride.model.component import ParameterValue
-from midstride.model.contract import Scalar
 
 KEY: Final = "ros__parameters"
-MAX_DEPTH: Final = 32
-MAX_VALUES: Final = 50_000
-
-_TRUE: Final = frozenset("true True TRUE yes Yes YES on On ON".split())
-_FALSE: Final = frozenset("false False FALSE no No NO off Off OFF".split())
-_INTEGER: Final = re.compile(r"[-+]?(0x[0-9a-fA-F]+|[0-9]+)")
-_REAL: Final = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
-# The tags that say what an event of each kind is anyway, and that a scalar is a string, which ROS reads as well.
-_TAGS: Final = {
-    "MappingStartEvent": "tag:yaml.org,2002:map",
-    "SequenceStartEvent": "tag:yaml.org,2002:seq",
-    "ScalarEvent": "tag:yaml.org,2002:str",
-}
-_NOT_FINITE: Final = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 
 
 class ParameterValueAt(NamedTuple):
@@ -57,37 +41,26 @@ class ParameterSection:
         return any(re.fullmatch(_regex(name), "/" + role.strip("/")) for name in names)
 
 
-class _InvalidFile(Exception):
-    def __init__(self, span: Span, message: str, help: str | None = None) -> None:
-        super().__init__(message)
-        self.span = span
-        self.help = help
-
-
-# A value of the file with its span: a mapping, a list or a scalar.
-_Tree: TypeAlias = "tuple[dict[str, _Tree] | list[_Tree] | Scalar | None, Span]"
-
-
 def read_sections(source: Source, reporter: Reporter) -> list[ParameterSection]:
     """The sections of a parameter file; none if it is invalid, which is reported."""
     try:
-        tree = _TreeBuilder(source).build()
+        tree = read_tree(source)
         return [] if tree is None else list(_sections(tree, ""))
-    except _InvalidFile as refused:
+    except InvalidYaml as refused:
         reporter.report("E150", refused.span, str(refused), help=refused.help)
         return []
 
 
-def _sections(tree: _Tree, prefix: str) -> Iterator[ParameterSection]:
+def _sections(tree: Tree, prefix: str) -> Iterator[ParameterSection]:
     value, span = tree
     if not isinstance(value, dict):
         help = f"a parameter file has a section `node:` per node, each with `{KEY}:`"
-        raise _InvalidFile(span, "expected a section of a ROS parameter file", help)
+        raise InvalidYaml(span, "expected a section of a ROS parameter file", help)
     for name, (content, place) in value.items():
         pattern = name if name.startswith("/") or not prefix else f"{prefix}/{name}"
         if not isinstance(content, dict):
             help = f"write the parameters under `{name}: {KEY}:`"
-            raise _InvalidFile(place, f"section `{name}` has no `{KEY}`", help)
+            raise InvalidYaml(place, f"section `{name}` has no `{KEY}`", help)
         if KEY in content:
             section = ParameterSection("/" + pattern.strip("/"), place)
             _flatten(content[KEY], "", section.values)
@@ -97,7 +70,7 @@ def _sections(tree: _Tree, prefix: str) -> Iterator[ParameterSection]:
             yield from _sections((rest, place), pattern)
 
 
-def _flatten(tree: _Tree, prefix: str, into: dict[str, ParameterValueAt]) -> None:
+def _flatten(tree: Tree, prefix: str, into: dict[str, ParameterValueAt]) -> None:
     value, span = tree
     if value is None and not prefix:
         return
@@ -107,22 +80,22 @@ def _flatten(tree: _Tree, prefix: str, into: dict[str, ParameterValueAt]) -> Non
     elif isinstance(value, list):
         into[prefix] = ParameterValueAt(_listed(prefix, value, span), span)
     elif value is None:
-        raise _InvalidFile(span, f"parameter `{prefix}` has no value")
+        raise InvalidYaml(span, f"parameter `{prefix}` has no value")
     else:
         into[prefix] = ParameterValueAt(value, span)
 
 
-def _listed(name: str, items: list[_Tree], span: Span) -> ParameterValue:
+def _listed(name: str, items: list[Tree], span: Span) -> ParameterValue:
     values: list[Any] = []
     for value, place in items:
         if value is None or isinstance(value, (dict, list)):
-            raise _InvalidFile(place, f"parameter `{name}`: list values must be strings, numbers or booleans")
+            raise InvalidYaml(place, f"parameter `{name}`: list values must be strings, numbers or booleans")
         values.append(value)
     kinds = {type(value) for value in values}
     if kinds == {int, float}:
         return [float(value) for value in values]
     if len(kinds) > 1:
-        raise _InvalidFile(span, f"parameter `{name}`: a list cannot mix types")
+        raise InvalidYaml(span, f"parameter `{name}`: a list cannot mix types")
     return values
 
 
@@ -131,117 +104,3 @@ def _regex(pattern: str) -> str:
         return "(/[^/]+)+"  # every node
     wildcards = {"**": "(/[^/]+)*", "*": "/[^/]+"}
     return "".join(wildcards.get(part, "/" + re.escape(part)) for part in pattern.strip("/").split("/"))
-
-
-class _TreeBuilder:
-    """Builds values from YAML events, within limits."""
-
-    def __init__(self, source: Source) -> None:
-        self.source = source
-        self.count = 0
-        self.anchors: dict[str, tuple[_Tree, int]] = {}
-
-    def build(self) -> _Tree | None:
-        import yaml  # type: ignore[import-untyped, unused-ignore]  # with its stubs or without
-
-        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-        try:
-            return self._build(yaml.parse(self.source.text, Loader=loader))
-        except yaml.MarkedYAMLError as error:
-            mark = error.problem_mark or error.context_mark
-            reason = error.problem or error.context or "it cannot be parsed"
-            raise _InvalidFile(self._at(mark), f"invalid YAML: {reason}", "indent with spaces, not tabs") from None
-        except (yaml.YAMLError, UnicodeEncodeError):  # a character that no YAML contains, or a lone surrogate
-            match = yaml.reader.Reader.NON_PRINTABLE.search(self.source.text)
-            start, end = match.span() if match else (0, 0)
-            message = f"invalid YAML: it contains {self.source.text[start:end]!a}" if match else "invalid YAML"
-            raise _InvalidFile(Span(self.source, start, end), message, "write it in double quotes, escaped") from None
-
-    def _at(self, mark: Any) -> Span:
-        if mark is None:
-            return Span(self.source, 0, 0)
-        offset = self.source.offset(mark.line + 1, mark.column + 1)
-        return Span(self.source, offset, offset)
-
-    def _span(self, event: Any) -> Span:
-        start, end = event.start_mark, event.end_mark
-        first = self.source.offset(start.line + 1, start.column + 1)
-        last = self.source.offset(end.line + 1, end.column + 1) if end.line == start.line else first
-        return Span(self.source, first, max(last, first))
-
-    def _build(self, events: Iterator[Any]) -> _Tree | None:
-        # Each open collection: its value, its span, the key without a value yet, its anchor, the count before it.
-        stack: list[tuple[Any, Span, list[tuple[str, Span]], str | None, int]] = []
-        root: _Tree | None = None
-        documents = 0
-        for event in events:
-            kind = type(event).__name__
-            if kind in {"StreamStartEvent", "StreamEndEvent", "DocumentStartEvent", "DocumentEndEvent"}:
-                documents += kind == "DocumentStartEvent"
-                if documents > 1:
-                    raise _InvalidFile(self._span(event), "a parameter file must be a single YAML document")
-                continue
-            if (tag := getattr(event, "tag", None)) is not None and tag != _TAGS[kind]:
-                help = "remove the tag; put text in double quotes"
-                raise _InvalidFile(self._span(event), f"ROS parameter files have no tag `{tag}` here", help)
-            if kind in {"MappingStartEvent", "SequenceStartEvent"}:
-                if len(stack) >= MAX_DEPTH:
-                    raise _InvalidFile(self._span(event), f"this is nested more than {MAX_DEPTH} deep")
-                if stack and isinstance(stack[-1][0], dict) and not stack[-1][2]:
-                    raise _InvalidFile(self._span(event), "a parameter name must be a string")
-                value: Any = {} if kind == "MappingStartEvent" else []
-                stack.append((value, self._span(event), [], event.anchor, self.count))
-                continue
-            if kind in {"MappingEndEvent", "SequenceEndEvent"}:
-                value, span, _, anchor, before = stack.pop()
-                done: _Tree = (value, span)
-                if anchor:
-                    self.anchors[anchor] = (done, self.count - before)
-            elif kind == "AliasEvent":
-                if event.anchor not in self.anchors:
-                    raise _InvalidFile(self._span(event), f"undefined alias `*{event.anchor}`")
-                done, size = self.anchors[event.anchor]
-                self.count += size
-            else:
-                done = (_scalar(event, self._span(event)), self._span(event))
-                self.count += 1
-                if event.anchor:
-                    self.anchors[event.anchor] = (done, 1)
-            if self.count > MAX_VALUES:
-                raise _InvalidFile(done[1], f"this file has more than {MAX_VALUES} values")
-            if not stack:
-                root = done
-            elif isinstance(stack[-1][0], list):
-                stack[-1][0].append(done)
-            elif not stack[-1][2]:
-                key, place = done
-                if isinstance(key, (dict, list)) or key is None:
-                    raise _InvalidFile(place, "a parameter name must be a string")
-                stack[-1][2].append((event.value if kind == "ScalarEvent" else str(key), place))
-            else:
-                name, place = stack[-1][2].pop()
-                if name in stack[-1][0]:
-                    raise _InvalidFile(place, f"duplicate key `{name}`", "keep one of them")
-                stack[-1][0][name] = done
-        return None if root is None or root[0] is None else root
-
-
-def _scalar(event: Any, span: Span) -> Scalar | None:
-    text: str = event.value
-    if not event.implicit[0]:
-        return text  # quoted, a block of text, or tagged as a string
-    if text in {"", "~", "null", "Null", "NULL"}:
-        return None
-    if text in _TRUE or text in _FALSE:
-        return text in _TRUE
-    if _INTEGER.fullmatch(text):
-        if len(text) > 40 or not -(2**63) <= (number := int(text, 16 if "x" in text else 10)) < 2**63:
-            raise _InvalidFile(span, "integers have at most 64 bits")
-        return number
-    if _REAL.fullmatch(text):
-        if math.isinf(value := float(text)):
-            raise _InvalidFile(span, "this number is too large")
-        return value
-    if _NOT_FINITE.fullmatch(text):
-        raise _InvalidFile(span, "parameter values must be finite", "use a large finite number instead")
-    return text

@@ -1,0 +1,79 @@
+"""``import``: a specification from a ROS 2 launch file."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import click
+
+from midstride.cli.files import require_file
+from midstride.cli.output import json_option, print_json, wants_json
+from midstride.errors import MidstrideError
+from midstride.launch_files.importing import Imported, import_launch_file
+
+
+@click.command("import")
+@click.argument("file", type=click.Path(path_type=Path), metavar="FILE")
+@click.argument("arguments", nargs=-1, metavar="[NAME:=VALUE]...")
+@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.stride")
+@json_option
+def import_command(file: Path, arguments: tuple[str, ...], output: Path | None) -> int:
+    """Write a specification of what a launch file in XML or YAML starts, without ROS.
+
+    What cannot be taken over is listed with its place. Packages are looked up in AMENT_PREFIX_PATH, and in source
+    trees below the folders of `--include-path`.
+    """
+    require_file(file)
+    if output is not None and output.exists():
+        raise MidstrideError(f"{output} exists; remove it, or choose another file")
+    folder = output.parent if output is not None else Path()
+    imported = import_launch_file(file, _arguments(arguments), os.environ, folder)
+    if output is not None:
+        try:
+            output.write_text(imported.text, encoding="utf-8")
+        except OSError as error:
+            raise MidstrideError(f"cannot write {output}: {error.strerror}") from None
+    if wants_json():
+        _print_document(imported, output)
+        return 0
+    if output is None:
+        click.echo(imported.text, nl=False)
+    for finding in imported.findings:
+        click.echo(str(finding), err=True)
+    click.echo(_summary(imported, output), err=True)
+    return 0
+
+
+def _arguments(words: tuple[str, ...]) -> dict[str, str]:
+    found = {}
+    for word in words:
+        name, separator, value = word.partition(":=")
+        if not separator or not name:
+            raise click.UsageError(f"`{word}` is not an argument of a launch file; write NAME:=VALUE")
+        found[name] = value
+    return found
+
+
+def _summary(imported: Imported, output: Path | None) -> str:
+    counts = ", ".join(f"{count} {kind}" for kind, count in imported.findings.counts().items())
+    where = f" in {output}" if output is not None else ""
+    left = f"{_number(len(imported.findings), 'finding')} ({counts})" if counts else "no findings"
+    return f"{_number(imported.nodes, 'node')}{where} from {_number(imported.files, 'launch file')}; {left}"
+
+
+def _number(count: int, word: str) -> str:
+    return f"{count} {word}{'' if count == 1 else 's'}"
+
+
+def _print_document(imported: Imported, output: Path | None) -> None:
+    print_json(
+        {
+            "file": None if output is None else str(output),
+            "specification": imported.text if output is None else None,
+            "nodes": imported.nodes,
+            "launch_files": imported.files,
+            "findings": [finding.to_json() for finding in imported.findings],
+            "counts": imported.findings.counts(),
+        }
+    )

@@ -1,0 +1,1 @@
+"""ROS 2 launch files in XML and YAML, read without ROS: the nodes that they start, written as a specification."""

@@ -1,0 +1,81 @@
+"""What an import could not take over, or had to assume, at its place in a launch file."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any, Final
+
+from midstride.lang.source import Span
+from midstride.model.printable import on_one_line
+
+# The kinds of findings, each with what it means for the specification.
+KINDS: Final = {
+    "argument": "an argument has no value, or one that is not among its choices",
+    "package": "a package is not here",
+    "include": "a launch file is not here, or may not be read; what it starts is left out",
+    "python": "a launch file in Python is left out",
+    "condition": "a condition has no known value; what it guards is left out",
+    "substitution": "a substitution has no known value; what needs it is left out",
+    "composable": "a component in a container is left out: it shares its process with others",
+    "parameters": "a parameter or a parameter file is left out",
+    "name": "a node has no name, or one that another node or the language uses; it gets another name",
+    "program": "the launch file does not say that a program is a node",
+    "unsupported": "an element or an attribute has no counterpart and is left out",
+}
+
+
+class UnknownValue(Exception):
+    """A value depends on what cannot be known here. ``kind`` is one of KINDS."""
+
+    def __init__(self, message: str, kind: str = "substitution") -> None:
+        super().__init__(message)
+        self.kind = kind
+
+
+@dataclass(frozen=True, slots=True)
+class ImportFinding:
+    """One finding. ``kind`` is one of KINDS."""
+
+    kind: str
+    message: str
+    span: Span
+
+    @property
+    def place(self) -> str:
+        """The file and the line."""
+        return f"{self.span.source.name}:{self.span.source.position(self.span.start)[0]}"
+
+    def to_json(self) -> dict[str, Any]:
+        line, column = self.span.source.position(self.span.start)
+        return {
+            "kind": self.kind,
+            "message": self.message,
+            "file": self.span.source.name,
+            "line": line,
+            "column": column,
+        }
+
+    def __str__(self) -> str:
+        return on_one_line(f"{self.place}: {self.kind}: {self.message}")
+
+
+class ImportFindings:
+    """The findings of one import, each once, in the order in which they are met."""
+
+    def __init__(self) -> None:
+        self._found: dict[tuple[str, str, int], ImportFinding] = {}
+
+    def add(self, kind: str, message: str, span: Span) -> None:
+        finding = ImportFinding(kind, message, span)
+        self._found.setdefault((str(finding), span.source.name, span.start), finding)
+
+    def counts(self) -> dict[str, int]:
+        """How many there are of each kind, the most frequent first."""
+        return dict(Counter(finding.kind for finding in self).most_common())
+
+    def __iter__(self) -> Any:
+        return iter(self._found.values())
+
+    def __len__(self) -> int:
+        return len(self._found)

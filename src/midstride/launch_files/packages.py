@@ -1,0 +1,73 @@
+"""Where ROS packages are: installed ones by the ament index, and source trees below folders that the user names."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Final
+
+from midstride.launch_files.findings import UnknownValue
+
+MAX_FOLDERS: Final = 50_000
+_NAME: Final = re.compile(rb"<name>\s*([A-Za-z][A-Za-z0-9_-]*)\s*</name>")
+_PACKAGE: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+_HEAD: Final = 65_536
+
+
+class Packages:
+    """Installed packages are those of AMENT_PREFIX_PATH in ``environment``; ``folders`` have source trees."""
+
+    def __init__(self, environment: Mapping[str, str], folders: Sequence[str]) -> None:
+        self._prefixes = [path for path in environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if path]
+        self._folders = folders
+
+    def share(self, name: str) -> str:
+        """The folder of a package's launch and parameter files. Raises UnknownValue."""
+        prefix = self._installed(name)
+        if prefix is not None:
+            return os.path.join(prefix, "share", name)
+        if name in self._sources:
+            return self._sources[name]
+        raise UnknownValue(f"package `{name}` is not here", "package")
+
+    def prefix(self, name: str) -> str:
+        """Where a package is installed. Raises UnknownValue."""
+        prefix = self._installed(name)
+        if prefix is None:
+            raise UnknownValue(f"package `{name}` is not installed here", "package")
+        return prefix
+
+    def __contains__(self, name: str) -> bool:
+        return self._installed(name) is not None or name in self._sources
+
+    def roots(self) -> list[str]:
+        """The folders below which launch files of packages are."""
+        return [*(os.path.join(prefix, "share") for prefix in self._prefixes), *self._folders]
+
+    def _installed(self, name: str) -> str | None:
+        index = os.path.join("share", "ament_index", "resource_index", "packages", name)
+        if not _PACKAGE.fullmatch(name):
+            return None
+        return next((prefix for prefix in self._prefixes if os.path.isfile(os.path.join(prefix, index))), None)
+
+    @cached_property
+    def _sources(self) -> dict[str, str]:
+        """The folder of each package in the source trees: the one with its `package.xml`."""
+        found: dict[str, str] = {}
+        seen = 0
+        for root in self._folders:
+            for folder, inner, files in os.walk(root):
+                seen += 1
+                if seen > MAX_FOLDERS:
+                    return found
+                inner[:] = sorted(name for name in inner if not name.startswith("."))
+                if "package.xml" in files:
+                    inner.clear()
+                    with open(Path(folder, "package.xml"), "rb") as stream:
+                        match = _NAME.search(stream.read(_HEAD))
+                    if match:
+                        found.setdefault(match[1].decode(), folder)
+        return found

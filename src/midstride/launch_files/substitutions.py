@@ -1,0 +1,200 @@
+"""Substitutions such as ``$(var name)`` in the text of a launch file: their grammar, and their values.
+
+The grammar is that of ``launch/frontend/grammar.lark`` of ROS 2. Two substitutions are never carried out, because a
+launch file may be a stranger's: ``command`` runs a program, and ``file-content`` reads any file.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final, TypeAlias
+
+from midstride.launch_files.context import Context
+from midstride.launch_files.expression import evaluate
+from midstride.launch_files.findings import UnknownValue
+
+MAX_NESTING: Final = 32
+_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+_ESCAPE: Final = re.compile(r"\\(.)")
+# What text within the parentheses of a substitution may consist of, by the quotes around it.
+_TEXT: Final = {
+    "": re.compile(r"""(?:\\["'()$\\]|\\|[^ '"\\$()]|\$(?!\())+"""),
+    "'": re.compile(r"""(?:\\['()$\\]|\\|[^ '\\$()]|\$(?!\())+"""),
+    '"': re.compile(r"""(?:\\["()$\\]|\\|[^ "\\$()]|\$(?!\())+"""),
+}
+# The same where a quoted value is all of an argument.
+_QUOTED: Final = {
+    "'": re.compile(r"(?:\\['$\\]|\\|[^'\\$]|\$(?!\())+"),
+    '"': re.compile(r'(?:\\["$\\]|\\|[^"\\$]|\$(?!\())+'),
+}
+_OUTSIDE: Final = re.compile(r"(?:\\\$|[^$]|\$(?!\())+")
+
+Template: TypeAlias = "tuple[str | SubstitutionCall, ...]"
+
+
+@dataclass(frozen=True, slots=True)
+class SubstitutionCall:
+    """A substitution with its arguments; ``text`` is how it is written."""
+
+    name: str
+    arguments: tuple[Template, ...]
+    text: str
+
+
+def substituted(text: str, context: Context) -> str:
+    """``text`` with the values of its substitutions. Raises UnknownValue."""
+    return _value(parse(text), context)
+
+
+def has_substitution(text: str) -> bool:
+    return "$(" in text
+
+
+def parse(text: str) -> Template:
+    """Raises UnknownValue for what is not of the grammar."""
+    return _Parser(text).template() if text else ()
+
+
+class _Parser:
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.at = 0
+        self.depth = 0
+
+    def template(self) -> Template:
+        parts = self._parts(_OUTSIDE, "")
+        if self.at < len(self.text):
+            raise self._invalid()
+        return parts
+
+    def _parts(self, pattern: re.Pattern[str], quote: str) -> Template:
+        """Text that matches ``pattern``, and substitutions."""
+        parts: list[str | SubstitutionCall] = []
+        while self.at < len(self.text):
+            if self.text.startswith("$(", self.at):
+                parts.append(self._call(quote))
+            elif match := pattern.match(self.text, self.at):
+                parts.append(_ESCAPE.sub(r"\1", match[0]))
+                self.at = match.end()
+            else:
+                break
+        return tuple(parts)
+
+    def _call(self, quote: str) -> SubstitutionCall:
+        start = self.at
+        self.depth += 1
+        match = _NAME.match(self.text, start + 2)
+        if match is None or self.depth > MAX_NESTING:
+            raise self._invalid()
+        self.at = match.end()
+        arguments = []
+        while self.at < len(self.text) and self.text[self.at] == " ":
+            self.at += 1
+            arguments.append(self._argument(quote))
+        self._take(")")
+        self.depth -= 1
+        return SubstitutionCall(match[0], tuple(arguments), self.text[start : self.at])
+
+    def _argument(self, quote: str) -> Template:
+        opened = self.text[self.at : self.at + 1]
+        if not quote and opened in _QUOTED:
+            self.at += 1
+            parts = self._parts(_QUOTED[opened], opened)
+            self._take(opened)
+            return parts or ("",)
+        parts = self._parts(_TEXT[quote], quote)
+        if not parts:
+            raise self._invalid()
+        return parts
+
+    def _take(self, character: str) -> None:
+        if not self.text.startswith(character, self.at):
+            raise self._invalid()
+        self.at += 1
+
+    def _invalid(self) -> UnknownValue:
+        return UnknownValue(f"`{_shortened(self.text)}` is not a valid substitution")
+
+
+def _value(template: Template, context: Context) -> str:
+    return "".join(part if isinstance(part, str) else _performed(part, context) for part in template)
+
+
+def _performed(call: SubstitutionCall, context: Context) -> str:
+    if call.name == "if" and 2 <= len(call.arguments) <= 3:  # only the branch that is taken needs a value
+        condition = truth(_value(call.arguments[0], context))
+        return _value(call.arguments[1], context) if condition else "".join(_rest(call, context))
+    values = [_value(argument, context) for argument in call.arguments]
+    function = _FUNCTIONS.get(call.name)
+    if function is None:
+        raise UnknownValue(f"`{_shortened(call.text)}`: the substitution `{call.name}` is not carried out here")
+    low, high, perform = function
+    if not low <= len(values) <= high:
+        raise UnknownValue(f"`{_shortened(call.text)}`: wrong number of arguments")
+    return perform(context, values)
+
+
+def _rest(call: SubstitutionCall, context: Context) -> Sequence[str]:
+    return [_value(argument, context) for argument in call.arguments[2:]]
+
+
+def truth(text: str) -> bool:
+    """Whether ``text`` is true, as launch reads conditions. Raises UnknownValue if it is neither true nor false."""
+    word = text.strip().lower()
+    if word in {"true", "1"}:
+        return True
+    if word in {"false", "0"}:
+        return False
+    raise UnknownValue(f"`{_shortened(text)}` is neither true nor false", "condition")
+
+
+def _word(value: bool) -> str:
+    return str(value).lower()
+
+
+def _equal(left: str, right: str) -> bool:
+    words = {"true", "false", "1", "0"}
+    if left.lower() in words and right.lower() in words:
+        return truth(left) == truth(right)
+    try:
+        return math.isclose(float(left), float(right))
+    except ValueError:
+        return left == right
+
+
+def _environment(context: Context, values: Sequence[str]) -> str:
+    value = context.environment.get(values[0], values[1] if len(values) > 1 else None)
+    if value is None:
+        raise UnknownValue(f"the environment variable `{values[0]}` is not set")
+    return value
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= 80 else text[:79] + "…"
+
+
+_Function: TypeAlias = Callable[[Context, Sequence[str]], str]
+_MANY: Final = 64
+# The least and the largest number of arguments, and the value. What ROS looks up elsewhere is not here.
+_FUNCTIONS: Final[dict[str, tuple[int, int, _Function]]] = {
+    "var": (1, 2, lambda context, values: context.variable(*values)),
+    "env": (1, 2, _environment),
+    "optenv": (1, 2, lambda context, values: context.environment.get(values[0], "".join(values[1:]))),
+    "dirname": (0, 0, lambda context, values: os.path.dirname(context.file)),
+    "filename": (0, 0, lambda context, values: context.file),
+    "find-pkg-share": (1, 1, lambda context, values: context.packages.share(values[0])),
+    "find-pkg-prefix": (1, 1, lambda context, values: context.packages.prefix(values[0])),
+    "param": (1, 1, lambda context, values: context.global_parameter(values[0])),
+    "eval": (1, 1, lambda context, values: evaluate(values[0])),
+    "equals": (2, 2, lambda context, values: _word(_equal(*values))),
+    "not-equals": (2, 2, lambda context, values: _word(not _equal(*values))),
+    "not": (1, 1, lambda context, values: _word(not truth(values[0]))),
+    "and": (2, 2, lambda context, values: _word(all(map(truth, values)))),
+    "or": (2, 2, lambda context, values: _word(any(map(truth, values)))),
+    "all": (1, _MANY, lambda context, values: _word(all(map(truth, values)))),
+    "any": (1, _MANY, lambda context, values: _word(any(map(truth, values)))),
+}

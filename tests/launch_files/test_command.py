@@ -1,0 +1,58 @@
+"""`midstride import`: the specification, the findings and the exit status."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from midstride.cli import main
+
+LAUNCH = '<launch>\n  <arg name="who"/>\n  <node pkg="nix" exec="a" name="$(var who)"/>\n</launch>\n'
+
+
+@pytest.fixture
+def launch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "robot.launch.xml"
+    file.write_text(LAUNCH)
+    return Path(file.name)
+
+
+def test_the_specification_is_printed_and_the_findings_beside_it(
+    launch: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["import", str(launch), "who:=me"]) == 0
+    printed = capsys.readouterr()
+    assert printed.out.endswith("node me : A\n")
+    assert printed.err.splitlines() == [
+        "robot.launch.xml:3: package: package `nix` is not here",
+        "1 node from 1 launch file; 1 finding (1 package)",
+    ]
+
+
+def test_an_existing_file_is_kept(launch: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["import", str(launch), "who:=me", "-o", "robot.stride"]) == 0
+    written = Path("robot.stride").read_text()
+    assert main(["import", str(launch), "who:=you", "-o", "robot.stride"]) == 1
+    assert "robot.stride exists" in capsys.readouterr().err
+    assert Path("robot.stride").read_text() == written
+
+
+def test_json(launch: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["import", str(launch), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["nodes"] == 0 and document["counts"] == {"argument": 2, "package": 1}
+    assert document["findings"][0] == {
+        "kind": "argument",
+        "message": "`who` has no value and no default; pass `who:=…`",
+        "file": "robot.launch.xml",
+        "line": 2,
+        "column": 3,
+    }
+
+
+@pytest.mark.parametrize(("words", "status"), [(["who=me"], 2), ([":=me"], 2)])
+def test_wrong_usage(launch: Path, words: list[str], status: int) -> None:
+    assert main(["import", str(launch), *words]) == status

@@ -1,0 +1,301 @@
+"""Launch files in XML and YAML become specifications: all that they state is in them, or is reported at its line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from midstride.errors import SpecificationError
+from midstride.lang.files import INCLUDE_PATH
+from tests.launch_files.support import commands, imported, kinds, of_xml, specification
+
+XML = """<launch>
+  <arg name="rate" default="50"/>
+  <arg name="robot" default="r$(var rate)"/>
+  <let name="fast" value="$(eval '$(var rate) > 20')"/>
+  <group>
+    <push-ros-namespace namespace="$(var robot)"/>
+    <node pkg="demo" exec="talker.py" name="talker" if="$(var fast)" output="screen">
+      <remap from="chatter" to="/chat"/>
+      <param name="rate" value="$(var rate)"/>
+      <param name="words" value="[a, b]"/>
+      <param name="frame">
+        <param name="id" value="map" type="str"/>
+      </param>
+    </node>
+    <node pkg="demo" exec="slow" name="slow" unless="$(var fast)"/>
+  </group>
+  <node pkg="demo" exec="listener" name="listener" namespace="ears" respawn="true" respawn_delay="2.0" args="--loud"/>
+</launch>
+"""
+YAML = """
+launch:
+- arg: {name: rate, default: "50"}
+- arg: {name: robot, default: r$(var rate)}
+- let: {name: fast, value: $(eval '$(var rate) > 20')}
+- group:
+  - push_ros_namespace: {namespace: $(var robot)}
+  - node:
+      pkg: demo
+      exec: talker.py
+      name: talker
+      if: $(var fast)
+      remap:
+      - {from: chatter, to: /chat}
+      param:
+      - {name: rate, value: $(var rate)}
+      - {name: words, value: [a, b]}
+      - name: frame
+        param:
+        - {name: id, value: map}
+  - node: {pkg: demo, exec: slow, name: slow, unless: $(var fast)}
+- node:
+    pkg: demo
+    exec: listener
+    name: listener
+    namespace: ears
+    respawn: "true"
+    respawn_delay: 2.0
+    args: --loud
+"""
+IMPORTED = """component Talker {
+  run "ros2 run demo talker.py --ros-args -r chatter:=/chat" gate preload
+  parameters {
+    rate = 50
+    words = ["a", "b"]
+    frame.id = "map"
+  }
+}
+"""
+
+
+@pytest.mark.parametrize(("ending", "text"), [("xml", XML), ("yaml", YAML)])
+def test_a_launch_file_becomes_a_specification(tmp_path: Path, ending: str, text: str) -> None:
+    file = tmp_path / f"robot.launch.{ending}"
+    file.write_text(text)
+    found = imported(file)
+    assert IMPORTED in found.text and "system robot\n" in found.text
+    assert kinds(found) == ["package", "package"]
+    system = specification(found, tmp_path)
+    assert {node.role for node in system.nodes.values()} == {"r50/talker", "ears/listener"}
+    assert commands(found, tmp_path)["ears/listener"] == "ros2 run demo listener --loud"
+    (listener,) = (node for node in system.nodes.values() if node.role == "ears/listener")
+    assert listener.respawn is not None
+
+
+def test_arguments_of_the_command_replace_defaults(tmp_path: Path) -> None:
+    file = tmp_path / "robot.launch.xml"
+    file.write_text(XML)
+    found = imported(file, {"rate": "3", "colour": "red"})
+    assert set(commands(found, tmp_path)) == {"r3/slow", "ears/listener"}
+    assert "no launch file that was read declares `colour`" in [each.message for each in found.findings]
+
+
+def test_scopes(tmp_path: Path) -> None:
+    """A group keeps what is set in it, unless it says otherwise; an include does not."""
+    (tmp_path / "inner.launch.xml").write_text(
+        '<launch><arg name="x" default="d"/><let name="y" value="$(var x)"/>'
+        '<node exec="./a" name="a" args="$(var x) $(dirname)"/></launch>'
+    )
+    found = of_xml(
+        tmp_path,
+        """<let name="x" value="1"/>
+        <group><let name="x" value="2"/><set_remap from="in" to="/out"/><node exec="./b" name="b"/></group>
+        <group scoped="false"><let name="z" value="3"/></group>
+        <node exec="./c" name="c" args="$(var x) $(var z)"/>
+        <group forwarding="false"><keep name="z" value="4"/><node exec="./d" name="d" args="$(var z)"/></group>
+        <include file="$(dirname)/inner.launch.xml"><arg name="x" value="5"/></include>
+        <node exec="./e" name="e" args="$(var x)$(var y)"/>""",
+    )
+    assert kinds(found) == []
+    assert commands(found, tmp_path) == {
+        "a": f"./a 5 {tmp_path}",
+        "b": "./b --ros-args -r in:=/out",
+        "c": "./c 1 3",
+        "d": "./d 4",
+        "e": "./e 55",
+    }
+
+
+def test_nodes_that_run_the_same_share_a_component(tmp_path: Path) -> None:
+    found = of_xml(
+        tmp_path,
+        """<node exec="./camera" name="left"/><node exec="./camera" name="right"/>
+        <node exec="./lidar" name="front"/><node exec="./lidar" name="back"><param name="r" value="1"/></node>""",
+    )
+    system = specification(found, tmp_path)
+    assert {node.role: node.component for node in system.nodes.values()} == {
+        "left": "Camera",
+        "right": "Camera",
+        "front": "Front",
+        "back": "Back",
+    }
+
+
+def test_parameter_files_are_named_where_the_specification_may_read_them(tmp_path: Path) -> None:
+    (tmp_path / "config").mkdir()
+    (tmp_path / "config" / "a.yaml").write_text("/**:\n  ros__parameters:\n    gain: 1.5\n    mode: slow\n")
+    (tmp_path / "config" / "b.yaml").write_text("robot:\n  ros__parameters:\n    frame: $(var frame)\n    mode: fast\n")
+    found = of_xml(
+        tmp_path,
+        """<let name="frame" value="map"/>
+        <node exec="./robot" name="robot">
+          <param from="$(dirname)/config/a.yaml"/>
+          <param from="$(dirname)/config/b.yaml" allow_substs="true"/>
+          <param name="gain" value="2.5"/>
+        </node>
+        <node exec="./other" name="other"><param name="mode" value="none"/><param from="config/a.yaml"/></node>""",
+    )
+    system = specification(found, tmp_path)
+    assert found.text.count('parameters "config/a.yaml"') == 1 and kinds(found) == []
+    assert {node.role for node in system.nodes.values()} == {"robot", "other"}
+    assert 'frame = "map"' in found.text and 'mode = "fast"' in found.text and "gain = 2.5" in found.text
+    assert "gain = 1.5" in found.text and 'mode = "slow"' in found.text  # for `other`, where the file comes last
+
+
+def test_what_cannot_be_taken_over_is_reported_at_its_line(tmp_path: Path) -> None:
+    (tmp_path / "bad.yaml").write_text("a: [1, x]\n")
+    (tmp_path / "more.launch.py").write_text("")
+    found = of_xml(
+        tmp_path,
+        """<arg name="who"/>
+        <arg name="colour" default="red"><choice value="blue"/></arg>
+        <include file="$(find-pkg-share nix)/launch/a.launch.xml"/>
+        <include file="$(dirname)/gone.launch.xml"/>
+        <include file="$(dirname)/more.launch.py"/>
+        <group if="$(var who)"><node exec="./lost" name="lost"/></group>
+        <node exec="./named"/>
+        <node pkg="nix" exec="run" name="input" on_exit="shutdown">
+          <param name="who" value="$(var who)"/>
+          <param from="bad.yaml"/>
+          <remap from="a" to="$(var who)"/>
+        </node>
+        <node_container pkg="nix" exec="box" name="box" namespace="">
+          <composable_node pkg="nix" plugin="nix::Filter" name="filter"/>
+        </node_container>
+        <executable cmd="rviz2 -d a.rviz"/>
+        <timer period="3.0"><node exec="./late" name="late"/></timer>
+        <shutdown/>
+        <node exec="./late" name="late"/>
+        <let name="maybe" value="1" if="$(var who)"/>
+        <node exec="./last" name="last" args="$(var maybe)"><param name="t" value="{a: 1}"/></node>""",
+    )
+    seen = [(finding.place.rpartition(":")[2], finding.kind) for finding in found.findings]
+    assert seen == [
+        ("2", "argument"),
+        ("3", "argument"),
+        ("4", "package"),
+        ("5", "include"),
+        ("6", "python"),
+        ("7", "condition"),
+        ("8", "name"),
+        ("9", "unsupported"),
+        ("9", "package"),
+        ("12", "argument"),
+        ("10", "argument"),
+        ("14", "package"),
+        ("15", "composable"),
+        ("17", "program"),
+        ("18", "unsupported"),
+        ("19", "unsupported"),
+        ("21", "condition"),
+        ("22", "condition"),
+        ("22", "parameters"),
+        ("9", "name"),
+        ("20", "name"),
+        ("11", "parameters"),
+    ]
+    assert set(commands(found, tmp_path)) == {"named", "input_2", "box", "rviz2", "late", "late_2", "last"}
+    assert found.findings.counts()["unsupported"] == 3
+
+
+def test_files_outside_are_not_read_and_others_not_quoted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    inside, outside = tmp_path / "inside", tmp_path / "outside"
+    inside.mkdir()
+    outside.mkdir()
+    (outside / "a.launch.xml").write_text('<launch><node exec="./a" name="a"/></launch>')
+    (outside / "a.yaml").write_text("/**:\n  ros__parameters:\n    password: secret\n")
+    (inside / "secret.xml").write_text("<secret>secret</secret>")
+    (inside / "secret.yaml").write_text("secret: secret\n")
+    (inside / "secret.launch").write_text("secret")
+    (inside / "secret.txt").write_text("secret")
+    (inside / "link.launch.xml").symlink_to(outside / "a.launch.xml")
+    body = "".join(
+        f'<include file="{name}"/>\n' for name in ("secret.xml", "secret.yaml", "secret.launch", "secret.txt")
+    )
+    body += '<include file="../outside/a.launch.xml"/><include file="link.launch.xml"/>'
+    body += '<node exec="./b" name="b"><param from="../outside/a.yaml"/><param from="secret.yaml"/></node>'
+    found = of_xml(inside, body)
+    assert kinds(found) == ["include"] * 6 + ["parameters"] * 2
+    assert found.nodes == 1 and "secret" not in found.text
+    assert all("secret" not in str(each).replace("`secret.", "") for each in found.findings)
+    monkeypatch.setenv(INCLUDE_PATH, str(outside))
+    assert of_xml(inside, body).nodes == 3  # the two names of one file in the folder that is now named, and `b`
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.launch.xml", "<robot/>"),
+        ("a.launch.xml", "<launch>"),
+        ("a.launch.xml", ""),
+        ("a.launch.xml", '<!DOCTYPE l [<!ENTITY a "aaaa">]><launch>&a;</launch>'),
+        ("a.launch.xml", "<launch>" * 100 + "</launch>" * 100),
+        ("a.launch.yaml", "launch: [1]\n"),
+        ("a.launch.yaml", "launch:\n- a: {}\n  b: {}\n"),
+        ("a.launch.yaml", "robot: []\n"),
+        ("a.launch.yaml", "- \tx"),
+        ("a.txt", "<launch/>"),
+    ],
+)
+def test_other_files_are_refused(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(SpecificationError, match="cannot import"):
+        imported(tmp_path / name)
+
+
+def test_a_launch_file_that_includes_itself_ends(tmp_path: Path) -> None:
+    found = of_xml(tmp_path, '<include file="$(filename)"/><include file="$(filename)"/>')
+    assert "include" in kinds(found)
+
+
+def test_packages_are_found_where_they_are_installed_and_in_source_trees(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    index = tmp_path / "ros" / "share" / "ament_index" / "resource_index" / "packages"
+    index.mkdir(parents=True)
+    (index / "demo").touch()
+    launch = tmp_path / "ros" / "share" / "demo" / "launch"
+    launch.mkdir(parents=True)
+    (launch / "a.launch.xml").write_text('<launch><node pkg="demo" exec="a" name="a"/></launch>')
+    source = tmp_path / "src" / "own" / "launch"
+    source.mkdir(parents=True)
+    (source.parent / "package.xml").write_text("<package><name>own_package</name></package>")
+    (source / "b.launch.xml").write_text('<launch><node pkg="own_package" exec="b" name="b"/></launch>')
+    (tmp_path / "robot").mkdir()
+    monkeypatch.setenv(INCLUDE_PATH, str(tmp_path / "src"))
+    found = of_xml(
+        tmp_path / "robot",
+        """<include file="$(find-pkg-share demo)/launch/a.launch.xml"/>
+        <include file="$(find-pkg-share own_package)/launch/b.launch.xml"/>""",
+        AMENT_PREFIX_PATH=str(tmp_path / "ros"),
+    )
+    assert kinds(found) == [] and found.nodes == 2 and found.files == 3
+
+
+def test_what_only_ros_can_name_is_passed_in_the_command(tmp_path: Path) -> None:
+    found = of_xml(
+        tmp_path,
+        """<set_env name="MODE" value="a b"/><set_parameter name="use_sim_time" value="true"/>
+        <node exec="./a" name="a" launch-prefix="nice -n 5">
+          <env name="LD_PRELOAD" value=""/><param name="plugins/x" value="'7'"/>
+        </node>
+        <node exec="./b" name="b"><env name="LD_PRELOAD" value="libx.so"/></node>""",
+    )
+    assert kinds(found) == ["unsupported"]
+    assert commands(found, tmp_path) == {
+        "a": "env 'MODE=a b' nice -n 5 ./a --ros-args -p 'plugins/x:=\"7\"'",
+        "b": "env 'MODE=a b' ./b",
+    }
+    assert found.text.count("use_sim_time = true") == 2
