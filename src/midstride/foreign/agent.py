@@ -65,8 +65,9 @@ class ForeignAgent:
         self._cuts: ForeignCuts | LifecycleCuts = ForeignCuts(self.node)
         self.lifecycle: LifecycleNode | None = None
         self._parameters: ForeignParameters | None = None
-        if services is not None and self.node.component.has_lifecycle:
+        if services is not None:
             self._parameters = ForeignParameters(self.node, services)
+        if services is not None and self.node.component.has_lifecycle:
             self.lifecycle = LifecycleNode(self.node, services)
             if gates is None:
                 self._cuts = LifecycleCuts(self.lifecycle, peers or LifecyclePeers())
@@ -130,7 +131,7 @@ class ForeignAgent:
                 await (self.lifecycle.configure() if not self.node.record.welcomed else self.lifecycle.look())
             except CommandRefused as error:
                 self._failed = str(error)
-        if self._parameters is not None:
+        if self._parameters is not None and self.lifecycle is not None:
             await self._parameters.read()
         if self.node.gates is not None and self._failed is None:
             await self.node.comes_true(lambda: not self.node.require_gates().missing(), ENDPOINTS_TIMEOUT)
@@ -210,7 +211,7 @@ class ForeignAgent:
                 if self._parameters is not None and self.lifecycle is not None and self.lifecycle.lifecycle.responsive:
                     await self._parameters.read()
                 return self.node.state()
-            case commands.SetParametersCommand() if self._parameters is not None:
+            case commands.SetParametersCommand() if self._parameters is not None and self.lifecycle is not None:
                 return await self._parameters.set(command)
             case commands.WelcomeCommand():
                 if self._failed is not None:
@@ -243,6 +244,8 @@ class ForeignAgent:
     async def _modes(self, command: commands.ModesCommand) -> commands.PreviousModes:
         before = {name: mode for name, mode in self.node.record.modes.items() if name in command.modes}
         self.node.require_modes(command.modes)
+        if self._parameters is not None:
+            await self._parameters.enter_modes(command.modes)
         if self.lifecycle is not None:
             await self.lifecycle.enter_modes(command.modes, command.because)
         else:
