@@ -25,4 +25,4 @@ STRATEGIES: Final[Mapping[str, Planner]] = Map({"minimal": minimal, "paper": pap
 def planner(name: str = "minimal", within: float | None = None) -> Planner:
     """The planner of that name; ``within`` is for ``minimal`` alone. Raises PlanRefused for an unknown one."""
     require("strategy", name, STRATEGIES)
-    return partial(minimal, within=within) if name == "minimal" else STRATEGIES[name]
+    return partial(minimal, within=within) if name == "minimal" and within is not None else STRATEGIES[name]
