@@ -151,6 +151,22 @@ def test_a_new_side_that_has_failed_behind_its_gate_refuses_the_cut(tmp_path: Pa
     in_lab(tmp_path, main)
 
 
+def test_an_output_whose_code_has_raised_can_be_attached_with_an_open_gate(tmp_path: Path) -> None:
+    """As the next manager does, which attaches before it upgrades; discovery takes a moment, and it waits for that."""
+
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await lab.start("sink", puppets.sink())
+        await lab.attach("sink", "in", TOPIC)
+        await lab.start("talker", puppets.talker(rate=20, mode={"raise": "oh"}))
+        await lab.mode("talker", "talk", "normal")
+        await lab.sleep(0.2)
+        assert (await lab.functionality("talker", "talk"))["because"].startswith("mode normal raised")
+        await lab.attach("talker", "out", TOPIC, peers=1)
+        assert (await lab.port("talker", "out", TOPIC))["gate"] == "open"
+
+    in_lab(tmp_path, main)
+
+
 def test_where_the_new_side_dies_the_old_one_goes_on(tmp_path: Path) -> None:
     async def main(lab: Lab, simulator: Simulator) -> None:
         await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))

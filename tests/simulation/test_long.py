@@ -15,7 +15,6 @@ import pytest
 
 from midstride.simulation.campaign import Summary, simulate_many
 from midstride.simulation.faults import KINDS
-from midstride.simulation.run import simulate
 from tests.simulation.planted import PLANTED, planted
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(0)]
@@ -82,7 +81,7 @@ def test_planted_faults_are_found(capsys: pytest.CaptureFixture[str]) -> None:
     lines, missed = ["| fault in our code | found by seed | violated, or why not |", "|---|---|---|"], set[str]()
     for name in PLANTED:
         with planted(name):
-            found = next((run for seed in range(WITHIN) if (run := simulate(seed)).problems), None)
+            found = next((run for run in simulate_many(range(WITHIN)) if run.problems), None)
         if found is None:
             missed.add(name)
         seen = MASKED.get(name, "") if found is None else found.problems[0]

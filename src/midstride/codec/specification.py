@@ -215,6 +215,10 @@ class TimingForm(Form, frozen=True):
     watch_after: SecondsOrZero | UnsetType = UNSET
 
 
+# The last few specifications whose forms were asked for.
+_lately: tuple[tuple[Specification, SpecificationForm], ...] = ()
+
+
 class SpecificationForm(Form, frozen=True):
     """A whole specification: what a robot's software is made of."""
 
@@ -239,6 +243,17 @@ class SpecificationForm(Form, frozen=True):
 
     @classmethod
     def of(cls, specification: Specification) -> SpecificationForm:
+        """The form of ``specification``: one and the same while it is one of the last few, since it is often needed."""
+        global _lately
+        for known, form in _lately:
+            if known is specification:
+                return form
+        form = cls._of(specification)
+        _lately = (specification, form), *_lately[:3]
+        return form
+
+    @classmethod
+    def _of(cls, specification: Specification) -> SpecificationForm:
         timing = {kind: plain(seconds) for kind, seconds in specification.timing.items()}
         return cls(
             system=specification.name,

@@ -18,6 +18,8 @@ SPEED_OVER: Final = 1_000_000_000
 SPEED_AFTER: Final = 100_000_000
 # A clock that has not moved for so long stands still (s).
 STILL: Final = 2.0
+# How many moments the speed needs at most: those of the last second, and the ends of pauses and jumps among them.
+RECENT: Final = 2 * SPEED_OVER // SPACING
 
 Moment = tuple[int, int]  # steady and ROS time, ns
 
@@ -27,6 +29,7 @@ class ClockHistory:
 
     def __init__(self) -> None:
         self._kept: deque[Moment] = deque(maxlen=KEPT)
+        self._recent: deque[Moment] = deque(maxlen=RECENT)  # the latest of them
         self._last: Moment | None = None
 
     def add(self, steady: int, ros: int) -> None:
@@ -35,15 +38,20 @@ class ClockHistory:
         if last is not None and last[1] == ros:
             return
         if last is not None and (steady - last[0] >= SPACING or ros < last[1]) and last != self._kept[-1]:
-            self._kept.append(last)  # a pause, or a jump back, begins here
+            self._keep(last)  # a pause, or a jump back, begins here
         if last is None or steady - self._kept[-1][0] >= SPACING or ros < last[1]:
-            self._kept.append(moment)
+            self._keep(moment)
         self._last = moment
+
+    def _keep(self, moment: Moment) -> None:
+        self._kept.append(moment)
+        self._recent.append(moment)
 
     def clear(self) -> None:
         """Another clock drives the ROS clock from now on."""
         self._last = None
         self._kept.clear()
+        self._recent.clear()
 
     def moments(self) -> list[Moment]:
         last = self._last
@@ -61,7 +69,7 @@ class ClockHistory:
         if last is None or self.still_for(steady) > STILL:
             return 0.0
         first = last
-        for moment in reversed(self.moments()):
+        for moment in reversed(list(self._recent)):
             if moment[1] > first[1] or last[0] - first[0] >= SPEED_OVER:
                 break  # it jumped back after that moment, or that is far enough back
             first = moment

@@ -99,7 +99,7 @@ class MessageTimes:
             covered=covered,
             rate=count * 1e9 / span if span else None,
             age=age,
-            jitter=math.sqrt(sum((gap - mean) ** 2 for gap in gaps) / len(gaps)) / 1e9,
+            jitter=math.sqrt(sum([(gap - mean) ** 2 for gap in gaps]) / len(gaps)) / 1e9,
             longest=max(open_gap, *gaps) / 1e9,
         )
 

@@ -99,10 +99,10 @@ class Stopwatch:
         self._room = 0.0
         # The last laps, on the steady and on the ROS clock (s).
         self._laps: deque[tuple[float, float]] = deque(maxlen=_LAPS)
+        # The seconds of its clock in a second of the steady one, at least 1; a jump of ``/clock`` is no speed.
+        self.speed = 1.0
 
-    @property
-    def speed(self) -> float:
-        """The seconds of its clock in a second of the steady one, at least 1; a jump of ``/clock`` is no speed."""
+    def _measured_speed(self) -> float:
         if not self._host.simulated_time or len(self._laps) < _LAPS:
             return 1.0
         jump = max(range(_LAPS), key=lambda index: self._laps[index][1])
@@ -115,6 +115,7 @@ class Stopwatch:
         gone, moved = (steady - self._steady) / 1e9, max(0.0, (ros - self._ros) / 1e9)
         self._steady, self._ros = steady, ros
         self._laps.append((gone, moved))
+        self.speed = self._measured_speed()
         # What was sent to a process that was stopped may have to be sent again, or its peers have to find it again.
         self.grace = LONG_FLOOR if gone >= FLOOR else max(0.0, self.grace - gone)
         self._room = min(_LARGEST_STEP, self._room + min(gone, 2 * expected))

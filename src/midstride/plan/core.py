@@ -16,6 +16,7 @@ from collections import defaultdict
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from math import lcm
 from typing import Literal, TypeAlias
 
 from midstride.model.component import PortRef
@@ -57,9 +58,9 @@ class Part:
     ops: tuple[Op, ...]
     roles: tuple[str, ...] = ()
     seconds: tuple[float, ...] = ()
-    usage: tuple[tuple[Fraction, ...], ...] = ()
-    """What each action adds to the use of each scarce resource."""
-    free: tuple[Fraction, ...] = ()
+    usage: tuple[tuple[int, ...], ...] = ()
+    """What each action adds to the use of each scarce resource, in a unit in which all amounts are whole."""
+    free: tuple[int, ...] = ()
     """What is free of each scarce resource at the start."""
     topics: tuple[Topic, ...] = ()
     live: tuple[int, ...] = ()
@@ -163,26 +164,32 @@ def _part(
     for bit, op in enumerate(ops):
         of_instance[op.instance] |= 1 << bit
         of_role[roles[bit]] |= 1 << bit
-    usage, used = [], [r for r in scarce if any(_holds(change, op, r) for op in ops)]
-    for op in ops:
-        sign = {"create": 1, "remove": -1}.get(op.kind, 0)
-        usage.append(tuple(sign * _holds(change, op, r) for r in used))
     context, held = change.start.context, change.start.held
+    usage: list[list[int]] = [[] for _ in ops]
+    free: list[int] = []
+    for resource in (r for r in scarce if any(_holds(change, op, r) for op in ops)):
+        amounts = [{"create": 1, "remove": -1}.get(op.kind, 0) * _holds(change, op, resource) for op in ops]
+        amounts.append(to_fraction(context.capacity(resource)) - held.get(resource, Fraction()))
+        unit = lcm(*(amount.denominator for amount in amounts))
+        *whole, left = (int(amount * unit) for amount in amounts)
+        free.append(left)
+        for of_op, amount in zip(usage, whole, strict=True):
+            of_op.append(amount)
     topics = []
-    for name, free in full.items():
+    for name, slots in full.items():
         on = {name, change.sibling(name) or name}
         attach = sum(1 << bit for bit, op in enumerate(ops) if op.kind == "attach" and op.connector == name)
         detach = sum(1 << bit for bit, op in enumerate(ops) if op.kind == "detach" and op.connector in on)
         outputs = sum(1 << bit for bit, op in enumerate(ops) if op.port is not None and change.is_output(op.port))
         if attach & outputs:
-            topics.append(Topic(free, attach & outputs, detach & outputs))
+            topics.append(Topic(slots, attach & outputs, detach & outputs))
     creation = {op.instance: 1 << bit for bit, op in enumerate(ops) if op.kind == "create"}
     return Part(
         ops=ops,
         roles=roles,
         seconds=tuple(_seconds(change, op) for op in ops),
-        usage=tuple(usage),
-        free=tuple(to_fraction(context.capacity(r)) - held.get(r, Fraction()) for r in used),
+        usage=tuple(map(tuple, usage)),
+        free=tuple(free),
         topics=tuple(topics),
         live=tuple(creation.get(op.instance, 0) if op.kind == "attach" else 0 for op in ops),
         after=tuple(

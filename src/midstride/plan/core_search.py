@@ -156,19 +156,16 @@ class PartSearch:
         """A*, until it is proved which way is the cheapest or ``stop`` says so. ``known`` is the best way known."""
         costs = {0: 0.0}
         parents = {0: -1}
-        closed = set[int]()
-        queue = [(self.bounds.of(0), 0, 0)]
+        queue = [(self.bounds.of(0), 0, 0.0, 0)]
         while queue:
-            estimate, _, state = queue[0]
+            estimate, _, cost, state = queue[0]
             if estimate >= known.cost - _EPSILON:
                 break
             if stop():
                 return PartResult(estimate, known.cost, known.moves)
             heapq.heappop(queue)
-            if state in closed:
-                continue
-            closed.add(state)
-            cost = costs[state]
+            if cost > costs[state]:
+                continue  # reached more cheaply since
             if state & self._goal == self._goal:
                 return PartResult(cost, cost, _moves(parents, state))
             for after, more in self.moves(state):
@@ -177,7 +174,7 @@ class PartSearch:
                     estimate = total + self.bounds.of(after)
                     if estimate < known.cost - _EPSILON:
                         costs[after], parents[after] = total, state
-                        heapq.heappush(queue, (estimate, -after.bit_count(), after))
+                        heapq.heappush(queue, (estimate, -after.bit_count(), total, after))
         return PartResult(known.cost, known.cost, known.moves)
 
 

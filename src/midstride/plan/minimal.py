@@ -32,7 +32,7 @@ from midstride.plan.step import Step
 # How many moves are tried in all; after that only the first few of each choice, and only one is followed.
 _TRIALS: Final = 600
 _FEW: Final = 6
-# Where a plan is known and more actions than these are tied, only the first few of each choice are tried from the start.
+# Where a plan is known and more actions than these are tied, only the first few of each choice are tried at all.
 _MANY: Final = 24
 
 Key = tuple[bool, float, int, float, int]

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import multiprocessing
+import random
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import groupby
+from typing import Final
 
-from midstride.simulation.run import SeedRun, simulate
-from midstride.simulation.scenario import Scenario
+from midstride.simulation.run import SeedRun, Simulation
+from midstride.simulation.scenario import Scenario, rover
+from midstride.simulation.system import System
+
+# How many seeds in succession change one system: the first of them brings it up.
+SHARED_BY: Final = 20
 
 
 @dataclass
@@ -34,14 +41,71 @@ class Summary:
                 self.cells[each.fault, each.step, branch] += 1
 
 
+class Runs:
+    """Runs seeds, of the built-in scenario or another. Seeds of the built-in one change the system of those before."""
+
+    def __init__(self, scenario: Scenario | None = None) -> None:
+        self._scenario = scenario
+        self._system: System | None = None
+        self._next = -1
+
+    def run(self, seed: int) -> SeedRun:
+        """That seed, after those that change the same system before it, unless they have just been run."""
+        if seed != self._next or _first(seed, self._scenario) == seed:
+            self.close()
+            for earlier in range(_first(seed, self._scenario), seed):
+                self._run(earlier)
+        return self._run(seed)
+
+    def _run(self, seed: int) -> SeedRun:
+        drawn = random.Random(seed)
+        if self._scenario is not None:
+            scenario = self._scenario
+        else:
+            scenario = rover(drawn, None if self._system is None else self._system.specification)
+        if self._system is None:
+            self._system = System(scenario.specification, scenario.specifications())
+        run = Simulation(seed, self._system, scenario, drawn).run()
+        self._next = seed + 1
+        if run.problems:  # what they have left says nothing about the next seed
+            self.close()
+        return run
+
+    def close(self) -> None:
+        if self._system is not None:
+            self._system.close()
+            self._system = None
+
+
+def _first(seed: int, scenario: Scenario | None) -> int:
+    """The first of the seeds that change the same system."""
+    return seed - seed % SHARED_BY if scenario is None else seed
+
+
+def simulate(seed: int, scenario: Scenario | None = None) -> SeedRun:
+    """Run one seed, of the built-in scenario or another."""
+    return next(simulate_many((seed,), scenario))
+
+
 def simulate_many(seeds: Iterable[int], scenario: Scenario | None = None, jobs: int = 1) -> Iterator[SeedRun]:
     """The runs of ``seeds`` in their order, ``jobs`` at a time, each in a process."""
     if jobs <= 1:
-        yield from (simulate(seed, scenario) for seed in seeds)
+        yield from _run_all(seeds, scenario)
         return
+    groups = (list(group) for _, group in groupby(seeds, lambda seed: seed // SHARED_BY))
     # Processes that are forked have the scenario already.
     with multiprocessing.get_context("fork").Pool(jobs, _begin, (scenario,)) as pool:
-        yield from pool.imap(_run, seeds, chunksize=8)
+        for runs in pool.imap(_run_group, groups):
+            yield from runs
+
+
+def _run_all(seeds: Iterable[int], scenario: Scenario | None) -> Iterator[SeedRun]:
+    runs = Runs(scenario)
+    try:
+        for seed in seeds:
+            yield runs.run(seed)
+    finally:
+        runs.close()
 
 
 _scenario: Scenario | None = None
@@ -52,5 +116,5 @@ def _begin(scenario: Scenario | None) -> None:
     _scenario = scenario
 
 
-def _run(seed: int) -> SeedRun:
-    return simulate(seed, _scenario)
+def _run_group(seeds: list[int]) -> list[SeedRun]:
+    return list(_run_all(seeds, _scenario))

@@ -31,19 +31,10 @@ SAME_SLOT: Final = 0.25
 
 @dataclass
 class Invariants:
-    """``reaction()``: how long the manager may take to react now (s), infinite while it cannot.
-
-    ``uninterrupted()``: whether no plan and no fault has a reason to make a topic silent.
-    ``punctual()``: whether no fault has made a call of a component late.
-    ``violated`` is called once for each violation, with words.
-    """
+    """Call :meth:`begin` first."""
 
     platform: Platform
     oracle: Oracle
-    reaction: Callable[[], float]
-    punctual: Callable[[], bool]
-    uninterrupted: Callable[[], bool]
-    violated: Callable[[str], None]
     # Counted up with what is heard: part of the digest.
     heard: dict[str, int] = field(default_factory=dict)
     _shown: dict[str, Shown] = field(default_factory=dict)
@@ -54,6 +45,24 @@ class Invariants:
     _publishers: dict[tuple[str, str], tuple[str, float]] = field(default_factory=dict)
     _exchanged: dict[tuple[str, str], deque[float]] = field(default_factory=dict)
     _reported: set[str] = field(default_factory=set)
+
+    def begin(
+        self,
+        reaction: Callable[[], float],
+        punctual: Callable[[], bool],
+        uninterrupted: Callable[[], bool],
+        violated: Callable[[str], None],
+    ) -> None:
+        """A new seed begins.
+
+        ``reaction()``: how long the manager may take to react now (s), infinite while it cannot.
+        ``punctual()``: whether no fault has made a call of a component late.
+        ``uninterrupted()``: whether no plan and no fault has a reason to make a topic silent.
+        ``violated`` is called once for each violation, with words.
+        """
+        self.reaction, self.punctual, self.uninterrupted, self.violated = reaction, punctual, uninterrupted, violated
+        self.heard.clear()
+        self._reported.clear()
 
     def on_change(self, process: StandIn) -> None:
         state = process.state

@@ -65,6 +65,11 @@ class Life:
         if not self.alive:
             raise ManagerKilled
 
+    @property
+    def free(self) -> bool:
+        """Whether it lives and is not cut off: it need not wait for a :meth:`breath`."""
+        return self.alive and self.cut_off is None
+
     async def breath(self) -> None:
         """Returns while it lives and is not cut off, and never again once it has been killed."""
         while self.cut_off is not None and not self.cut_off.done():
@@ -137,9 +142,11 @@ class _Backend(_Guarded):
 
 class _Clock(_Guarded):
     async def sleep(self, seconds: float) -> None:
-        await self._life.breath()
+        if not self._life.free:
+            await self._life.breath()
         await asyncio.sleep(seconds)
-        await self._life.breath()
+        if not self._life.free:
+            await self._life.breath()
 
 
 class _Transport(_Guarded):
@@ -162,15 +169,17 @@ class _Connection:
         self.close = inner.close
 
     async def send(self, frame: bytes) -> None:
-        await self._life.breath()
-        if self._life.cut_off is not None:
+        if not self._life.free:
+            await self._life.breath()
             self._examine(frame)
         await self._inner.send(frame)
-        await self._life.breath()
+        if not self._life.free:
+            await self._life.breath()
 
     async def receive(self) -> bytes | None:
         frame = await self._inner.receive()
-        await self._life.breath()
+        if not self._life.free:
+            await self._life.breath()
         return frame
 
     def _examine(self, frame: bytes) -> None:

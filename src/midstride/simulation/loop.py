@@ -97,7 +97,11 @@ class SeededLoop(asyncio.AbstractEventLoop):
     call_soon_threadsafe = call_soon  # type: ignore[assignment]
 
     def call_later(self, delay: float, callback: Any, *args: Any, context: Any = None) -> Any:  # type: ignore[override]
-        return self.call_at(self._now + delay, callback, *args, context=context)
+        when = self._now + delay
+        handle = _Callback(when, callback, args, context)
+        self._count += 1
+        heapq.heappush(self._timers, (when, self.random.random(), self._count, handle))
+        return handle
 
     def call_at(self, when: float, callback: Any, *args: Any, context: Any = None) -> Any:  # type: ignore[override]
         handle = _Callback(when, callback, args, context)
@@ -132,30 +136,47 @@ class SeededLoop(asyncio.AbstractEventLoop):
             asyncio._set_running_loop(None)
         return done.result()
 
+    def end(self) -> None:
+        """Cancel what is left, and close."""
+        try:
+            asyncio._set_running_loop(self)
+            tasks = asyncio.all_tasks(self)
+            for task in tasks:
+                task.cancel()
+            asyncio._set_running_loop(None)
+            if tasks:
+                self.run_until_complete(asyncio.gather(*tasks, return_exceptions=True))
+        finally:
+            self.close()
+
     # -- running -----------------------------------------------------------------------------------
 
     def _run(self, done: asyncio.Future[Any]) -> None:
-        draw = self.random.random
+        draw, after_each = self.random.random, self.after_each
         at_once = 0
         while not done.done():
-            if not self._ready:
+            batch = self._ready
+            if not batch:
                 self._jump()
-                at_once = 0
-            at_once += len(self._ready)
+                batch, at_once = self._ready, 0
+            if len(batch) > 1:
+                at_once += len(batch)
+                for last in range(len(batch) - 1, 0, -1):  # random.shuffle, which takes several times longer
+                    other = int(draw() * (last + 1))
+                    batch[last], batch[other] = batch[other], batch[last]
+            else:
+                at_once += 1
             if at_once > MOST_AT_ONCE:
-                words = f"{self._ready[0].callback!r} and others run for ever"
+                words = f"{batch[0].callback!r} and others run for ever"
                 raise BackendError(f"livelock at {self._now:.6f} s: {words}")
-            batch, self._ready = self._ready, []
-            for last in range(len(batch) - 1, 0, -1):  # random.shuffle, which takes several times longer
-                other = int(draw() * (last + 1))
-                batch[last], batch[other] = batch[other], batch[last]
+            self._ready = []
             for handle in batch:
                 if not handle.cancelled_:
                     try:
                         handle.context.run(handle.callback, *handle.args)
                     except Exception as error:
                         self.call_exception_handler({"message": f"{handle.callback!r} raised", "exception": error})
-            self.after_each()
+            after_each()
 
     def _jump(self) -> None:
         """To the moment of the next timer; what is due then becomes ready."""
@@ -174,13 +195,4 @@ def run(loop: SeededLoop, main: Coroutine[Any, Any, T]) -> T:
     try:
         return loop.run_until_complete(main)  # type: ignore[no-any-return]
     finally:
-        try:
-            asyncio._set_running_loop(loop)
-            tasks = asyncio.all_tasks(loop)
-            for task in tasks:
-                task.cancel()
-            asyncio._set_running_loop(None)
-            if tasks:
-                loop.run_until_complete(asyncio.gather(*tasks, return_exceptions=True))
-        finally:
-            loop.close()
+        loop.end()

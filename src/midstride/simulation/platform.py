@@ -14,11 +14,15 @@ from midstride.simulation.stand_in import StandIn
 class Platform(Simulator):
     """``on_change(process)`` is called when a process has started, has published its state, or has ended."""
 
-    def __init__(self, seed: int, on_change: Callable[[StandIn], None]) -> None:
-        super().__init__(seed=seed, jitter=0.0005)
+    def __init__(self, on_change: Callable[[StandIn], None]) -> None:
+        super().__init__(jitter=0.0005)
         # The next process to be started ends at once.
         self.next_start_fails = False
         self._on_change = on_change
+
+    def reseed(self, seed: int) -> None:
+        """How long messages take is drawn from ``seed`` from now on."""
+        self.network.random.seed(seed)
 
     def standing(self, instance: str) -> StandIn | None:
         """The process of ``instance``, if it runs."""

@@ -118,17 +118,14 @@ node driver   : Driver   { path <- /path  alarms <- /alarms  out -> /velocity }
 
 @dataclass(frozen=True)
 class Scenario:
-    """``changes`` are requested one after the other, each while the one before is measured."""
+    """``changes`` are requested one after the other, each while the one before is measured.
+
+    ``steps``: the kinds of their steps, as often as they occur; those of a hand-over count three times.
+    """
 
     specification: Specification
     changes: Sequence[PlanRequest]
-
-    def steps(self) -> list[str]:
-        """The kinds of the steps of the changes, as often as they occur; those of a hand-over count three times."""
-        key = (id(self.specification), *(f"{request.strategy} {request.describe()}" for request in self.changes))
-        if key not in _steps:
-            _steps[key] = [kind for request in self.changes for kind in _steps_of(self.specification, request)]
-        return _steps[key]
+    steps: Sequence[str]
 
     def specifications(self) -> list[Specification]:
         """Every specification that the system may have."""
@@ -136,10 +133,7 @@ class Scenario:
         return [self.specification, *(target for target in targets if target is not None)]
 
 
-_steps: dict[tuple[object, ...], list[str]] = {}
-
-
-def _steps_of(specification: Specification, request: PlanRequest) -> list[str]:
+def _steps(specification: Specification, request: PlanRequest) -> list[str]:
     target = request.target(specification)
     change = change_between(initial(specification), specification, target, renewed=request.renewed(target))
     kinds = [step.action.kind for step in planner(request.strategy)(change).steps]
@@ -152,36 +146,64 @@ def _rover() -> Specification:
     return with_stand_ins(load_text(_ROVER).require(), stateless=("Lidar", "FastLidar"))
 
 
-def rover(random: random.Random) -> Scenario:
-    """The built-in system, with a drawn change of one or two of its nodes."""
-    specification = _rover()
+# What may take the place of what.
+_REPLACEABLE: Final = {
+    "lidar": ("Lidar", "FastLidar"),
+    "detector": ("Detector", "NewDetector"),
+    "planner": ("Planner", "NewPlanner"),
+}
+# By the roles with their components, and the change.
+_rover_steps: Final[dict[tuple[object, ...], list[str]]] = {}
+
+
+def rover(random: random.Random, current: Specification | None = None) -> Scenario:
+    """The built-in system, as it is or as earlier changes have left it, with a drawn change of one or two nodes.
+
+    A node that an earlier change has removed is added again before anything else.
+    """
+    specification = current or _rover()
+    request = _rover_change(random, specification)
+    shape = sorted((role, node.component) for role, node in specification.nodes.items())
+    key = (*shape, request.strategy, request.describe())
+    if key not in _rover_steps:
+        _rover_steps[key] = _steps(specification, request)
+    return Scenario(specification, (request,), _rover_steps[key])
+
+
+def _rover_change(random: random.Random, specification: Specification) -> PlanRequest:
     strategy = random.choice(["minimal"] * 4 + ["paper", "quiesce"])
-    replaceable = {"lidar": "FastLidar", "detector": "NewDetector", "planner": "NewPlanner"}
+    kind = random.choice(["replace", "replace", "replace", "two", "restart", "restart", "remove", "add", "set"])
     roles = sorted(specification.nodes)
-    match random.choice(["replace", "replace", "replace", "two", "restart", "restart", "remove", "add", "set"]):
-        case "replace":
-            role = random.choice(sorted(replaceable))
-            request = PlanRequest(replace=((role, replaceable[role]),), strategy=strategy)
-        case "two":
-            first, second = random.sample(sorted(replaceable), 2)
-            pairs = ((first, replaceable[first]), (second, replaceable[second]))
-            request = PlanRequest(replace=pairs, strategy=strategy)
+    if missing := sorted(set(_rover().nodes) - set(roles)):
+        return PlanRequest(add=(_rover().nodes[missing[0]],), strategy=strategy)
+    match kind:
+        case "replace" | "two":
+            chosen = random.sample(sorted(_REPLACEABLE), 2 if kind == "two" else 1)
+            return PlanRequest(replace=tuple((role, _other(specification, role)) for role in chosen), strategy=strategy)
         case "restart":
-            request = PlanRequest(restart=(random.choice(roles),), strategy=strategy)
+            return PlanRequest(restart=(random.choice(roles),), strategy=strategy)
         case "remove":
-            request = PlanRequest(remove=(random.choice(roles),), strategy=strategy)
+            return PlanRequest(remove=(random.choice(roles),), strategy=strategy)
+        case "add" if "second_guard" in specification.nodes:
+            return PlanRequest(remove=("second_guard",), strategy=strategy)
         case "add":
             attachments = specification.nodes["guard"].attachments.delete("out")
-            request = PlanRequest(add=(Node("second_guard", "Guard", attachments),), strategy=strategy)
-        case _:
-            node = specification.nodes["driver"]
-            parameters = node.parameters.set("speed", random.randint(2, 9))
-            request = PlanRequest(to=specification.with_node(Node("driver", "Driver", node.attachments, parameters)))
-    return Scenario(specification, (request,))
+            return PlanRequest(add=(Node("second_guard", "Guard", attachments),), strategy=strategy)
+    node = specification.nodes["driver"]
+    speed = random.choice([speed for speed in range(1, 10) if speed != node.parameters.get("speed", 1)])
+    parameters = node.parameters.set("speed", speed)
+    return PlanRequest(to=specification.with_node(Node("driver", "Driver", node.attachments, parameters)))
+
+
+def _other(specification: Specification, role: str) -> str:
+    """What takes the place of ``role``."""
+    one, other = _REPLACEABLE[role]
+    return other if specification.nodes[role].component == one else one
 
 
 def rehearsed(specification: Specification, request: PlanRequest) -> Scenario:
     """A user's own change, with stand-ins for the programs. Raises PlanRefused if nothing can be planned for it."""
     target = with_stand_ins(request.target(specification))
-    to = None if request.to is None else target
-    return Scenario(with_stand_ins(specification), (replace(request, to=to),))
+    changed = replace(request, to=None if request.to is None else target)
+    specification = with_stand_ins(specification)
+    return Scenario(specification, (changed,), _steps(specification, changed))

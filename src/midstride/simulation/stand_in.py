@@ -31,6 +31,7 @@ from midstride.runtime.backend import Launch
 from midstride.testing.puppet import Puppet
 from midstride.wire.state import ComponentState
 
+_NOTHING: Final = contextlib.nullcontext()
 _PROGRAM: Final = ("python3", "-m", __name__)
 # What the stand-ins are, by the last word of their command.
 _described: Final[dict[str, tuple[ComponentSpec, dict[str, Any]]]] = {}
@@ -104,7 +105,7 @@ class _Program(SimulatedProgram):
         Puppet(self._description, _message_type).start()
 
     def interpreter_state(self) -> contextlib.AbstractContextManager[None]:  # type: ignore[override]
-        return contextlib.nullcontext()
+        return _NOTHING
 
 
 class _OnLoop(CooperativeThread):

@@ -155,6 +155,8 @@ class Ros2Backend(ProcessBackend):
     async def _foreign(self, node: str, system: str) -> bool:
         """Whether a node of that name is in the graph that is no instance of the system."""
         for found in self._joined().of_name(node):
+            if found is None and self._foreign_nodes.runs(node):
+                continue  # of the system, and without Midstride's API
             if found is None or found.node != node or found.system not in ("", system):
                 return True
             if not found.system and not await processes.listens(self.transport, found.instance.strip("/")):

@@ -97,6 +97,10 @@ class ForeignNodes:
             self._page = Page(path, library)
         return self._page, library
 
+    def runs(self, node: str) -> bool:
+        """Whether a process without Midstride's API has the ROS node of this full name."""
+        return any(agent.node.record.node == node for agent in self._agents.values())
+
     def discard(self, record: ForeignRecord) -> None:
         """The process could not be started."""
         if record.index is not None and self._page is not None:

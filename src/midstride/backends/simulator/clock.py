@@ -24,6 +24,7 @@ class SimulatedClock:
 
     def __init__(self) -> None:
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._time: Callable[[], float] = float  # of the loop, once there is one
         self._zero = 0.0
         self.driven = False
         self.history = ClockHistory()
@@ -36,7 +37,7 @@ class SimulatedClock:
     def follow(self, loop: asyncio.AbstractEventLoop) -> None:
         """Follow ``loop`` from now on, starting at 0."""
         if loop is not self._loop:
-            self._loop, self._zero = loop, loop.time()
+            self._loop, self._time, self._zero = loop, loop.time, loop.time()
 
     @property
     def loop(self) -> asyncio.AbstractEventLoop:
@@ -44,17 +45,17 @@ class SimulatedClock:
         return self._loop
 
     def steady(self) -> float:
-        return 0.0 if self._loop is None else self._loop.time() - self._zero
+        return self._time() - self._zero
 
     def steady_ns(self) -> int:
-        return round(self.steady() * 1e9)
+        return round((self._time() - self._zero) * 1e9)
 
     def system_now(self) -> int:
-        return EPOCH + self.steady_ns()
+        return EPOCH + round((self._time() - self._zero) * 1e9)
 
     def ros_now(self) -> int:
         if not self.driven:
-            return self.system_now()
+            return EPOCH + round((self._time() - self._zero) * 1e9)
         return self._base + round((self.steady_ns() - self._since) * self._speed)
 
     def drive(self, speed: float, at: int | None = None) -> None:

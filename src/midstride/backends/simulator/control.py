@@ -91,13 +91,13 @@ class SimulatedEnd(PipeEnd):
         self._in_flight: deque[bytes | None] = deque()
 
     async def send(self, frame: bytes) -> None:
-        if self._process is not None:
+        if self._process is not None and not self._process.runs:
             await self._process.wait_while_frozen()
         await super().send(frame)
 
     async def receive(self) -> bytes | None:
         line = await super().receive()
-        if self._process is not None:
+        if self._process is not None and not self._process.runs:
             await self._process.wait_while_frozen()
         return line
 

@@ -128,7 +128,8 @@ class SimulatedHost:
 
     async def sleep(self, seconds: float) -> None:
         await asyncio.sleep(seconds)
-        await self._process.wait_while_frozen()
+        if not self._process.runs:
+            await self._process.wait_while_frozen()
 
     def publish_state(self, state: ComponentState) -> None:
         self._process.state = state

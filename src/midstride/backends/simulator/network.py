@@ -33,6 +33,8 @@ class SimulatedWriter:
         self.number = 0
         self.in_flight = 0
         self.history: deque[tuple[Any, Any]] = deque(maxlen=_depth(self.qos))
+        # The readers of the topic, and which of them it is matched with, since all have been discovered.
+        self.known: tuple[list[SimulatedReader], list[SimulatedReader]] = ([], [])
         self._network = network
 
     def publish(self, message: Any) -> None:
@@ -116,7 +118,7 @@ class Network:
         # The manager's endpoints, and when each was created; they belong to no process.
         self.probes: dict[str, float] = {}
         self._jitter = jitter
-        self._random = random.Random(seed)
+        self.random = random.Random(seed)
         self._identities = 0
         # The processes that find no endpoints any more, and since when (steady s): a fault.
         self.undiscovering: dict[SimulatedProcess, float] = {}
@@ -128,7 +130,10 @@ class Network:
         return f"{self._identities:04x}"
 
     def topic(self, name: str) -> SimulatedTopic:
-        return self.topics.setdefault(name if name.startswith("/") else f"/{name}", SimulatedTopic())
+        known = self.topics.get(name)
+        if known is None:
+            known = self.topics.setdefault(name if name.startswith("/") else f"/{name}", SimulatedTopic())
+        return known
 
     def create_writer(self, owner: SimulatedProcess, topic: str, type_: str, qos: QoS) -> SimulatedWriter:
         writer = SimulatedWriter(self, owner, topic, type_, qos)
@@ -157,7 +162,13 @@ class Network:
 
     def readers_of(self, writer: SimulatedWriter) -> list[SimulatedReader]:
         """The readers it is matched with now."""
-        return [reader for reader in self.topic(writer.topic).readers if self._matched(writer, reader)]
+        readers = self.topic(writer.topic).readers
+        if not readers or writer.known[0] == readers:
+            return writer.known[1]
+        matched = [reader for reader in readers if self._matched(writer, reader)]
+        if max(writer.created, *(reader.created for reader in readers)) + self.discovery <= self.clock.steady():
+            writer.known = list(readers), matched
+        return matched
 
     def writers_of(self, reader: SimulatedReader) -> list[SimulatedWriter]:
         writers = self.topic(reader.topic).writers
@@ -196,7 +207,7 @@ class Network:
     def _send(
         self, writer: SimulatedWriter, reader: SimulatedReader, message: Any, info: Any, extra: float = 0.0
     ) -> None:
-        jitter = self._random.uniform(0.0, self._jitter) if self._jitter else 0.0
+        jitter = self.random.uniform(0.0, self._jitter) if self._jitter else 0.0
         at = self.clock.steady() + self.latency + jitter + self.topic(writer.topic).delay + extra
         waiting = self._in_flight.setdefault((writer, reader), deque())
         if waiting:

@@ -178,6 +178,11 @@ class SimulatedProcess:
     def _thawed_on_loop(self) -> float:
         return self.clock.loop.time() + max(0.0, self.thawed_at - self.clock.steady())
 
+    @property
+    def runs(self) -> bool:
+        """Whether it is neither dead nor frozen."""
+        return not self.dead and self.thawed_at <= self.clock.steady()
+
     async def wait_while_frozen(self) -> None:
         """Returns once it is not frozen. Raises CancelledError where it is dead, which ends its tasks."""
         while not self.dead and (left := self.thawed_at - self.clock.steady()) > 0:

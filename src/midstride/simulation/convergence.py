@@ -1,0 +1,71 @@
+"""What must hold once the faults are over: the processes, the model, the saved state and the specification agree."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from types import NoneType
+from typing import Any
+
+from midstride.model.component import FunctionalityRef
+from midstride.model.specification import initial
+from midstride.runtime.manager import Manager
+from midstride.runtime.observed_configuration import reported_modes
+from midstride.runtime.state_store import SavedState
+from midstride.simulation.lives import ManagerKilled
+from midstride.simulation.platform import Platform
+
+
+def differences(manager: Manager, platform: Platform, saved: SavedState | None) -> list[str]:
+    """Where what runs, the manager's model, its saved state and the specification differ."""
+    found = []
+    configuration, expected = manager.configuration, initial(manager.specification)
+    processes = {process.instance: process for process in platform.stand_ins()}
+    if sorted(processes) != sorted(configuration.instances):
+        found.append(f"{sorted(processes)} run, the model has {sorted(configuration.instances)}")
+    roles = {role: len(names) for role, names in configuration.instances_by_role.items() if names}
+    if roles != dict.fromkeys(manager.specification.nodes, 1):
+        found.append(f"instances by role: {roles}")
+    for name, process in processes.items():
+        instance = configuration.instances.get(name)
+        if instance is None or process.state is None:
+            continue
+        for ref, index in reported_modes(instance.component, process.state).items():
+            if index != configuration.modes[ref]:
+                found.append(f"{ref} is in mode {index}, the model has {configuration.modes[ref]}")
+            best = expected.modes[FunctionalityRef(instance.role, ref.functionality)]
+            if index != best:
+                found.append(f"{ref} is in mode {index}, the best is {best}")
+        shown = {
+            (port, topic)
+            for port, topics in process.state.ports.items()
+            for topic, link in topics.items()
+            if link.gate != "closed"
+        }
+        modelled = {(port.port, configuration.topic(name)) for port, name in configuration.attached_ports(name)}
+        if shown != modelled:
+            found.append(f"{name} is attached to {sorted(shown)}, the model has {sorted(modelled)}")
+    recorded = [] if saved is None else sorted(each.instance.name for each in saved.instances)
+    if recorded != sorted(processes):
+        found.append(f"saved are {recorded}")
+    if saved is not None and saved.specification != manager.specification:
+        found.append("another specification is saved")
+    return found
+
+
+def closed_outputs(platform: Platform) -> list[str]:
+    """The outputs whose gate is closed, where no other instance of their role publishes instead."""
+    roles = [process.role for process in platform.stand_ins()]
+    return [
+        f"{process.instance}.{port} on {topic}"
+        for process in platform.stand_ins()
+        if process.state is not None and roles.count(process.role) == 1
+        for port, topics in process.state.ports.items()
+        for topic, link in topics.items()
+        if link.gate == "closed"
+    ]
+
+
+def uncaught(errors: Iterable[dict[str, Any]]) -> list[str]:
+    """What no task has caught. Tasks of a process that was killed end where they were."""
+    found = [error for error in errors if not isinstance(error.get("exception"), (ManagerKilled, NoneType))]
+    return [f"uncaught: {error['message']}: {error['exception']!r}" for error in found]
