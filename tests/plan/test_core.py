@@ -110,7 +110,7 @@ def test_a_search_that_ends_early_claims_no_more_than_it_knows(ended_by: type[Ba
 
 def test_without_a_proof_the_gap_is_stated() -> None:
     change = between(systems.tight(Random(16), 3))
-    plan, least = minimal(change, within=0.0), minimal(change)
+    plan, least = minimal(change, Budget(states=0)), minimal(change)
     assert least.proved_minimal
     assert plan.lower_bound < least.disruption <= plan.disruption
     assert not plan.proved_minimal

@@ -8,7 +8,7 @@ claimed of them never rests on the compiled core alone.
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import inf
 
@@ -25,15 +25,17 @@ from midstride.plan.search_state import SearchState
 
 
 class Budget:
-    """How long the search may take: in seconds, or in states, where the result must not depend on the machine."""
+    """How long the search may take: in states, where the result must not depend on the machine, or in seconds."""
 
-    def __init__(self, states: float = 20_000, seconds: float = inf) -> None:
-        self._states, self._end = states, time.monotonic() + seconds
+    def __init__(
+        self, states: float = 20_000, seconds: float = inf, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._states, self._clock, self._end = states, clock, clock() + seconds
 
     def is_used_up(self) -> bool:
         """Counts one state more."""
         self._states -= 1
-        return self._states < 0 or time.monotonic() > self._end
+        return self._states < 0 or self._clock() > self._end
 
 
 @dataclass(frozen=True, slots=True)
