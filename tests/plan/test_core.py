@@ -19,6 +19,7 @@ from midstride.plan.core_plan import Budget, search_core
 from midstride.plan.core_search import PartResult, PartSearch
 from midstride.plan.disruption import Levels
 from midstride.plan.minimal import minimal
+from midstride.plan.plan import Plan
 from midstride.plan.validate import replay
 from tests.plan import systems
 from tests.plan.cases import changed, system, work
@@ -115,6 +116,15 @@ def test_without_a_proof_the_gap_is_stated() -> None:
     assert plan.lower_bound < least.disruption <= plan.disruption
     assert not plan.proved_minimal
     assert replay(plan).holds
+
+
+@pytest.mark.parametrize(("bound", "claimed"), [(9.0, (False, 9.0)), (10.0, (True, 10.0)), (11.0, (False, 0.0))])
+def test_a_bound_above_the_cost_proves_nothing(bound: float, claimed: tuple[bool, float]) -> None:
+    change = between(systems.tight(Random(14), 3))
+    plan = minimal(change)
+    assert plan.disruption == 10.0
+    again = Plan.of("minimal", plan.steps, Levels(change), bound)
+    assert (again.proved_minimal, again.lower_bound) == claimed
 
 
 def test_outputs_are_exchanged_jointly_where_none_may_be_missing() -> None:
