@@ -23,7 +23,7 @@ from midstride.plan.plan import Plan
 from midstride.plan.validate import replay
 from tests.plan import systems
 from tests.plan.cases import changed, system, work
-from tests.plan.exhaustive import Exhaustive
+from tests.plan.exhaustive import Exhaustive, Limited
 
 
 def between(ends: tuple[Specification, Specification]) -> Change:
@@ -173,6 +173,25 @@ def test_a_cap_in_conflict_is_named() -> None:
     with pytest.raises(PlanRefused) as caught:
         changed(start, replace(target, constraints=(user,)), "minimal")
     assert str(caught.value).endswith("; n_2.out and n.out do not fit at the same time: /x has a cap of 1")
+
+
+def test_the_bound_counts_the_seconds_of_limits() -> None:
+    """It is what the exhaustive search finds that counts them too, and above what is least without the limits."""
+    higher = impossible = 0
+    for seed in range(16):
+        rng = Random(seed)
+        start, target = systems.tight(rng, 2)
+        refs = rng.sample([FunctionalityRef(role, "f") for role in sorted(start.nodes)], 2)
+        limits = tuple(Limit(ref, rng.choice((0.8, 1.0, 1.5, 2.5))) for ref in refs)
+        change = between((start, replace(target, constraints=limits)))
+        least, bound = Limited(change).optimum(), search_core(Levels(change), limits, Budget()).lower_bound
+        assert bound <= (float("inf") if least is None else least) + 1e-9
+        if least is None:
+            impossible += 1
+        else:
+            assert bound == pytest.approx(least)
+            higher += least > (Exhaustive(change).optimum() or 0.0)
+    assert min(higher, impossible) > 0
 
 
 def test_limit_of_no_time_is_proved_like_a_keep() -> None:

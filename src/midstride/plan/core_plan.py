@@ -18,7 +18,7 @@ from midstride.model.specification import Constraint, Keep, Limit
 from midstride.plan.constraints import ConstraintMonitor
 from midstride.plan.core import Op, parts
 from midstride.plan.core_losses import PartLosses, fullest
-from midstride.plan.core_search import PartSearch
+from midstride.plan.core_search import PartResult, PartSearch
 from midstride.plan.disruption import Levels
 from midstride.plan.plan_builder import PlanBuilder
 from midstride.plan.search_state import SearchState
@@ -61,8 +61,14 @@ def search_core(
     if not found:
         return CoreResult()
     full = fullest(change)
-    searches = [PartSearch(part, PartLosses(change, part, levels, full), keeps) for part in found]
-    results = [search.beam() for search in searches]
+    limits = {
+        each.functionality: each.seconds
+        for each in sorted((c for c in constraints if isinstance(c, Limit)), key=lambda limit: -limit.seconds)
+        if each.seconds and levels.find(each.functionality) is not None
+    }
+    searches = [PartSearch(part, PartLosses(change, part, levels, full), keeps, limits) for part in found]
+    # The beam does not count the seconds of limits, so under limits there is no way known at first.
+    results = [PartResult(0.0) if limits else search.beam() for search in searches]
     for index, search in enumerate(searches):
         results[index] = search.run(budget.is_used_up, results[index])
     bound = sum(result.lower_bound for result in results)
@@ -79,7 +85,7 @@ def search_core(
 def _keeps(levels: Levels, constraints: Iterable[Constraint]) -> dict[FunctionalityRef, int]:
     """How many levels below its baseline each functionality may be that is to be kept.
 
-    A ``limit`` of 0 s keeps it at the baseline. Others do not narrow the search.
+    A ``limit`` of 0 s keeps it at the baseline.
     """
     never = (each.functionality for each in constraints if isinstance(each, Limit) and not each.seconds)
     found = {ref: 0 for ref in never if levels.find(ref) is not None}
