@@ -36,6 +36,7 @@ from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middlew
 from midstride.runtime.process import Process
 from midstride.runtime.reaper import Reaper
 from midstride.runtime.timeouts import within
+from midstride.wire.environment import ENV_SHARED_NAME
 
 # A manager that has just joined knows no other node yet: that long it listens before it says that a name is free (s).
 _LISTEN: Final = 0.3
@@ -123,6 +124,8 @@ class Ros2Backend(ProcessBackend):
         graph.starts(full_name)
         environment = launching.environment(launch, self._control, command[0], self.settings, os.environ)
         if launch.foreign is None:
+            if node in self._foreign_nodes.names:
+                environment[ENV_SHARED_NAME] = "1"
             return await self._spawn(launch, full_name, command, environment)
         environment, record = await self._foreign_nodes.prepare(launch, launch.foreign, full_name, environment)
         try:
