@@ -31,11 +31,18 @@ from midstride.plan.request_form import decode_request
 @click.argument("file", required=False, type=click.Path(path_type=Path))
 @planned_change_options
 @click.option("--compare", is_flag=True, help="Show the plans of every strategy side by side, on a time axis.")
+@click.option("--explain", is_flag=True, help="Say what it would cost to keep what degrades, if that is possible.")
 @declared_parameters_option
 @system_option
 @json_option
 def plan_command(
-    file: Path | None, to: Path | None, compare: bool, declared_parameters: bool, system: str | None, **options: Any
+    file: Path | None,
+    to: Path | None,
+    compare: bool,
+    explain: bool,
+    declared_parameters: bool,
+    system: str | None,
+    **options: Any,
 ) -> int:
     """Show the plan for a change of the system of FILE: its steps, what degrades and for how long.
 
@@ -49,13 +56,15 @@ def plan_command(
     midstride plan talker.json --replace talker=NewTalker --compare
     """
     context = click.get_current_context()
+    if compare and explain:
+        raise click.UsageError("--compare and --explain cannot be combined: --explain is about one plan")
     if compare and context.get_parameter_source("strategy") is not ParameterSource.DEFAULT:
         raise click.UsageError("--compare shows every strategy: leave --strategy out")
     change = planned_change(to, **options)
     if file is not None and (declared_parameters or system):
         option = "--declared-parameters" if declared_parameters else "--system"
         raise click.UsageError(f"{option} is for the running system: leave FILE out")
-    asked: Document = {**change, "declared_parameters": declared_parameters}
+    asked: Document = {**change, "declared_parameters": declared_parameters, "explain": explain}
     request = replace(decode_request(asked), to=None if to is None else load(to))
     if file is None:
         client, workspace = find(system)
@@ -74,7 +83,8 @@ def plan_command(
             asked = replace(request, strategy=strategy)
             target = asked.target(specification)
             start, renewed = initial(specification), asked.renewed(target)
-            return encode_plan(planner(strategy)(change_between(start, specification, target, renewed=renewed)))
+            plan = planner(strategy)(change_between(start, specification, target, renewed=renewed))
+            return encode_plan(plan, explain=explain)
 
     title = f"from {name} to {to.name}" if to else f"{name}: {request.describe()}"
     if compare:
