@@ -291,6 +291,18 @@ def test_a_plan_in_which_nothing_degrades(capsys: pytest.CaptureFixture[str]) ->
     assert document["target"]["nodes"]["talker"]["component"] == "NewTalker"
 
 
+def test_the_search_for_a_proof_may_be_given_a_time(capsys: pytest.CaptureFixture[str]) -> None:
+    for seconds in ("2s", "0.5"):
+        status, out, _ = run(capsys, "plan", TALKER, "--replace", "talker=NewTalker", "--within", seconds)
+        assert (status, "proved minimal" in out) == (0, True)
+    for seconds in ("soon", "-1s", "inf"):
+        status, _, err = run(capsys, "plan", TALKER, "--replace", "talker=NewTalker", "--within", seconds)
+        assert status == 2
+        assert f"{seconds} is not a number of seconds, such as 5s" in err
+    status, _, err = run(capsys, "plan", "--replace", "talker=NewTalker", "--within", "5s")
+    assert (status, "--within needs FILE" in err) == (2, True)
+
+
 def test_the_plans_of_every_strategy_are_compared_on_one_time_axis(capsys: pytest.CaptureFixture[str]) -> None:
     words = ("plan", TALKER, "--replace", "talker=NewTalker", "--compare")
     status, out, err = run(capsys, *words)
@@ -317,6 +329,23 @@ def test_the_plans_of_every_strategy_are_compared_on_one_time_axis(capsys: pytes
         ("quiesce", "quiesce", 8),
         ("stop", "stop", 12),
     ]
+
+
+def test_a_plan_is_explained_with_what_it_would_cost_to_keep_what_falls(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = json.loads(Path(TALKER).read_text())
+    document["resources"] = {"gpu": {"capacity": 1}}
+    for name in ("Talker", "NewTalker"):
+        document["components"][name]["holds"] = {"gpu": 1}
+    file = tmp_path / "talker.json"
+    file.write_text(json.dumps(document))
+    status, out, err = run(capsys, "plan", str(file), "--replace", "talker=NewTalker", "--explain")
+    assert (status, err) == (0, "")
+    assert "`create talker_2 (NewTalker)` has to wait: resource gpu: 2 held by talker, talker_2" in out
+    assert "It cannot be kept at normal: no plan was found" in out
+    status, _, err = run(capsys, "plan", str(file), "--replace", "talker=NewTalker", "--explain", "--compare")
+    assert status == 2 and "--explain" in err
 
 
 def test_a_strategy_that_refuses_does_not_hide_the_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

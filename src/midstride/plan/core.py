@@ -12,8 +12,8 @@ plan's (docs/design.md, *The proof of least disruption*).
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Hashable, Iterable, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Collection, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from math import lcm
@@ -113,16 +113,21 @@ def free_slots(change: Change, connector: str) -> int | None:
     return cap - attached - beside - len(context.publishers_out_of_scope(context.connectors[connector]))
 
 
-def parts(change: Change, constraints: Iterable[Constraint]) -> list[Part]:
-    """The independent parts of the conflict core. Empty where nothing is tied."""
+def full_topics(change: Change) -> dict[str, int]:
+    """The capped topics that do not admit all of their old and new outputs together: the slots free at the start."""
+    wanted = Counter(connector for port, connector in change.attached if change.is_output(port))
+    return {name: free for name in wanted if (free := free_slots(change, name)) is not None and free < wanted[name]}
+
+
+def parts(change: Change, constraints: Iterable[Constraint], ignored: Collection[str] = ()) -> list[Part]:
+    """The independent parts of the conflict core. Empty where nothing is tied.
+
+    The resources and topics that are ``ignored`` count as large enough.
+    """
     orders = [c for c in constraints if isinstance(c, Order) and c.first != c.then]
     ordered = {role for order in orders for role in (order.first, order.then)}
-    scarce = scarce_resources(change)
-    wanted: dict[str, int] = defaultdict(int)
-    for port, connector in change.attached:
-        if change.is_output(port):
-            wanted[connector] += 1
-    full = {name: free for name in wanted if (free := free_slots(change, name)) is not None and free < wanted[name]}
+    scarce = [resource for resource in scarce_resources(change) if resource not in ignored]
+    full = {name: free for name, free in full_topics(change).items() if name not in ignored}
     on_full = {name: name for name in full}
     on_full.update({sibling: name for name in full if (sibling := change.sibling(name)) is not None})
 
