@@ -29,7 +29,7 @@ def graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ObservedGraph:
     simulated = SimulatedGraph()
     simulated.publisher("/talker", "/chatter", "std_msgs/msg/String", rate=50.0)
     graph = simulated.observed()
-    monkeypatch.setattr(ros2, "observe", lambda seconds: graph)
+    monkeypatch.setattr(ros2, "observe", lambda seconds, nodes: graph)
     Path("chat.stride").write_text(FILE)
     return graph
 

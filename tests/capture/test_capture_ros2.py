@@ -47,7 +47,7 @@ def test_a_planted_system_is_captured_exactly(tmp_path: Path, planted: None) -> 
         sensors = [each for each in graph.endpoints.values() if each.node in RATES and each.output]
         return len(graph.endpoints) == 48 and all(len(graph.times(each) or []) > 20 for each in sensors)
 
-    graph = observe(100.0, done)
+    graph = observe(100.0, list(RATES), done)
     assert len(graph.endpoints) == 48  # 10 sensors with 2, 9 filters with 2, the planner with 10
     latched = {each.node for each in graph.endpoints.values() if each.qos.is_transient_local}
     assert latched == {*RATES, "/planner"}

@@ -60,7 +60,7 @@ launch:
     args: --loud
 """
 IMPORTED = """component Talker {
-  run "ros2 run demo talker.py --ros-args -r chatter:=/chat" gate preload
+  run "talker.py --ros-args -r chatter:=/chat" package "demo" gate preload
   parameters {
     rate = 50
     words = ["a", "b"]
@@ -79,7 +79,7 @@ def test_a_launch_file_becomes_a_specification(tmp_path: Path, ending: str, text
     assert kinds(found) == ["package", "package"]
     system = specification(found, tmp_path)
     assert {node.role for node in system.nodes.values()} == {"r50/talker", "ears/listener"}
-    assert commands(found, tmp_path)["ears/listener"] == "ros2 run demo listener --loud"
+    assert commands(found, tmp_path)["ears/listener"] == "listener --loud"
     (listener,) = (node for node in system.nodes.values() if node.role == "ears/listener")
     assert listener.respawn is not None
 

@@ -34,6 +34,12 @@ def insert(text: str, name: str, graph: ObservedGraph, rates: bool = False) -> I
     return _Inserter(text, name, graph, rates).insertion()
 
 
+def nodes_without_ports(text: str, name: str) -> list[str]:
+    """The full names of the nodes that can get ports. Raises SpecificationError."""
+    inserter = _Inserter(text, name, ObservedGraph(), False)
+    return [full for _, full, _ in inserter.open_nodes(Insertion(""))]
+
+
 class _Inserter:
     def __init__(self, text: str, name: str, graph: ObservedGraph, rates: bool) -> None:
         reporter = Reporter()
@@ -58,25 +64,14 @@ class _Inserter:
 
     def insertion(self) -> Insertion:
         result = Insertion("")
-        found: list[tuple[NodeDeclaration, str, ComponentDeclaration]] = []
-        declared: set[str] = set()
-        seen = set(self.graph.nodes())
-        for item, namespace in self._items(self.file.items, ""):
-            if isinstance(item, TopicDeclaration):
-                declared.add("/" + resolve_name(namespace, item.name.text))
-            if isinstance(item, NodeDeclaration):
-                full = "/" + resolve_name(namespace, item.name.text)
-                component = self.components.get(item.component.text if item.component else "")
-                if component is None:
-                    result.left[full] = "its component is not in this file"
-                elif component.inputs or component.outputs or component.functionalities or component.like:
-                    result.left[full] = "its component states its ports"
-                elif full not in seen:
-                    result.left[full] = "it is not in the graph, or has no topics"
-                else:
-                    found.append((item, full, component))
-                seen.discard(full)
-        result.left |= dict.fromkeys(sorted(seen), "it is not in this file")
+        found, seen = [], set(self.graph.nodes())
+        for each in self.open_nodes(result):
+            if each[1] in seen:
+                found.append(each)
+            else:
+                result.left[each[1]] = "it is not in the graph, or has no topics"
+        in_file = {*result.left, *(full for _, full, _ in found)}
+        result.left |= dict.fromkeys(sorted(seen - in_file), "it is not in this file")
         ports = {full: ports_of(self.graph, full, self._remaps(component, full)) for _, full, component in found}
         heard = {port.endpoint.topic for each in ports.values() for port in each if port.endpoint.output}
         for component in {id(each): each for _, _, each in found}.values():
@@ -84,10 +79,31 @@ class _Inserter:
         for node, full, _ in found:
             self._attach(node, ports[full])
             result.added.append(full)
-        topics = sorted({port.endpoint.topic for each in ports.values() for port in each} - declared)
+        topics = sorted({port.endpoint.topic for each in ports.values() for port in each} - self._declared_topics())
         self._declare(topic_lines(self.graph, topics))
         result.text = self._text()
         return result
+
+    def open_nodes(self, result: Insertion) -> list[tuple[NodeDeclaration, str, ComponentDeclaration]]:
+        """The nodes whose components state no ports, with their full names; the others are noted in ``result``."""
+        found = []
+        for item, namespace in self._items(self.file.items, ""):
+            if isinstance(item, NodeDeclaration):
+                full = "/" + resolve_name(namespace, item.name.text)
+                component = self.components.get(item.component.text if item.component else "")
+                if component is None:
+                    result.left[full] = "its component is not in this file"
+                elif component.inputs or component.outputs or component.functionalities or component.like:
+                    result.left[full] = "its component states its ports"
+                else:
+                    found.append((item, full, component))
+        return found
+
+    def _declared_topics(self) -> set[str]:
+        items = self._items(self.file.items, "")
+        return {
+            "/" + resolve_name(inside, item.name.text) for item, inside in items if isinstance(item, TopicDeclaration)
+        }
 
     # -- edits -----------------------------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ says so where there is none.
 from __future__ import annotations
 
 import inspect
+from collections.abc import Collection
 from pathlib import Path
 
 from midstride.backends import common_messages
@@ -68,9 +69,9 @@ def create_backend(
     return Ros2Backend(control, logs=logs, guardian=guardian, middleware_settings=middleware_settings)
 
 
-def observe(seconds: float) -> ObservedGraph:
-    """What the live graph shows within ``seconds``. Raises BackendError without ROS 2."""
+def observe(seconds: float, nodes: Collection[str] = ()) -> ObservedGraph:
+    """See :func:`.observer.observe`. Raises BackendError without ROS 2."""
     _require_rclpy()
     from midstride.backends.ros2 import observer
 
-    return observer.observe(seconds)
+    return observer.observe(seconds, nodes)

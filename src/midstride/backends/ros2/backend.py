@@ -22,6 +22,7 @@ from rclpy.context import Context
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
+from midstride.ament_index import executable
 from midstride.backends import processes
 from midstride.backends.common import on_new_thread
 from midstride.backends.processes import ProcessBackend
@@ -31,6 +32,7 @@ from midstride.backends.ros2.foreign_nodes import ForeignNodes, ros_arguments
 from midstride.backends.ros2.graph import Graph
 from midstride.backends.ros2.node_services import RosNodeServices
 from midstride.errors import BackendError, StartFailed, Unreachable
+from midstride.foreign.graph_check import GraphEndpoint
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middleware
 from midstride.runtime.process import Process
 from midstride.runtime.reaper import Reaper
@@ -64,7 +66,7 @@ class Ros2Backend(ProcessBackend):
         self._context: Any = None
         self._probes = 0
         self._probe_stuck = False
-        self._foreign_nodes = ForeignNodes(control / "gates", self.transport, self._services_of)
+        self._foreign_nodes = ForeignNodes(control / "gates", self.transport, self._services_of, self._graph_of)
 
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
         self._on_exit = on_exit
@@ -106,7 +108,11 @@ class Ros2Backend(ProcessBackend):
     async def start(self, launch: Launch) -> Handle:
         full_name = names.full(launch.instance, launch.namespace)
         node = names.full(launch.node or launch.instance, launch.namespace)
-        command = processes.command(launch.arguments, launch.directory, os.environ, self._python)
+        program, *rest = launch.arguments
+        if launch.package is None:
+            command = processes.command(launch.arguments, launch.directory, os.environ, self._python)
+        else:
+            command = (executable(launch.package, program, os.environ), *rest)
         graph = self._joined()
         await asyncio.sleep(max(0.0, self._opened + _LISTEN - time.monotonic()))
         if (
@@ -147,6 +153,9 @@ class Ros2Backend(ProcessBackend):
 
     def _services_of(self, node: str) -> RosNodeServices:
         return RosNodeServices(self._node, node)
+
+    def _graph_of(self, node: str) -> list[GraphEndpoint]:
+        return [] if self._context is None else self._graph.of_process(node)
 
     def _python(self) -> str:
         return sys.executable

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from importlib import import_module
 from typing import Any, Final
 
@@ -21,13 +21,22 @@ from midstride.model.contract import QoS
 
 # How often the graph is read (s): nodes and topics appear one after another.
 EVERY: Final = 0.5
+# How long nodes that are expected may take to appear (s).
+PATIENCE: Final = 10.0
 _DEPTH: Final = 1000
 _LONGEST: Final = 1e9  # a duration beyond this (s) is ROS's "infinite"
 _NODE: Final = "_midstride_capture"
 
 
-def observe(seconds: float, done: Callable[[ObservedGraph], bool] = lambda graph: False) -> ObservedGraph:
-    """What the graph shows within ``seconds``, or until ``done`` holds. It is read by a hidden node."""
+def observe(
+    seconds: float,
+    nodes: Collection[str] = (),
+    done: Callable[[ObservedGraph], bool] = lambda graph: False,
+) -> ObservedGraph:
+    """What the graph shows within ``seconds``, or until ``done`` holds. It is read by a hidden node.
+
+    The time counts from when each of ``nodes`` (full names) has been seen, or PATIENCE later.
+    """
     context = Context()
     rclpy.init(context=context)
     node = Node(_NODE, context=context, start_parameter_services=False, enable_rosout=False)
@@ -35,9 +44,13 @@ def observe(seconds: float, done: Callable[[ObservedGraph], bool] = lambda graph
     executor.add_node(node)
     graph = ObservedGraph()
     subscribed: set[str] = set()
-    start = looked = time.monotonic()
+    begun = start = looked = time.monotonic()
+    missing = set(nodes)
     try:
         while (now := time.monotonic()) - start < seconds and not done(graph):
+            missing.difference_update(graph.nodes() if missing else ())
+            if missing and now - begun < PATIENCE:
+                start = now
             if now >= looked:
                 looked = now + EVERY
                 _look(node, graph, subscribed)

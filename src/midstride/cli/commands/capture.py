@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from midstride.backends import ros2
-from midstride.capture.insertion import insert
+from midstride.capture.insertion import insert, nodes_without_ports
 from midstride.capture.observed import ObservedGraph
 from midstride.capture.standalone import draft
 from midstride.cli.files import require_file
@@ -25,6 +25,7 @@ from midstride.lang.files import read_text
 def capture_command(seconds: float, into: Path | None, output: Path | None, rates: bool) -> int:
     """Look at the running ROS 2 nodes, and propose their ports with types, QoS and rates.
 
+    The time counts from when the nodes of FILE have been seen, or 10 s later.
     With `--into`, nodes of FILE that have no ports get them, and the rest stays as it is; otherwise a draft is
     printed, or written with `-o`.
     """
@@ -32,7 +33,8 @@ def capture_command(seconds: float, into: Path | None, output: Path | None, rate
         require_file(into)
     if output is not None and output.exists() and output != into:
         raise MidstrideError(f"{output} exists; remove it, or choose another file")
-    graph = ros2.observe(seconds)
+    nodes = () if into is None else nodes_without_ports(read_text(into), str(into))
+    graph = ros2.observe(seconds, nodes)
     if not graph.endpoints:
         raise MidstrideError(f"no node with topics was seen within {seconds:g} s (ROS_DOMAIN_ID and discovery range?)")
     added, left, target = graph.nodes(), dict[str, str](), output
