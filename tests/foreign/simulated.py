@@ -57,7 +57,7 @@ class SimulatedNode:
         await self._answers(timeout)
         return self.state
 
-    async def transition(self, name: str, timeout: float) -> bool:
+    async def transition(self, name: str, state: str, timeout: float) -> bool:
         self.hung |= name in self.hangs
         await self._answers(timeout)
         await asyncio.sleep(0.02)
