@@ -99,8 +99,8 @@ def draw(random: random.Random, steps: Sequence[str]) -> list[Fault]:
 
 
 def _draw(random: random.Random, steps: Sequence[str], kinds: Sequence[str]) -> Fault:
-    step = random.choice(steps) if steps and random.random() < 0.75 else None
-    op = random.choice(CRITICAL) if step == "handover" and random.random() < 0.5 else None
+    op = random.choice(CRITICAL) if "handover" in steps and random.random() < 0.25 else None
+    step = "handover" if op is not None else random.choice(steps) if steps and random.random() < 0.75 else None
     after = 0 if op is not None else random.randrange(REQUESTS if step is None else REQUESTS_OF.get(step, 3))
     return Fault(
         kind=cast("FaultKind", random.choice(kinds)),
