@@ -69,12 +69,12 @@ def instance(
     target = start
     for role, name in succession.items():
         target = target.with_replaced(role, name)
-    held: dict[str, list[float]] = {}
+    amounts: dict[str, list[float]] = {}
     for place, spec in enumerate((start, target)):
         for role in spec.nodes:
             for resource, amount in spec.component_of(role).resource_usage.items():
-                held.setdefault(resource, [0.0, 0.0])[place] += amount
-    resources = {name: Resource(name, max(held[name]) + rng.randint(0, 2)) for name in sorted(held)}
+                amounts.setdefault(resource, [0.0, 0.0])[place] += amount
+    resources = {name: Resource(name, max(amounts[name]) + rng.randint(0, 2)) for name in sorted(amounts)}
     return _with(start, resources), _with(target, resources)
 
 

@@ -19,7 +19,7 @@ ROOT = Path(__file__).parent.parent / "src"
 PACKAGE = "midstride"
 
 EVERY = frozenset(
-    "model codec wire lang launch_files plan verify generate runtime backends node foreign server cli testing "
+    "model codec wire lang launch_files capture plan verify generate runtime backends node foreign server cli testing "
     "simulation".split()
 )
 
@@ -31,14 +31,15 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "wire": frozenset({"model", "codec"}),
     "lang": frozenset({"model", "codec"}),
     "launch_files": frozenset({"model", "lang"}),
+    "capture": frozenset({"model", "lang"}),
     "plan": frozenset({"model", "codec"}),
     "generate": frozenset({"model", "codec"}),
     "node": frozenset({"model", "codec", "wire"}),
     "verify": frozenset({"model", "codec", "plan"}),
     "runtime": frozenset({"model", "codec", "wire", "plan", "verify"}),
-    "backends": frozenset({"model", "codec", "wire", "node", "foreign", "runtime"}),
+    "backends": frozenset({"model", "codec", "wire", "node", "foreign", "runtime", "capture"}),
     "foreign": frozenset({"model", "codec", "wire", "node"}),
-    "server": EVERY - {"node", "cli", "testing", "simulation", "launch_files"} | {""},
+    "server": EVERY - {"node", "cli", "testing", "simulation", "launch_files", "capture"} | {""},
     "cli": EVERY - {"testing"} | {""},
     "testing": EVERY - {"server", "cli", "simulation"},
     "simulation": EVERY - {"server", "cli"},

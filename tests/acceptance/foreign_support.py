@@ -67,7 +67,7 @@ def programs_of_the_page(folder: Path) -> None:
         (folder / name).write_text(text, encoding="utf-8")
 
 
-def talkers(folder: Path, first: str = "Plain", rate: float = 50) -> Specification:
+def talkers(folder: Path, first: str = "Plain", rate: float = 50, timing: str = "") -> Specification:
     """A node `talker`, at first a ``first``; it can become `Plain` (rclpy), `Native` (C) and `Ours`, at ``rate`` Hz.
 
     All write at 50 Hz, but `Native` at ``rate``.
@@ -75,7 +75,7 @@ def talkers(folder: Path, first: str = "Plain", rate: float = 50) -> Specificati
     programs_of_the_page(folder)
     (folder / "ours.py").write_text(OURS, encoding="utf-8")
     compiled(folder)
-    text = f"system swaps\ntopic /chat : std_msgs/msg/String @ {rate:g} Hz\n"
+    text = f"system swaps\n{timing}\ntopic /chat : std_msgs/msg/String @ {rate:g} Hz\n"
     for name, run, gate in (
         ("Plain", "python3 talker.py", " gate preload"),
         ("Native", f"./c_talker {1e9 / rate:.0f} chatter", " gate preload"),
@@ -104,7 +104,11 @@ class Robot:
     async def hears(self, messages: int = 20) -> None:
         """Return when so many more have been heard."""
         count = len(self.heard)
-        await self.bare.until(lambda: len(self.heard) >= count + messages, 60)
+        try:
+            await self.bare.until(lambda: len(self.heard) >= count + messages, 60)
+        except AssertionError:
+            status = await self.manager.status()
+            raise AssertionError(f"heard last {self.heard[-3:]}; {status}") from None
 
     async def meanwhile(self, work: Awaitable[Any]) -> Any:
         task = asyncio.ensure_future(work)

@@ -23,3 +23,21 @@ def test_a_node_in_c_replaces_one_in_rclpy_and_the_other_way_round(tmp_path: Pat
 
     with ended():
         run(scenario(), 200)
+
+
+@pytest.mark.parametrize(("first", "kinds"), [("Plain", ("Ours", "Plain")), ("Ours", ("Native", "Ours"))])
+def test_a_node_hands_over_to_a_component_and_back(tmp_path: Path, first: str, kinds: tuple[str, str]) -> None:
+    # Of the first node, which has the role's name, the component must not think that it is foreign.
+    timing = "timing { watch_after 5 s }" if first == "Plain" else ""
+
+    async def scenario() -> None:
+        async with robot(talkers(tmp_path, first, timing=timing), tmp_path) as system:
+            await system.replaced(kinds[0])
+            await system.another_manager()
+            await system.replaced(kinds[1])
+            assert system.changes() == [("talker", "talker_2"), ("talker_2", "talker_3")]
+            assert system.holes() == []
+            assert (await system.manager.status()).valid
+
+    with ended():
+        run(scenario(), 200)

@@ -291,6 +291,18 @@ def test_a_plan_in_which_nothing_degrades(capsys: pytest.CaptureFixture[str]) ->
     assert document["target"]["nodes"]["talker"]["component"] == "NewTalker"
 
 
+def test_the_search_for_a_proof_may_be_given_a_time(capsys: pytest.CaptureFixture[str]) -> None:
+    for seconds in ("2s", "0.5"):
+        status, out, _ = run(capsys, "plan", TALKER, "--replace", "talker=NewTalker", "--within", seconds)
+        assert (status, "proved minimal" in out) == (0, True)
+    for seconds in ("soon", "-1s", "inf"):
+        status, _, err = run(capsys, "plan", TALKER, "--replace", "talker=NewTalker", "--within", seconds)
+        assert status == 2
+        assert f"{seconds} is not a number of seconds, such as 5s" in err
+    status, _, err = run(capsys, "plan", "--replace", "talker=NewTalker", "--within", "5s")
+    assert (status, "--within needs FILE" in err) == (2, True)
+
+
 def test_the_plans_of_every_strategy_are_compared_on_one_time_axis(capsys: pytest.CaptureFixture[str]) -> None:
     words = ("plan", TALKER, "--replace", "talker=NewTalker", "--compare")
     status, out, err = run(capsys, *words)

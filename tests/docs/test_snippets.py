@@ -30,6 +30,7 @@ PAGES = sorted(
     for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").rglob("*.md")]
     if page.is_file()
 )
+ON_ROS_2 = {"docs/how-to/unmodified-nodes.md", "docs/how-to/from-launch-files.md"}
 RUN = {"sh", "python", "text", "json"}
 
 
@@ -83,6 +84,9 @@ class Session:
         command.parent.mkdir()
         command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m midstride "$@"\n')
         command.chmod(0o755)
+        python = command.with_name("python3")  # the one that has ROS, as on a machine where ROS is set up
+        python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
+        python.chmod(0o755)
         self.environment = {
             **{name: value for name, value in os.environ.items() if name != "MIDSTRIDE_DEMO"},
             "PATH": f"{command.parent}{os.pathsep}{os.environ['PATH']}",
@@ -149,7 +153,7 @@ def name_of(page: Path) -> str:
 def marks(name: str) -> list[pytest.MarkDecorator]:
     """In `make test` are the pages that lead to the others."""
     needed = [pytest.mark.alloy] if name == "docs/how-to/verify.md" else []
-    needed += [pytest.mark.ros2] if name == "docs/how-to/unmodified-nodes.md" else []
+    needed += [pytest.mark.ros2] if name in ON_ROS_2 else []
     return needed + ([pytest.mark.full] if name.startswith(("docs/how-to/", "examples/")) else [])
 
 

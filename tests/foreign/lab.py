@@ -10,7 +10,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from midstride.foreign.page import OPEN, OUTPUT, BatonWord, Page, PagePort, PortFlag
+from midstride.foreign.page import OPEN, OUTPUT, Page, PagePort, PortFlag
+from midstride.node.baton import BatonWord
 
 RECORD = struct.Struct("QQq")
 LOG_SIZE = 16 + 4_000_000 * RECORD.size

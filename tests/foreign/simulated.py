@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from midstride.backends.naming import full
 from midstride.backends.ros2.foreign_nodes import ForeignNodes
@@ -14,8 +14,13 @@ from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.control import SimulatedControl
 from midstride.foreign.lifecycle import ACTIVE, FINALIZED, INACTIVE, UNCONFIGURED
 from midstride.foreign.services import NoAnswer
+from midstride.lang.load import load
 from midstride.runtime.backend import Exited, Handle, Launch
+from midstride.runtime.manager import Manager
+from midstride.runtime.workspace import Workspace
 from midstride.wire.transport import Connection, Serve, StopListening
+
+T = TypeVar("T")
 
 _AFTER = {
     "configure": INACTIVE,
@@ -77,6 +82,8 @@ class SimulatedNode:
 
 class _Process:
     """A process that is never frozen."""
+
+    runs = True
 
     async def wait_while_frozen(self) -> None:
         pass
@@ -162,3 +169,27 @@ class SimulatedRos(Simulator):
 
     def active(self) -> list[str]:
         return sorted(name for name, node in self.nodes.items() if node.state == ACTIVE)
+
+
+def managed(
+    folder: Path,
+    text: str,
+    body: Callable[[Manager, SimulatedRos], Awaitable[T]],
+    behaviour: Mapping[str, Mapping[str, Any]] | None = None,
+) -> T:
+    """Bring the system of ``text`` up in virtual time, and run ``body``; the events are those since."""
+    simulator = SimulatedRos(folder / "gates", behaviour)
+    (folder / "system").mkdir()
+    path = folder / "system.stride"
+    path.write_text(text, encoding="utf-8")
+
+    async def main() -> T:
+        manager = Manager(load(path).require(), simulator, Workspace(folder / "system"), folder)
+        await manager.up()
+        simulator.events.clear()
+        try:
+            return await body(manager, simulator)
+        finally:
+            await manager.close()
+
+    return simulator.run(main())

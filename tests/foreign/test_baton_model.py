@@ -14,7 +14,8 @@ from typing import Any
 
 import pytest
 
-from midstride.foreign.page import BatonState, BatonStep, BatonWord, PortFlag, load_library
+from midstride.foreign.page import PortFlag, load_library
+from midstride.node.baton import BatonState, BatonStep, BatonWord
 
 PASS, HOLD_BACK, SKIP, ASK, BUSY = range(5)
 OLD, NEW = 1, 2
@@ -37,6 +38,7 @@ class Writer:
     alive: bool = True
     wrote: int = 0  # at most 2: whether it has written, and again
     knows: int = -1  # whether the holder is dead
+    gate: str = "baton"  # of a component: "closed" or "open" where it does not ask the baton
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,11 @@ class Explorer:
         yield from self.manager_steps(world)
 
     def writer_steps(self, world: World, index: int, writer: Writer) -> Iterator[World]:
-        if writer.at == "idle":
+        if writer.at == "idle" and writer.gate == "open":
+            yield world.with_writer(index, at="publishing")
+        elif writer.at == "publishing" and writer.gate == "open":
+            yield world.with_writer(index, at="idle", wrote=min(2, writer.wrote + 1))
+        elif writer.at == "idle" and writer.gate == "baton":
             yield world.with_writer(index, at="deciding", seen=world.word, knows=-1)
         elif writer.at == "deciding":
             for waited in (False, True) if writer.flags & PortFlag.TIMED else (False,):
@@ -148,10 +154,30 @@ class Explorer:
                 yield replace(world, word=self.step(world.word, BatonStep.FENCE, OLD), manager=rest)
             case "l":
                 yield replace(world, word=self.step(world.word, BatonStep.LIFT, OLD), manager=rest)
+            case "d":  # a component that has the baton asks no more
+                for index, writer in enumerate(world.writers):
+                    if word.holder == writer.node == NEW and writer.at == "idle":
+                        yield world.with_writer(index, gate="open")
+            case "c":  # or it closes its gates, to give the baton back
+                for index, writer in enumerate(world.writers):
+                    if writer.node == NEW and writer.at == "idle":
+                        yield self.given_back(world.with_writer(index, gate="closed"), rest)
+            case "r":  # a component that is the old side keeps the baton, or has got it back
+                fenced = self.step(world.word, BatonStep.FENCE, OLD)
+                for index, writer in enumerate(world.writers):
+                    if word.holder == writer.node == OLD and writer.at == "idle":
+                        yield replace(world.with_writer(index, gate="open"), word=fenced, manager=rest)
             case "g":  # only from one that is fenced and does not publish, or that has died
                 fenced = word.state is BatonState.FENCED and not word.writers
                 if word.holder == OLD and (fenced or not world.living(OLD)):
                     yield replace(world, word=self.step(world.word, BatonStep.GIVE, NEW), manager=rest)
+
+    def given_back(self, world: World, rest: str) -> World:
+        """The new side is a component whose gates are closed: it withdraws, or gives the baton back."""
+        word = self.step(world.word, BatonStep.WITHDRAW, OLD)
+        if BatonWord.of(word).holder == NEW:
+            word = self.step(word, BatonStep.GIVE, OLD)
+        return replace(world, word=word, manager=rest)
 
     def deaths(self, world: World, mortal: frozenset[int]) -> Iterator[World]:
         for node in mortal:
@@ -176,7 +202,7 @@ class Explorer:
             for index in range(len(world.writers)):
                 for step in range(12):
                     writer = world.writers[index]
-                    if not writer.alive or (writer.at == "idle" and step):
+                    if not writer.alive or writer.gate == "closed" or (writer.at == "idle" and step):
                         break
                     world = list(self.writer_steps(world, index, writer))[-1]  # the last: a time that has passed
         return any(writer.wrote for writer in world.writers)
@@ -238,6 +264,21 @@ def test_an_output_without_a_rate_beside_one_that_has_one(explorer: Explorer) ->
         assert explorer.enter(world.word, beside, False)[0] == PASS
 
 
+@pytest.mark.parametrize("mortal", [frozenset(), pytest.param(frozenset({OLD, NEW}), marks=FULL)], ids=str)
+@pytest.mark.parametrize("flags", [RATED, pytest.param(TIMED, marks=FULL)], ids=["rated", "timed"])
+@pytest.mark.parametrize("manager", ["nc", *(pytest.param(plan, marks=FULL) for plan in ("ndcs", "nds", "nr", "nfr"))])
+def test_a_component_takes_part(explorer: Explorer, manager: str, flags: int, mortal: frozenset[int]) -> None:
+    """The steps that a component takes itself, as the new side (d, c) or as the old one (r), in every order."""
+    found = list(explorer.reachable(begin(explorer, ((OLD, flags), (NEW, flags)), manager), mortal))
+    assert any(writer.gate != "baton" for world in found for writer in world.writers)
+    for world in found:
+        assert len(world.publishing()) < 2, world
+        holder = BatonWord.of(world.word).holder
+        fenced = BatonWord.of(world.word).state is BatonState.FENCED and world.writers[0].gate == "baton"
+        if world.living(holder) and not fenced:
+            assert explorer.someone_writes(world), world
+
+
 def test_the_old_one_takes_it_back_at_its_second_slot(explorer: Explorer) -> None:
     laid = explorer.step(explorer.step(0, BatonStep.GIVE, OLD), BatonStep.NAME_SUCCESSOR, OLD, NEW, True)
     old = Writer(OLD, RATED)
@@ -250,6 +291,17 @@ def test_the_old_one_takes_it_back_at_its_second_slot(explorer: Explorer) -> Non
     assert BatonWord.of(again).state is BatonState.LAID
     assert explorer.enter(again, replace(old, skipped=1), False)[0] == PASS  # one slot is missed, and no more
     assert explorer.enter(again, Writer(NEW, RATED), False)[0] == PASS
+
+
+def test_the_exploration_finds_a_component_that_gives_back_while_it_publishes(explorer: Explorer) -> None:
+    class Faulty(Explorer):
+        def manager_steps(self, world: World) -> Iterator[World]:
+            yield from super().manager_steps(world)
+            if world.manager == "c":
+                yield self.given_back(world, "")
+
+    found = Faulty(explorer.library).reachable(begin(explorer, ((OLD, RATED), (NEW, RATED)), "nc"), frozenset())
+    assert any(len(world.publishing()) == 2 for world in found)
 
 
 def test_the_exploration_finds_a_missing_count_of_writers(explorer: Explorer) -> None:

@@ -18,17 +18,8 @@ import pytest
 
 from midstride.errors import BackendError, StartFailed
 from midstride.foreign import build
-from midstride.foreign.page import (
-    OPEN,
-    BatonState,
-    BatonStep,
-    Page,
-    PageBaton,
-    PageLayout,
-    PageNode,
-    PagePort,
-    PortFlag,
-)
+from midstride.foreign.page import OPEN, Page, PageBaton, PageLayout, PageNode, PagePort, PortFlag
+from midstride.node.baton import BatonState, BatonStep
 from tests.foreign.lab import LOG_SIZE, Lab, until
 
 RATED, TIMED = PortFlag.RATED | PortFlag.LAYS, PortFlag.TIMED | PortFlag.LAYS

@@ -9,13 +9,12 @@ from typing import Any, TypeVar
 
 import pytest
 
-from midstride.lang.load import load
 from midstride.model.rules import violations
-from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Outcome
 from midstride.runtime.workspace import Workspace
+from tests.foreign import simulated
 from tests.foreign.simulated import SimulatedRos
 from tests.runtime.systems import saved
 
@@ -54,33 +53,16 @@ node listener : Listener { in <- /chat }
 REPLACE = PlanRequest(replace=(("talker", "Other"),))
 
 
-def chat(folder: Path) -> Specification:
-    path = folder / "chat.stride"
-    path.write_text(TEXT, encoding="utf-8")
-    return load(path).require()
-
-
 def managed(
     folder: Path,
     body: Callable[[Manager, SimulatedRos], Awaitable[T]],
     behaviour: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> T:
-    """Bring the system up in virtual time, and run ``body``."""
-    simulator = SimulatedRos(folder / "gates", behaviour)
-    (folder / "system").mkdir()
-    workspace = Workspace(folder / "system")
-
-    async def main() -> T:
-        manager = Manager(chat(folder), simulator, workspace, folder)
-        await manager.up()
+    async def begun(manager: Manager, simulator: SimulatedRos) -> T:
         assert simulator.active() == ["listener", "talker"]
-        simulator.events.clear()
-        try:
-            return await body(manager, simulator)
-        finally:
-            await manager.close()
+        return await body(manager, simulator)
 
-    return simulator.run(main())
+    return simulated.managed(folder, TEXT, begun, behaviour)
 
 
 async def settled(manager: Manager, outcome: Outcome, active: list[str], simulator: SimulatedRos) -> None:

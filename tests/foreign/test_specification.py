@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from midstride.model.configuration import Configuration
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.specification_diff import differences
-from midstride.runtime.agreed_cut import early_publishers, publishers_found, require_found, require_same_gate
+from midstride.runtime.agreed_cut import early_publishers, publishers_found, require_baton, require_found
 from midstride.runtime.backend import Launch
 from midstride.wire.commands import Attached, AwaitMatchCommand
 from midstride.wire.sockets import SocketFolder
@@ -155,14 +156,21 @@ def test_its_page_is_prepared_before_it_starts(
     asyncio.run(scenario())
 
 
-def test_a_hand_over_is_between_two_of_one_kind(tmp_path: Path) -> None:
+def test_a_hand_over_is_between_two_that_can_be_held_back(tmp_path: Path) -> None:
     specification = parsed(TEXT.replace('other.py"', 'other.py" gate none'), tmp_path)
     unmodified = specification.instance("talker")
     other = specification.with_replaced("talker", "Other").instance("talker", "talker_2")
     both = Configuration(specification.context).with_instance(unmodified).with_instance(other)
-    require_same_gate(both, "talker", "talker")
-    with pytest.raises(StepFailed, match="talker has `gate preload` and talker_2 `gate none`; use `--strategy paper`"):
-        require_same_gate(both, "talker", "talker_2")
+    require_baton(both, "talker", "talker")
+    words = "talker has `gate preload` and talker_2 has `gate none`, so talker_2 cannot be held back for the other; use"
+    with pytest.raises(StepFailed, match=words):
+        require_baton(both, "talker", "talker_2")
+    ours = replace(unmodified, name="talker_3", component=replace(unmodified.component, gate=None))
+    mixed = both.with_instance(ours)
+    require_baton(mixed, "talker", "talker_3")
+    require_baton(mixed, "talker_3", "talker")
+    with pytest.raises(StepFailed, match="talker_3 uses Midstride's API and talker_2 has `gate none`"):
+        require_baton(mixed, "talker_3", "talker_2")
     port = initial(specification).attached_ports("talker")[0][0]
     assert early_publishers(both, [port]) == 1
 

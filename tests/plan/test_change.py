@@ -14,6 +14,7 @@ from midstride.model.component import Connector, EnvironmentGuarantee, Functiona
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change_builder import change_between, requested_change
+from midstride.plan.estimate import Estimate
 from midstride.plan.registry import STRATEGIES, planner
 from midstride.plan.request import PlanRequest
 from tests.plan.cases import (
@@ -96,13 +97,17 @@ def test_an_instance_of_no_role_leaves() -> None:
     assert change.coming == ()
 
 
+def exactly(measured: dict[str, float]) -> dict[str, Estimate]:
+    return {kind: Estimate.exactly(seconds) for kind, seconds in measured.items()}
+
+
 def test_durations_are_declared_else_measured_else_the_default() -> None:
     start = replace(talker(), timing=Map({"detach": 0.3}))
     slow = replace(start.components["NewTalker"], startup_seconds=4.0)
     start = replace(start, components=start.components.set("NewTalker", slow))
     target = start.with_replaced("talker", "NewTalker")
     measured = {"create NewTalker": 9.0, "detach": 9.0, "attach": 0.7, "create Listener": 2.5, "create": 3.5}
-    change = change_between(initial(start), start, target, measured)
+    change = change_between(initial(start), start, target, exactly(measured))
     assert change.seconds("create", slow) == 4.0
     assert change.seconds("detach") == 0.3
     assert change.seconds("attach") == 0.7
@@ -116,7 +121,8 @@ def test_a_hand_over_takes_its_probation_and_the_watch_after_it() -> None:
     target = replace(start, timing=Map({"probation": 2.0, "watch_after": 5.0, "probation_timeout": 9.0}))
     cases: list[tuple[dict[str, float], float]] = [({}, 0.1 + 2 + 5), ({"handover": 2.5}, 2.5 + 5)]
     for measured, seconds in cases:
-        assert change_between(initial(start), start, target, measured).seconds("handover") == pytest.approx(seconds)
+        change = change_between(initial(start), start, target, exactly(measured))
+        assert change.seconds("handover") == pytest.approx(seconds)
 
 
 # -- the same component again ------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from random import Random
@@ -218,22 +219,49 @@ def test_the_running_names_do_not_matter(seed: int, strategy: str) -> None:
     assert replay(decode_plan(encode_plan(plan))).holds
 
 
-@pytest.mark.long
-def test_minimal_finds_the_optimum_in_conflicts_too() -> None:
-    """No proof, but the first form's record: on small systems the ways tried have always held the best one."""
-    conflicts = 0
-    for seed in range(5000):
-        rng = Random(seed)
-        start, target = systems.change(rng, systems.system(rng, 4, 3), 5)
+def instances(wanted: int, fewest: int, most: int, replaced: int) -> Iterator[tuple[int, Change, Exhaustive]]:
+    """So many changes with between ``fewest`` and ``most`` structural differences, every other one tight."""
+    found, seed = {True: 0, False: 0}, 0
+    while sum(found.values()) < wanted:
+        seed += 1
+        rng, tight = Random(seed), seed % 2 == 0
+        if 2 * found[tight] >= wanted + 1:
+            continue
+        if tight:
+            start, target = systems.tight(rng, rng.randint(2, replaced))
+        else:
+            start, target = systems.change(rng, systems.system(rng, 4, 3), 5)
         change = change_between(initial(start), start, target)
         try:
-            least = Exhaustive(change).optimum()
+            twin = Exhaustive(change, most)
         except TooLarge:
             continue
+        if len(twin.all) >= fewest:
+            found[tight] += 1
+            yield seed, change, twin
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("wanted", "fewest", "most", "replaced"),
+    [
+        (int(os.environ.get("MIDSTRIDE_SMALL_INSTANCES", "5000")), 1, 10, 3),
+        (int(os.environ.get("MIDSTRIDE_LARGE_INSTANCES", "150")), 12, 16, 4),
+    ],
+    ids=["small", "large"],
+)
+def test_minimal_finds_the_optimum_and_proves_it(wanted: int, fewest: int, most: int, replaced: int) -> None:
+    number = conflicts = 0
+    for seed, change, twin in instances(wanted, fewest, most, replaced):
+        least, plan = twin.optimum(), STRATEGIES["minimal"](change)
         assert least is not None
+        assert plan.disruption == pytest.approx(least), f"seed {seed}"
+        assert (plan.proved_minimal, plan.lower_bound) == (True, plan.disruption), f"seed {seed}"
+        holds(plan)
+        number += 1
         conflicts += least > 0.0
-        assert STRATEGIES["minimal"](change).disruption == pytest.approx(least), f"seed {seed}"
-    assert conflicts > 100
+    assert number >= wanted
+    assert conflicts > wanted / 10
 
 
 def is_circle(constraint: Constraint) -> bool:

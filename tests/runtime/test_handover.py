@@ -43,6 +43,8 @@ from midstride.wire.commands import (
     GridCommand,
     LastWrite,
     MeetCommand,
+    PrepareStateCommand,
+    StateOffer,
 )
 from tests.model import build
 from tests.model.build import work
@@ -89,6 +91,17 @@ async def fails(b: Bench, words: str, *swaps: Swap) -> None:
 def only(b: Bench, kind: type[C], instance: str) -> C:
     [command] = b.client.of(kind, instance)
     return command
+
+
+def test_state_that_a_node_without_the_api_cannot_import_is_reported_lost(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker_2", PrepareStateCommand, StateOffer(exports="nothing"))
+        states = StateTransfers(b.client, b.events, [("talker", "talker_2")], keeping={"talker"})
+        await states.prepare()
+        assert "does not use Midstride's API" in states.lost["talker_2"]
+        assert states.agreed == {}
+
+    bench(CONFIGURATION, tmp_path, body)
 
 
 # -- the order of things -------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ import pytest
 
 from midstride.errors import ManagerError, Superseded
 from midstride.model.specification import Specification
+from midstride.plan.estimate import Estimate
 from midstride.runtime import journal_records
 from midstride.runtime.disk import Database, Disk, Statement
 from midstride.runtime.history import ChangeRecord
@@ -172,7 +173,7 @@ def test_durations_are_estimates_of_the_same_back_end(tmp_path: Path) -> None:
         first = journal(tmp_path)
         for seconds in (0.4, 9.0, 0.6):
             await carried_out(first, seconds=seconds)
-        assert first.estimates == {"create NewTalker": 0.6}, "the median: one slow start does not count"
+        assert first.estimates == {"create NewTalker": Estimate(0.6, 0.4, 9.0)}, "one slow start does not count"
         first.close()
         second, other = journal(tmp_path), Journal(tmp_path / "journal.db", "ros2")
         await second.take_over()

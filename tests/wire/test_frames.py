@@ -63,6 +63,9 @@ from midstride.wire.commands import (
     RecordsCommand,
     ReleaseCommand,
     Relieved,
+    Seat,
+    SeatCommand,
+    SeatPort,
     SetParametersCommand,
     StateOffer,
     StateTransfer,
@@ -113,6 +116,7 @@ STATE = ComponentState(
     declared={"speed": 1.0},
 )
 SWAPS = [CutSwap(port="out", topic="/chatter", latch=True)]
+SEAT = Seat(page="/page", library="/gate.so", baton=1, index=2, other=3, timed=True)
 TRANSFER = StateTransfer(
     id="t", cuts=2, at=10**18, clock="message", changes=True, required=False, timeout=0.5, new="b", address="a"
 )
@@ -183,7 +187,20 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     ),
     (MuteCommand(timeout=1.5), Done()),
     (
-        CutOutCommand(cut="c", swaps=SWAPS, at=10**18, resume_after=0.5, clock="message", state=TRANSFER, timeout=1.5),
+        SeatCommand(cut="c", peer="talker", ports=[SeatPort(topic="/t", rate=50.0)], old=True, timeout=1.5),
+        SEAT,
+    ),
+    (
+        CutOutCommand(
+            cut="c",
+            swaps=SWAPS,
+            at=10**18,
+            resume_after=0.5,
+            clock="message",
+            state=TRANSFER,
+            seat=SEAT,
+            timeout=1.5,
+        ),
         Done(),
     ),
     (
@@ -196,6 +213,8 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
             epoch=2,
             clock="message",
             state=TRANSFER,
+            seat=SEAT,
+            resume_after=0.5,
             timeout=1.5,
         ),
         Done(),

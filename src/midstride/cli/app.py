@@ -30,6 +30,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
         "generate": ("generate", "generate node skeletons, launch and package files"),
         "export": ("design", "print a specification as JSON"),
         "import": ("importing", "write a specification of what a ROS 2 launch file starts"),
+        "capture": ("capture", "add the ports of running ROS 2 nodes to a specification"),
     },
     "Running system": {
         "up": ("up", "start a system and its manager, and watch it"),

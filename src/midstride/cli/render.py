@@ -90,13 +90,20 @@ def plan(document: Document, title: str) -> RenderableType:
     steps = table(["#", "step"], ["takes about"])
     steps.columns[0].justify = "right"
     for number, step in enumerate(document["steps"], 1):
-        steps.add_row(Text(str(number), style="dim"), Text(step_text(step)), seconds(step.get("seconds")))
+        steps.add_row(Text(str(number), style="dim"), Text(step_text(step)), _about(step))
     remarks = [Text(remark, style="yellow") for remark in document.get("remarks") or ()]
     parts = [*remarks, Text.from_markup(falls(document)), *_runtime_values(document)]
     for name, because in (document.get("own_state") or {}).items():
         parts.append(Text(f"{name} starts with its own state: {because}.", style="yellow"))
     parts.append(Text(cost(document), style="dim"))
     return Group(Text(title, style="bold"), steps, *parts)
+
+
+def _about(document: Document) -> str:
+    """How long a step or a plan takes, and the shortest and the longest that was measured."""
+    expected = seconds(document.get("seconds"))
+    between = document.get("between")
+    return expected if between is None else f"{expected} ({' to '.join(map(seconds, between))})"
 
 
 def _runtime_values(document: Document) -> Iterable[Text]:
@@ -164,7 +171,7 @@ def cost(document: Document) -> str:
         disruption += f" ({bound})"
     # The steps run one after another; the critical path is beside it, where that is shorter.
     total, critical = seconds(document["seconds"]), seconds(document["makespan"])
-    duration = total if total == critical else f"{total} (critical path {critical})"
+    duration = _about(document) + ("" if total == critical else f" (critical path {critical})")
     return f"{disruption}; takes about {duration}; strategy {document['strategy']}."
 
 

@@ -38,7 +38,7 @@ from midstride.codec.form import (
     plain,
     stated,
 )
-from midstride.codec.parameter import ParameterForm
+from midstride.codec.parameter import ParameterForm, Value, values_form, values_of
 from midstride.codec.reading import decode
 from midstride.errors import SpecificationError
 from midstride.model.component import (
@@ -113,6 +113,7 @@ class ModeForm(Form, frozen=True):
 
     assumes: Annotated[list[AnyAssumption], field("a list of assumptions")] = []
     guarantees: Annotated[dict[str, PredicateForm], field("an object of guarantees", "by output")] = {}
+    parameters: Annotated[dict[str, Value], field("an object of values", "the parameters that are set on entry")] = {}
 
     @classmethod
     def of(cls, mode: Mode, functionality: FunctionalitySpec) -> ModeForm:
@@ -121,6 +122,7 @@ class ModeForm(Form, frozen=True):
         return cls(
             assumes=[AssumptionForm.of(assumption) for assumption in mode.assumptions],
             guarantees={name: PredicateForm.of(mode.guarantees[name]) for name in outputs},
+            parameters=values_form(mode.parameters),
         )
 
     def mode(self, name: str) -> Mode:
@@ -129,7 +131,7 @@ class ModeForm(Form, frozen=True):
             for assumed in self.assumes
         )
         guarantees = {output: guarantee.predicate() for output, guarantee in self.guarantees.items()}
-        return Mode(name, tuple(assumptions), Map(guarantees))
+        return Mode(name, tuple(assumptions), Map(guarantees), values_of(self.parameters))
 
 
 class FunctionalityForm(Form, frozen=True, kw_only=True):

@@ -20,10 +20,10 @@ from midstride.foreign.gates import Gates
 from midstride.foreign.lifecycle_cuts import LifecycleCuts, LifecyclePeers
 from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.node import TICK, ForeignNode, without_ports
-from midstride.foreign.page import BatonStep
 from midstride.foreign.parameters import ForeignParameters
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.services import NoAnswer, NodeServices
+from midstride.node.baton import BatonStep
 from midstride.node.rate_watch import RateWatch
 from midstride.wire import commands, frames
 from midstride.wire.command_server import CommandServer
@@ -65,8 +65,9 @@ class ForeignAgent:
         self._cuts: ForeignCuts | LifecycleCuts = ForeignCuts(self.node)
         self.lifecycle: LifecycleNode | None = None
         self._parameters: ForeignParameters | None = None
-        if services is not None and self.node.component.has_lifecycle:
+        if services is not None:
             self._parameters = ForeignParameters(self.node, services)
+        if services is not None and self.node.component.has_lifecycle:
             self.lifecycle = LifecycleNode(self.node, services)
             if gates is None:
                 self._cuts = LifecycleCuts(self.lifecycle, peers or LifecyclePeers())
@@ -100,6 +101,8 @@ class ForeignAgent:
             commands.FenceCommand: self._fence,
             commands.ModesCommand: self._modes,
         }
+        if isinstance(self._cuts, ForeignCuts):
+            self._handlers[commands.SeatCommand] = self._cuts.seat
 
     async def open(self, transport: Transport) -> None:
         """Listen for the manager, and register as soon as the node has the endpoints that are declared.
@@ -128,7 +131,7 @@ class ForeignAgent:
                 await (self.lifecycle.configure() if not self.node.record.welcomed else self.lifecycle.look())
             except CommandRefused as error:
                 self._failed = str(error)
-        if self._parameters is not None:
+        if self._parameters is not None and self.lifecycle is not None:
             await self._parameters.read()
         if self.node.gates is not None and self._failed is None:
             await self.node.comes_true(lambda: not self.node.require_gates().missing(), ENDPOINTS_TIMEOUT)
@@ -208,7 +211,7 @@ class ForeignAgent:
                 if self._parameters is not None and self.lifecycle is not None and self.lifecycle.lifecycle.responsive:
                     await self._parameters.read()
                 return self.node.state()
-            case commands.SetParametersCommand() if self._parameters is not None:
+            case commands.SetParametersCommand() if self._parameters is not None and self.lifecycle is not None:
                 return await self._parameters.set(command)
             case commands.WelcomeCommand():
                 if self._failed is not None:
@@ -241,6 +244,8 @@ class ForeignAgent:
     async def _modes(self, command: commands.ModesCommand) -> commands.PreviousModes:
         before = {name: mode for name, mode in self.node.record.modes.items() if name in command.modes}
         self.node.require_modes(command.modes)
+        if self._parameters is not None:
+            await self._parameters.enter_modes(command.modes)
         if self.lifecycle is not None:
             await self.lifecycle.enter_modes(command.modes, command.because)
         else:

@@ -10,8 +10,10 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from midstride.errors import CommandRefused
+from midstride.foreign.gates import share_baton
 from midstride.foreign.node import ForeignNode
-from midstride.foreign.page import BatonStep
+from midstride.foreign.page import OPEN, OUTPUT
+from midstride.node.baton import BatonStep
 from midstride.wire import commands
 
 # How long a call that is publishing may take to return (s).
@@ -35,6 +37,7 @@ class ForeignCuts:
     def __init__(self, node: ForeignNode) -> None:
         self._node = node
         self._cuts: dict[str, _Cut] = {}
+        self._seats: dict[str, int] = {}  # by cut: the part in the page of a peer that uses Midstride's API
 
     async def grid(self, command: commands.GridCommand) -> commands.Grid:
         """How an output is triggered; by a rate that is stated, any moment is a slot."""
@@ -56,10 +59,31 @@ class ForeignCuts:
         self._cuts[command.cut] = _Cut(command.swaps, baton, {}, own=own)
         return commands.Done()
 
+    async def seat(self, command: commands.SeatCommand) -> commands.Seat:
+        """Either side: the other one uses Midstride's API, and gets a part in the page for the cut."""
+        page, cut = self._node.require_gates().page, self._cuts.get(command.cut)
+        if not command.old and cut is None:
+            raise CommandRefused(f"there is no cut {command.cut}")
+        index = self._seats[command.cut] = page.allocate(command.peer)
+        page.set_ports(index, [(port.topic, OUTPUT) for port in command.ports])
+        baton = page.new_baton(index) if cut is None else cut.baton
+        entries = list(zip(page.layout.nodes[index].ports, (port.rate for port in command.ports), strict=False))
+        share_baton(page, entries, baton)
+        for entry, _ in entries:
+            entry.gate = OPEN
+        return commands.Seat(
+            page=str(page.path.absolute()),
+            library=str(page.library_path),
+            baton=baton,
+            index=index,
+            other=self._node.require_gates().index,
+            timed=not any(port.rate for port in command.ports),
+        )
+
     async def cut_in(self, command: commands.CutInCommand) -> commands.Done:
         """The new side: be named as the successor of the old one."""
         gates, ports = self._node.require_gates(), [swap.port for swap in command.swaps]
-        old = gates.page.index_of(command.peer)
+        old = self._seats.get(command.cut, gates.page.index_of(command.peer))
         if old is None:
             raise CommandRefused(f"{command.peer} has no gate of the kind that {self._node.record.instance} has")
         topics = {swap.topic for swap in command.swaps}

@@ -262,23 +262,24 @@ struct pass {
   int again;
 };
 
-static bool enter(struct entry *entry, struct pass *pass)
+/* A message of the node `own` (index + 1) of `shared` is about to be published. `file`: the open file of that page.
+ * `skipped`: see baton_enter. */
+static bool enter(struct page *shared, unsigned own, int file, struct port *port, unsigned *skipped, struct pass *pass)
 {
-  struct port *port = entry->port;
   pass->baton = NULL;
   if (atomic_load_explicit(&port->gate, memory_order_acquire) != OPEN)
     return false;
   unsigned index = atomic_load_explicit(&port->baton, memory_order_acquire);
   if (index == 0 || index > NODES)
     return true;
-  struct baton *baton = &page->batons[index - 1];
+  struct baton *baton = &shared->batons[index - 1];
   pass->flags = atomic_load_explicit(&port->flags, memory_order_relaxed);
   int dead = -1;
   uint64_t seen = atomic_load(&baton->word);
   for (;;) {
     uint64_t next;
     int waited = STATE(seen) == LAID && now_ns() - atomic_load(&baton->laid) > atomic_load(&baton->patience);
-    switch (baton_enter(seen, me, pass->flags, entry->skipped, waited, dead, &next)) {
+    switch (baton_enter(seen, own, pass->flags, *skipped, waited, dead, &next)) {
     case PASS:
       if (!atomic_compare_exchange_weak(&baton->word, &seen, next)) {
         dead = -1;
@@ -286,25 +287,26 @@ static bool enter(struct entry *entry, struct pass *pass)
       }
       pass->baton = baton;
       pass->entered = next;
-      pass->again = STATE(seen) == LAID && HOLDER(seen) == me && SUCCESSOR(next) != 0;
+      pass->again = STATE(seen) == LAID && HOLDER(seen) == own && SUCCESSOR(next) != 0;
       if (!pass->again)
-        entry->skipped = 0;
+        *skipped = 0;
       else if (pass->flags & TIMED)
-        entry->skipped = SLOTS;
+        *skipped = SLOTS;
       return true;
     case SKIP:
       if (pass->flags & RATED)
-        entry->skipped++;
+        ++*skipped;
       return false;
     case ASK:
-      dead = is_dead(descriptor, HOLDER(seen));
+      /* A process does not see its own locks: two seats may be of one. */
+      dead = atomic_load(&shared->nodes[HOLDER(seen) - 1].pid) != (uint32_t)getpid() && is_dead(file, HOLDER(seen));
       continue;
     case BUSY:
       sched_yield();
       seen = atomic_load(&baton->word);
       continue;
     case HOLD_BACK:
-      entry->skipped = 0;
+      *skipped = 0;
       return false;
     }
   }
@@ -388,7 +390,7 @@ static void keep(struct entry *entry, const void *message, const serialized *byt
 static void publish_kept(struct entry *entry)
 {
   struct pass pass;
-  if (!entry->kept.buffer || !enter(entry, &pass))
+  if (!entry->kept.buffer || !enter(page, me, descriptor, entry->port, &entry->skipped, &pass))
     return;
   const void *publisher = atomic_load(&entry->endpoint);
   if (real_rcl_publish_serialized_message()(publisher, &entry->kept, NULL) == 0)
@@ -494,7 +496,7 @@ static bool admitted(struct entry *entry, struct pass *pass)
     publish_kept(entry);
     pthread_mutex_unlock(&lock);
   }
-  return enter(entry, pass);
+  return enter(page, me, descriptor, entry->port, &entry->skipped, pass);
 }
 
 static void held_back(struct entry *entry, const void *message, const serialized *bytes)
@@ -649,4 +651,75 @@ EXPORT void midstride_ring(struct node *rung)
 {
   atomic_fetch_add(&rung->bell, 1);
   syscall(SYS_futex, (uint32_t *)&rung->bell, FUTEX_WAKE, INT_MAX, NULL, NULL, 0);
+}
+
+/* -- for a component with Midstride's API that hands over to such a node, or takes over from it ----------------------
+ *
+ * It takes a seat: the part of a node in the page, for the length of a hand-over. One thread publishes (begin, end). */
+
+struct seat {
+  struct page *page;
+  int file;
+  unsigned index;
+  unsigned skipped[PORTS];
+  struct pass pass;
+};
+
+EXPORT struct seat *midstride_sit(const char *path, unsigned index)
+{
+  static struct page *shared;
+  static int file = -1;
+  static dev_t device;
+  static ino_t inode;
+  struct stat status;
+  if (index >= NODES || stat(path, &status) != 0)
+    return NULL;
+  /* One open file for all seats: to close another one of the same page would release every lock of this process. */
+  if (!shared || status.st_ino != inode || status.st_dev != device) {
+    int opened = open(path, O_RDWR | O_CLOEXEC);
+    struct page *found = opened < 0 ? NULL : map_page(opened);
+    if (!found) {
+      if (opened >= 0)
+        close(opened);
+      return NULL;
+    }
+    shared = found;
+    file = opened;
+    device = status.st_dev;
+    inode = status.st_ino;
+  }
+  struct seat *seat = calloc(1, sizeof *seat);
+  struct flock own = lock_of(index + 1, F_WRLCK);
+  if (!seat || fcntl(file, F_SETLK, &own) != 0) {
+    free(seat);
+    return NULL;
+  }
+  *seat = (struct seat){.page = shared, .file = file, .index = index};
+  atomic_store(&shared->nodes[index].pid, (uint32_t)getpid());
+  return seat;
+}
+
+/* The hand-over is over: its part in the page is free. */
+EXPORT void midstride_rise(struct seat *seat)
+{
+  struct flock own = lock_of(seat->index + 1, F_UNLCK);
+  seat->page->nodes[seat->index].used = 0;
+  fcntl(seat->file, F_SETLK, &own);
+  free(seat);
+}
+
+EXPORT int midstride_begin(struct seat *seat, unsigned port)
+{
+  return enter(seat->page, seat->index + 1, seat->file, &seat->page->nodes[seat->index].ports[port],
+               &seat->skipped[port], &seat->pass);
+}
+
+EXPORT void midstride_end(struct seat *seat)
+{
+  leave(&seat->pass);
+}
+
+EXPORT struct baton *midstride_baton(struct seat *seat, unsigned number)
+{
+  return &seat->page->batons[number - 1];
 }

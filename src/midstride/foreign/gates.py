@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,15 +12,13 @@ from midstride.foreign.page import (
     INPUT,
     OPEN,
     OUTPUT,
-    BatonState,
-    BatonStep,
-    BatonWord,
     Page,
     PageNode,
     PagePort,
     PortFlag,
 )
 from midstride.model.component import ComponentSpec
+from midstride.node.baton import BatonState, BatonStep, BatonWord
 
 # For how long a writer without a rate leaves the baton to its successor (s).
 PATIENCE: Final = 2.0
@@ -75,28 +73,13 @@ class Gates:
     # -- hand-over -------------------------------------------------------------------------------------
 
     def share(self, ports: Iterable[str], baton: int | None = None) -> int:
-        """Have these outputs alone decided by one baton: by that number, or by that of the first of them; its number.
-
-        The baton is laid down after a write of the slowest output that has a rate. Where none has one, it is laid down
-        at any time, and left to the successor for ``PATIENCE``.
-        """
+        """Have these outputs alone decided by one baton: of that number, or that of the first of them; its number."""
         ports = list(ports)
-        shared = self.entry(ports[0]).baton if baton is None else baton
-        rates = {port: rate for port in ports if (rate := self.rate(port))}
-        slowest = min(rates, key=lambda port: rates[port], default=None)
-        self.page.layout.batons[shared - 1].patience = int(PATIENCE * 1e9)
+        shared = int(self.entry(ports[0]).baton) if baton is None else baton
         for port in self.component.outputs:
-            entry = self.entry(port)
             if port not in ports:
-                entry.baton = 0
-                continue
-            flags = PortFlag(0) if port in rates else PortFlag.KEEPS
-            if not rates:
-                flags |= PortFlag.TIMED | PortFlag.LAYS
-            elif port in rates:
-                flags |= PortFlag.RATED | (PortFlag.LAYS if port == slowest else PortFlag(0))
-            entry.flags = flags
-            entry.baton = shared
+                self.entry(port).baton = 0
+        share_baton(self.page, [(self.entry(port), self.rate(port)) for port in ports], shared)
         return shared
 
     def timed(self, ports: Iterable[str]) -> bool:
@@ -127,3 +110,25 @@ class Gates:
         """Seconds since the last message that was published or held back, or received; None before the first."""
         tried = self.entry(port).tried
         return max(0, time.monotonic_ns() - tried) / 1e9 if tried else None
+
+
+def share_baton(page: Page, outputs: Sequence[tuple[PagePort, float | None]], baton: int) -> None:
+    """Have one baton decide for these outputs of a node, each with its rate (Hz).
+
+    The baton is laid down after a write of the slowest output that has a rate. Where none has one, it is laid down at
+    any time, and left to the successor for ``PATIENCE``.
+    """
+    page.layout.batons[baton - 1].patience = int(PATIENCE * 1e9)
+    slowest = min((rate for _, rate in outputs if rate), default=None)
+    laying = False
+    for entry, rate in outputs:
+        if slowest is None:
+            flags = PortFlag.KEEPS | PortFlag.TIMED | PortFlag.LAYS
+        elif not rate:
+            flags = PortFlag.KEEPS
+        else:
+            lays = rate == slowest and not laying
+            laying |= lays
+            flags = PortFlag.RATED | (PortFlag.LAYS if lays else PortFlag(0))
+        entry.flags = flags
+        entry.baton = baton

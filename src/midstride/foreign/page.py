@@ -10,12 +10,12 @@ import mmap
 import os
 from collections.abc import Sequence
 from ctypes import c_char, c_int, c_int64, c_uint32, c_uint64
-from dataclasses import dataclass
-from enum import IntEnum, IntFlag
+from enum import IntFlag
 from pathlib import Path
 from typing import Any, Final
 
 from midstride.errors import BackendError
+from midstride.node.baton import BatonStep, BatonWord
 
 MAGIC: Final = 0x4D4944535452444E
 VERSION: Final = 1
@@ -37,23 +37,6 @@ class PortFlag(IntFlag):
     LAYS = 2
     TIMED = 4
     KEEPS = 8
-
-
-class BatonState(IntEnum):
-    HELD = 0
-    LAID = 1
-    FENCED = 2
-
-
-class BatonStep(IntEnum):
-    """What the manager does with a baton (``baton_*`` in baton.h)."""
-
-    NAME_SUCCESSOR = 0
-    WITHDRAW = 1
-    SETTLE = 2
-    FENCE = 3
-    LIFT = 4
-    GIVE = 5
 
 
 class PagePort(ctypes.Structure):
@@ -100,29 +83,6 @@ class PageLayout(ctypes.Structure):
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class BatonWord:
-    """The fields of the word of a baton. Nodes are their index + 1, 0 for none."""
-
-    writers: int
-    state: BatonState
-    holder: int
-    successor: int
-    predecessor: int
-    generation: int
-
-    @classmethod
-    def of(cls, word: int) -> BatonWord:
-        return cls(
-            word & 0xFF,
-            BatonState(word >> 8 & 0xF),
-            word >> 12 & 0xFFF,
-            word >> 24 & 0xFFF,
-            word >> 36 & 0xFFF,
-            word >> 48,
-        )
-
-
 def load_library(path: Path) -> Any:
     """The functions of the library that the manager calls."""
     library = ctypes.CDLL(str(path), mode=os.RTLD_LOCAL | os.RTLD_NOW)
@@ -143,7 +103,7 @@ class Page:
     """The page at ``path``, created if need be. One manager writes to it at a time. Raises BackendError."""
 
     def __init__(self, path: Path, library: Path) -> None:
-        self.path = path
+        self.path, self.library_path = path, library
         self._library = load_library(library)
         size = ctypes.sizeof(PageLayout)
         try:

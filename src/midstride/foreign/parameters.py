@@ -36,11 +36,12 @@ class ForeignParameters:
             own = {name: value for name, value in values.items() if name not in record.taken_over}
             self._node.change_record(started_with={**own, **record.stated})
         started_with = self._node.record.started_with or {}
+        of_modes = {name for functionality in self._node.component for name in functionality.parameters()}
         self._node.parameters = values
         self._node.declared = {
             name: started_with.get(name, value)
             for name, value in values.items()
-            if name not in started_with or started_with[name] != value
+            if name not in of_modes and (name not in started_with or started_with[name] != value)
         }
 
     async def set(self, command: commands.SetParametersCommand) -> commands.PreviousParameters:
@@ -58,14 +59,32 @@ class ForeignParameters:
             declared={name: declared[name] for name in names if name in declared},
         )
 
+    async def enter_modes(self, modes: Mapping[str, str]) -> None:
+        """Set what these modes (by functionality) state. Raises CommandRefused with the node's reason."""
+        component, values = self._node.component, dict[str, Any]()
+        stated = {name: declared.value for name, declared in component.parameters.items()} | self._node.record.stated
+        for name, mode in modes.items():
+            functionality = component.functionalities[name]
+            values |= functionality.on_entry(functionality.modes[functionality.mode_index(mode)], stated)
+        await self.apply(values)
+
     async def apply(self, values: Mapping[str, Any]) -> None:
         """Set all of these, or none. Raises CommandRefused with the node's reason."""
         if not values:
             return
         what, instance = ", ".join(f"{name} = {value!r}" for name, value in values.items()), self._node.record.instance
         try:
-            refused = await self._services.set_parameters(values, SET_TIMEOUT)
+            refused = await self._services.set_parameters(self._typed(values), SET_TIMEOUT)
         except NoAnswer as error:
             raise CommandRefused(f"{instance} has not set {what}: {error}") from None
         if refused is not None:
             raise CommandRefused(f"{instance} refuses {what}: {refused or 'it gives no reason'}")
+
+    def _typed(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """An integer as a float where that is the parameter's type: a specification may state `1` for `1.0`."""
+        declared, known = self._node.component.parameters, self._node.parameters
+
+        def real(name: str) -> bool:
+            return isinstance(known.get(name, declared[name].value if name in declared else None), float)
+
+        return {name: float(value) if type(value) is int and real(name) else value for name, value in values.items()}

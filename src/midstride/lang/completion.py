@@ -24,7 +24,7 @@ _STATEMENTS: Final = {
     "namespace": (*_TOP_LEVEL, "parameters"),
     "component": ("run", "holds", "input", "output", "allows", "functionality", "parameters"),
     "functionality": ("uses", "produces", "mode"),
-    "mode": ("assume", "guarantee"),
+    "mode": ("assume", "guarantee", "parameters"),
     "node": ("parameters", *RESPAWN_WORDS),
     "environment": ("guarantee",),
     "timing": TIMING,

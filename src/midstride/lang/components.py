@@ -139,6 +139,7 @@ class ComponentBuilder:
         modes = self._unique(functionality.modes, _name, "mode")
         for mode in modes:
             self._unique(mode.guarantees, lambda guarantee: guarantee.output, "guarantee for")
+            self._unique(mode.parameters, _name, "parameter")
         return functionality._replace(
             uses=tuple(limited(functionality.uses, "name", lambda name: name.span, self.reporter)),
             produces=tuple(limited(functionality.produces, "name", lambda name: name.span, self.reporter)),
@@ -227,7 +228,8 @@ class ComponentBuilder:
             if assumption is None:
                 unresolved.functionalities.add(functionality)
             assumptions.append(assumption or UNRESOLVED)
-        return Mode(mode.name.text, tuple(assumptions), Map(guarantees))
+        parameters = Map({entry.name.text: entry.value.value for entry in mode.parameters})
+        return Mode(mode.name.text, tuple(assumptions), Map(guarantees), parameters)
 
     def _assumption(self, assumed: syntax.AssumptionExpression, component: str, inputs: Inputs) -> Assumption | None:
         if isinstance(assumed, syntax.NamedAssumption):

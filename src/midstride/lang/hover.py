@@ -102,6 +102,8 @@ class _Hover:
                 yield f"assumes {', '.join(names) or 'nothing'}"
                 for output, given in sorted(mode.guarantees.items()):
                     yield f"guarantees `{output} : {given}`"
+                for parameter, value in sorted(mode.parameters.items()):
+                    yield f"sets `{parameter} = {value!r}`"
 
     def resource(self, symbol: Symbol) -> Iterator[str]:
         declared = self.specification.resources.get(symbol.name)

@@ -141,6 +141,8 @@ class SymbolIndex:
             yield Occurrence(Symbol("mode", mode.name.text, f"{own}.{declared.name.text}"), mode.name.span, True)
             for assumed in mode.assumptions:
                 yield from self._assumption(own, assumed)
+            for entry in mode.parameters:
+                yield self._part(own, "parameter", entry.name)
             for guarantee in mode.guarantees:
                 yield self._part(own, "port", guarantee.output)
                 yield from self._contract(guarantee.contract)

@@ -159,12 +159,26 @@ class ComponentParser(ContractParser):
         self.layout.marks[self.i] = "mode {"
         assumptions: list[syntax.AssumptionExpression] = []
         guarantees: list[syntax.GuaranteeStatement] = []
+        parameters: list[syntax.ParameterEntry] = []
+        lost: set[str] = set()
         handlers: Handlers = {
             "assume": lambda _: assumptions.append(self._assumption()),
             "guarantee": lambda _: guarantees.append(self._guarantee()),
+            "parameters": lambda start: lost.update(self._mode_parameters(start, parameters)),
         }
         skipped = self.block(f"mode `{name.text}`", first, handlers)
-        return syntax.ModeDeclaration(name, tuple(assumptions), tuple(guarantees), bool(skipped))
+        incomplete = bool(skipped or lost)
+        return syntax.ModeDeclaration(name, tuple(assumptions), tuple(guarantees), tuple(parameters), incomplete)
+
+    def _mode_parameters(self, start: int, parameters: list[syntax.ParameterEntry]) -> frozenset[str]:
+        if self.kinds[self.i] == "string":
+            raise self.fail("`{` after `parameters`", "a mode states its parameters here, not in a file")
+        lost = self.parameters(start, parameters, [])
+        for entry in parameters:
+            if entry.changeable:
+                help = "omit `changeable`"
+                self.reporter.report("E120", entry.name.span, "a mode sets the value of a parameter only", help=help)
+        return lost
 
     def _assumption(self) -> syntax.AssumptionExpression:
         start = self.i

@@ -134,6 +134,8 @@ def _mode(mode: syntax.ModeDeclaration, rest: Subject) -> Span:
             if isinstance(assumption, syntax.NamedAssumption):
                 return _nth(assumption.inputs, inner[1:], assumption.span)
             return _contract(assumption, inner, assumption.span)
+        case ["parameters", name, *_] if (entry := find(mode.parameters, name)) is not None:
+            return entry.name.span
         case ["guarantees", name, *inner]:
             stated = next((guarantee for guarantee in mode.guarantees if guarantee.output.text == name), None)
             if stated is not None:

@@ -150,6 +150,7 @@ class ModeDeclaration(NamedTuple):
     name: Name
     assumptions: tuple[AssumptionExpression, ...]
     guarantees: tuple[GuaranteeStatement, ...]
+    parameters: tuple[ParameterEntry, ...]
     incomplete: bool
 
 

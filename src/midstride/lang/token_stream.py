@@ -27,7 +27,7 @@ KEYWORD_PLACES: Final[Mapping[str, str]] = {
         "at the top level or in a namespace",
     ),
     **dict.fromkeys("run holds input output allows functionality".split(), "in a component"),
-    "parameters": "in a component, in a node or at the top level",
+    "parameters": "in a component, in a mode, in a node or at the top level",
     **dict.fromkeys(RESPAWN_WORDS, "in a node"),
     **dict.fromkeys("uses produces mode".split(), "in a functionality"),
     "assume": "in a mode",

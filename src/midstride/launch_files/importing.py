@@ -46,6 +46,9 @@ def import_launch_file(
         findings.add("argument", f"no launch file that was read declares `{name}`", start)
     named = ReadableFiles(folder.absolute() / "system.stride")
     reader = ParameterReader(files, findings, named.may_read)
-    heading = f"Imported from {path.name}. Launch files do not state ports, so no component has any yet."
+    heading = (
+        f"Imported from {path.name}. A launch file does not state ports: while the nodes run,\n"
+        "`midstride capture --into FILE` adds what they publish and subscribe to."
+    )
     text = specification(system_name(absolute), interpreter.system, reader, findings, str(folder), heading)
     return Imported(text, len(interpreter.system.nodes), interpreter.system.files, findings)

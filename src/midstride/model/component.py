@@ -91,11 +91,15 @@ Assumption: TypeAlias = InputAlternatives | Predicate
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """One way of working: what it assumes, and what it then guarantees on each associated output."""
+    """One way of working: what it assumes, and what it then guarantees on each associated output.
+
+    ``parameters`` are set on entry, where the program does not use Midstride's API.
+    """
 
     name: str
     assumptions: tuple[Assumption, ...] = ()
     guarantees: Map[str, Predicate] = field(default_factory=Map)
+    parameters: Map[str, ParameterValue] = field(default_factory=Map)
 
     def guarantee(self, output: str) -> Contract:
         """The guarantee for ``output``; one that is not stated is ``nothing``."""
@@ -131,9 +135,22 @@ class FunctionalitySpec:
                 return index
         raise KeyError(name)
 
+    def parameters(self) -> frozenset[str]:
+        """Those that its modes set."""
+        return frozenset(name for mode in self.modes for name in mode.parameters)
+
+    def on_entry(self, mode: Mode, values: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
+        """What is set when ``mode`` is entered: of those that it does not state, the node's own ``values``.
+
+        The last mode sets nothing unless it states something, so that degrading to it cannot be refused.
+        """
+        if mode is self.modes[-1] and not mode.parameters:
+            return {}
+        return {name: mode.parameters.get(name, values[name]) for name in sorted(self.parameters())}
+
     def meaning(self) -> tuple[object, ...]:
         """Everything it declares, regardless of the order of its ports and assumptions."""
-        modes = tuple((mode.name, mode.needs(), mode.guarantees) for mode in self.modes)
+        modes = tuple((mode.name, mode.needs(), mode.guarantees, mode.parameters) for mode in self.modes)
         return self.name, self.weight, frozenset(self.inputs), frozenset(self.outputs), modes
 
 

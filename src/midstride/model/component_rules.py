@@ -74,6 +74,11 @@ def component_rules(component: ComponentSpec, path: Path) -> Iterator[Problem]:
     yield from number_problems(component.startup_seconds, "a start-up time", (*path, "takes_seconds"), zero=True)
     for name, parameter in component.parameters.items():
         yield from value_problems(parameter.value, (*path, "parameters", name))
+    for functionality in component:
+        for mode in functionality.modes:
+            for name, value in mode.parameters.items():
+                where = (*path, "functionalities", functionality.name, "modes", mode.name, "parameters", name)
+                yield from value_problems(value, where)
     yield from _ownership(component, path)
     for functionality in component:
         yield from _functionality_rules(functionality, (*path, "functionalities", functionality.name))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from midstride.model.component import ComponentSpec
+from midstride.model.component import ComponentSpec, value_fits, value_kind
 from midstride.model.diagnostics import Problem
 from midstride.model.name_checks import Path
 from midstride.model.specification import Node
@@ -22,6 +22,7 @@ def gate_problems(component: ComponentSpec, path: Path) -> Iterator[Problem]:
         elif component.gate is None:
             message = f"port {port} of {name} states what the program calls its topic, but {name} has no gate"
             yield Problem(_CODE, where, message, 'omit it, or state the gate: `run "…" gate preload`')
+    yield from _mode_parameters(component, path)
     if component.gate is None:
         return
     if component.run is None:
@@ -32,14 +33,40 @@ def gate_problems(component: ComponentSpec, path: Path) -> Iterator[Problem]:
         help = "declare one functionality, or close the gate of each output as well: `gate lifecycle preload`"
         yield Problem(_CODE, (*path, "gate"), message, help)
     for functionality in component:
-        if len(functionality.modes) > 2:
-            message = f"{functionality.name} of {name} has {len(functionality.modes)} modes; with a gate there are two"
-            help = "the gate is open in the normal mode, and closed in the degraded one"
-            yield Problem(_CODE, (*path, "functionalities", functionality.name), message, help)
+        for mode in functionality.modes[1:-1]:
+            if not functionality.parameters():
+                where = (*path, "functionalities", functionality.name, "modes", mode.name)
+                message = f"mode {mode.name} of {functionality.name} does the same as the normal mode"
+                help = "with a gate, state what differs: `parameters { … }`; the gate is closed in the last mode only"
+                yield Problem(_CODE, where, message, help)
     for parameter, declared in sorted(component.parameters.items()):
         if declared.changeable:
             message = f"parameter {parameter} of {name} cannot be set in place: {name} does not use Midstride's API"
             yield Problem(_CODE, (*path, "parameters", parameter), message, "omit `changeable`")
+
+
+def _mode_parameters(component: ComponentSpec, path: Path) -> Iterator[Problem]:
+    """Those with parameters that modes set."""
+    owners: dict[str, str] = {}
+    for functionality in component:
+        for mode in functionality.modes:
+            for name, value in sorted(mode.parameters.items()):
+                where = (*path, "functionalities", functionality.name, "modes", mode.name, "parameters", name)
+                declared = component.parameters.get(name)
+                owner = owners.setdefault(name, functionality.name)
+                what = f"mode {mode.name} of {functionality.name} sets {name}"
+                if component.gate is None:
+                    message = f"{what}, but {component.name} uses Midstride's API"
+                    yield Problem(_CODE, where, message, "set it in the code of the mode")
+                elif declared is None:
+                    help = f"declare it with its value for the other modes: `parameters {{ {name} = … }}`"
+                    yield Problem(_CODE, where, f"{what}, which {component.name} does not declare", help)
+                elif not value_fits(value, declared.value):
+                    message = f"{what} to {value_kind(value)}, and it is declared as {value_kind(declared.value)}"
+                    yield Problem(_CODE, where, message)
+                elif owner != functionality.name:
+                    help = "a parameter belongs to the modes of one functionality"
+                    yield Problem(_CODE, where, f"{what}, which the modes of {owner} set as well", help)
 
 
 def gated_node_problems(component: ComponentSpec, node: Node, path: Path) -> Iterator[Problem]:

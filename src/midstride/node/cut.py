@@ -93,6 +93,14 @@ class _Side(GatePolicy):
     def driven_by_messages(self) -> bool:
         return any(runner.driven == "message" for runner in self._runners)
 
+    def publish(self, link: OutputLink, message: Any) -> bool:
+        if not self.passes(link):
+            return False
+        link.publish(message)
+        link.count += 1
+        self.wrote(link)
+        return True
+
     def wrote(self, link: OutputLink) -> None:
         self.written[link] = (link.count, self.host.now())
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
 from midstride.errors import BackendError, CommandRefused, Unreachable
 from midstride.node.answering import Answering
 from midstride.node.attachments import Attachments
+from midstride.node.baton import TakenSeat
+from midstride.node.baton_cut import BatonCut, BatonTask
 from midstride.node.cut import IncomingCut, OutgoingCut, comparable, reading
 from midstride.node.cut_protocol import CutInTask, CutOutTask
 from midstride.node.functionality_runner import FunctionalityRunner
@@ -25,6 +27,7 @@ from midstride.wire.frames import Reply
 from midstride.wire.state import GateState
 
 R = TypeVar("R")
+Side: TypeAlias = CutOutTask | CutInTask | BatonTask
 
 # How long one attempt to reach a peer may take (s).
 MEET_ATTEMPT: Final = 0.5
@@ -44,7 +47,7 @@ class HandoverCommands:
     hooks: StateHooks
     runners: Sequence[FunctionalityRunner]
     # Both sides of a cut may be here: one output of a component can hand over to another.
-    _sides: dict[str, list[CutOutTask | CutInTask]] = field(default_factory=dict)
+    _sides: dict[str, list[Side]] = field(default_factory=dict)
     _exports: dict[str, StateExport] = field(default_factory=dict)
     _imports: dict[str, StateImport] = field(default_factory=dict)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
@@ -106,6 +109,8 @@ class HandoverCommands:
 
     async def cut_out(self, command: commands.CutOutCommand) -> commands.Done:
         links = self._links_of(command, CutOutTask, gate="open")
+        if command.seat is not None:
+            return await self._join(command, links, command.seat)
         export = None if command.state is None else self._export(command.state)
         in_order = export is not None and _in_order(links)
         side = OutgoingCut(links, command.at, self.host, in_order=in_order, clock=command.clock)
@@ -123,6 +128,8 @@ class HandoverCommands:
         links = self._links_of(command, CutInTask, gate="closed")
         if failed := [str(link) for link in links if link.output.owner.failed]:
             raise CommandRefused(f"{', '.join(failed)} cannot take over: its functionality has failed")
+        if command.seat is not None:
+            return await self._join(command, links, command.seat)
         latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
         side = IncomingCut(links, command.at, self.host, latches, clock=command.clock)
         state = None if command.state is None else self._import(command.state, command.peer, command.address)
@@ -142,6 +149,21 @@ class HandoverCommands:
         self._begin(command.cut, CutInTask(self.host, self.changed, side, report, state))
         if state is not None and state.complete:
             self._start(state.run())
+        return commands.Done()
+
+    async def _join(
+        self, command: commands.CutOutCommand | commands.CutInCommand, links: list[OutputLink], seat: commands.Seat
+    ) -> commands.Done:
+        """A side of a cut whose other side has a gate: the baton decides."""
+        new, taken = isinstance(command, commands.CutInCommand), TakenSeat(seat)
+        latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
+        cut = BatonCut(links, latches, taken, self.host, new)
+        try:
+            await self.data.run(cut.arm, command.timeout)
+        except CommandRefused:
+            taken.rise()
+            raise
+        self._begin(command.cut, BatonTask(self.host, self.changed, cut, command.resume_after))
         return commands.Done()
 
     async def cancel_cut(self, command: commands.CancelCutCommand) -> commands.Done:
@@ -254,7 +276,7 @@ class HandoverCommands:
             raise CommandRefused(f"the agreed moment of the cut passed {-left:.3f} s ago")
         await self.data.run(in_time, left)
 
-    def _begin(self, cut: str, side: CutOutTask | CutInTask) -> None:
+    def _begin(self, cut: str, side: Side) -> None:
         self._sides.setdefault(cut, []).append(side)
         over = [cut for cut, sides in self._sides.items() if all(earlier.finished.is_set() for earlier in sides)]
         for old in over[:-REMEMBERED]:

@@ -33,7 +33,8 @@ class GatePolicy(Protocol):
 
     def passes(self, link: OutputLink) -> bool: ...
 
-    def wrote(self, link: OutputLink) -> None: ...
+    def publish(self, link: OutputLink, message: Any) -> bool:
+        """Publish and count ``message`` if it passes; whether it does."""
 
     def shows(self, link: OutputLink) -> GateState: ...
 
@@ -122,11 +123,7 @@ class OutputLink:
     def write_gated(self, message: Any) -> None:
         """A write while the gate is not open: a cut may let it pass, else it is counted, and kept for late joiners."""
         cut = self.cut
-        if cut is not None and cut.passes(self):
-            self.publish(message)
-            self.count += 1
-            cut.wrote(self)
-        else:
+        if cut is None or not cut.publish(self, message):
             self.gated += 1
             self.last_gated = message
 

@@ -17,6 +17,7 @@ from midstride.model.action import Swap
 from midstride.model.component import ComponentSpec, FunctionalityRef, ParameterValue, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import DEFAULT_SECONDS, Specification, handover_seconds
+from midstride.plan.estimate import Estimate
 
 Attachment = tuple[PortRef, str]
 
@@ -28,7 +29,7 @@ class Change:
     ``start`` is the running configuration in the context that holds throughout the plan: the target's caps,
     capacities and environment. ``baseline`` is ``best`` of it in its original context, ``final`` ``best`` of the
     target. ``pending`` are the functionalities of ``start`` that could be in a better mode, ``lowered`` those that are
-    in a worse mode than in ``baseline``. ``measured`` holds how long steps took in earlier runs (s), by kind
+    in a worse mode than in ``baseline``. ``measured`` holds how long steps took in earlier runs, by kind
     (``attach``) or by kind and component (``create Talker``).
     """
 
@@ -48,7 +49,7 @@ class Change:
     lowered: tuple[FunctionalityRef, ...] = ()
     identities: Map[str, str] = field(default_factory=Map)
     renamed: tuple[Instance, ...] = ()
-    measured: Map[str, float] = field(default_factory=Map)
+    measured: Map[str, Estimate] = field(default_factory=Map)
 
     def instances(self) -> list[str]:
         """The instances with structural changes."""
@@ -69,24 +70,28 @@ class Change:
         return self.component_of(port.instance).has_output(port.port)
 
     def seconds(self, kind: str, component: ComponentSpec | None = None) -> float:
-        """How long a step takes (s): declared in the target, else measured earlier, else the stated default.
+        """How long a step is expected to take (s)."""
+        return self.estimate(kind, component).seconds
+
+    def estimate(self, kind: str, component: ComponentSpec | None = None) -> Estimate:
+        """How long a step takes: declared in the target, else measured earlier, else the stated default.
 
         A hand-over also takes the time in which the target has the new publisher tried before (included in what was
         measured), and watched after.
         """
         timing = self.target.timing
         if kind == "create" and component is not None and component.startup_seconds is not None:
-            return component.startup_seconds
+            return Estimate.exactly(component.startup_seconds)
         measured = self.measured.get(kind)
         if component is not None:
             measured = self.measured.get(f"{kind} {component.name}", measured)
         if kind not in timing and measured is not None:
             found = measured
         else:
-            found = timing.get(kind, DEFAULT_SECONDS[kind])
+            found = Estimate.exactly(timing.get(kind, DEFAULT_SECONDS[kind]))
             if kind == "handover":
-                found += handover_seconds(timing, "probation")
-        return found + handover_seconds(timing, "watch_after") if kind == "handover" else found
+                found = found.plus(handover_seconds(timing, "probation"))
+        return found.plus(handover_seconds(timing, "watch_after")) if kind == "handover" else found
 
     def sibling(self, connector: str) -> str | None:
         """The old connector of a topic whose contract changes, given the new one; else None."""

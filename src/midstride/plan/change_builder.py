@@ -21,6 +21,7 @@ from midstride.model.name_checks import node_names
 from midstride.model.rules import Violation, cap_violation, capacity_violation, violations
 from midstride.model.specification import Specification
 from midstride.plan.change import Attachment, Change
+from midstride.plan.estimate import Estimate
 from midstride.plan.request import PlanRequest
 
 
@@ -28,7 +29,7 @@ def change_between(
     configuration: Configuration,
     specification: Specification,
     target: Specification,
-    measured: Mapping[str, float] | None = None,
+    measured: Mapping[str, Estimate] | None = None,
     renewed: Collection[str] = (),
 ) -> Change:
     """The change of the whole system to ``target``. Linear in the system.
@@ -62,7 +63,7 @@ def requested_change(
     specification: Specification,
     request: PlanRequest,
     target: Specification,
-    measured: Mapping[str, float] | None = None,
+    measured: Mapping[str, Estimate] | None = None,
 ) -> Change:
     """The change that a request asks for; ``target`` is the specification that it leads to.
 
@@ -79,7 +80,7 @@ def change_of_roles(
     specification: Specification,
     target: Specification,
     roles: Iterable[str],
-    measured: Mapping[str, float] | None = None,
+    measured: Mapping[str, Estimate] | None = None,
     renewed: Collection[str] = (),
 ) -> Change:
     """The change where ``target`` differs from ``specification`` only in the nodes ``roles``.
@@ -212,7 +213,7 @@ class ChangeBuilder:
         _check_limits("the target", final, connectors, resources)
         return final
 
-    def change(self, final: Configuration, measured: Mapping[str, float] | None) -> Change:
+    def change(self, final: Configuration, measured: Mapping[str, Estimate] | None) -> Change:
         """The change, from a start in its best modes and its original context."""
         return Change(
             specification=self.specification,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Final
+from typing import Final, TypeVar
 
 from immutables import Map
 
@@ -20,6 +20,8 @@ from midstride.plan.step import Step
 _ENUMERABLE: Final = 6
 
 _EPSILON: Final = 1e-9
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,9 +150,7 @@ def layers(roles: Iterable[str], constraints: Iterable[Constraint]) -> list[list
     return found
 
 
-def conflict(
-    constraints: Sequence[Constraint], can_meet: Callable[[tuple[Constraint, ...]], bool]
-) -> tuple[Constraint, ...]:
+def conflict(constraints: Sequence[T], can_meet: Callable[[tuple[T, ...]], bool]) -> tuple[T, ...]:
     """A smallest set of ``constraints`` that cannot be met together, given that all of them cannot."""
     if len(constraints) <= _ENUMERABLE:
         for size in range(1, len(constraints)):

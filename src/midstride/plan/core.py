@@ -12,10 +12,11 @@ plan's (docs/design.md, *The proof of least disruption*).
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Hashable, Iterable, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Collection, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from math import lcm
 from typing import Literal, TypeAlias
 
 from midstride.model.component import PortRef
@@ -57,9 +58,9 @@ class Part:
     ops: tuple[Op, ...]
     roles: tuple[str, ...] = ()
     seconds: tuple[float, ...] = ()
-    usage: tuple[tuple[Fraction, ...], ...] = ()
-    """What each action adds to the use of each scarce resource."""
-    free: tuple[Fraction, ...] = ()
+    usage: tuple[tuple[int, ...], ...] = ()
+    """What each action adds to the use of each scarce resource, in a unit in which all amounts are whole."""
+    free: tuple[int, ...] = ()
     """What is free of each scarce resource at the start."""
     topics: tuple[Topic, ...] = ()
     live: tuple[int, ...] = ()
@@ -112,16 +113,21 @@ def free_slots(change: Change, connector: str) -> int | None:
     return cap - attached - beside - len(context.publishers_out_of_scope(context.connectors[connector]))
 
 
-def parts(change: Change, constraints: Iterable[Constraint]) -> list[Part]:
-    """The independent parts of the conflict core. Empty where nothing is tied."""
+def full_topics(change: Change) -> dict[str, int]:
+    """The capped topics that do not admit all of their old and new outputs together: the slots free at the start."""
+    wanted = Counter(connector for port, connector in change.attached if change.is_output(port))
+    return {name: free for name in wanted if (free := free_slots(change, name)) is not None and free < wanted[name]}
+
+
+def parts(change: Change, constraints: Iterable[Constraint], ignored: Collection[str] = ()) -> list[Part]:
+    """The independent parts of the conflict core. Empty where nothing is tied.
+
+    The resources and topics that are ``ignored`` count as large enough.
+    """
     orders = [c for c in constraints if isinstance(c, Order) and c.first != c.then]
     ordered = {role for order in orders for role in (order.first, order.then)}
-    scarce = scarce_resources(change)
-    wanted: dict[str, int] = defaultdict(int)
-    for port, connector in change.attached:
-        if change.is_output(port):
-            wanted[connector] += 1
-    full = {name: free for name in wanted if (free := free_slots(change, name)) is not None and free < wanted[name]}
+    scarce = [resource for resource in scarce_resources(change) if resource not in ignored]
+    full = {name: free for name, free in full_topics(change).items() if name not in ignored}
     on_full = {name: name for name in full}
     on_full.update({sibling: name for name in full if (sibling := change.sibling(name)) is not None})
 
@@ -163,26 +169,32 @@ def _part(
     for bit, op in enumerate(ops):
         of_instance[op.instance] |= 1 << bit
         of_role[roles[bit]] |= 1 << bit
-    usage, used = [], [r for r in scarce if any(_holds(change, op, r) for op in ops)]
-    for op in ops:
-        sign = {"create": 1, "remove": -1}.get(op.kind, 0)
-        usage.append(tuple(sign * _holds(change, op, r) for r in used))
     context, held = change.start.context, change.start.held
+    usage: list[list[int]] = [[] for _ in ops]
+    free: list[int] = []
+    for resource in (r for r in scarce if any(_holds(change, op, r) for op in ops)):
+        amounts = [{"create": 1, "remove": -1}.get(op.kind, 0) * _holds(change, op, resource) for op in ops]
+        amounts.append(to_fraction(context.capacity(resource)) - held.get(resource, Fraction()))
+        unit = lcm(*(amount.denominator for amount in amounts))
+        *whole, left = (int(amount * unit) for amount in amounts)
+        free.append(left)
+        for of_op, amount in zip(usage, whole, strict=True):
+            of_op.append(amount)
     topics = []
-    for name, free in full.items():
+    for name, slots in full.items():
         on = {name, change.sibling(name) or name}
         attach = sum(1 << bit for bit, op in enumerate(ops) if op.kind == "attach" and op.connector == name)
         detach = sum(1 << bit for bit, op in enumerate(ops) if op.kind == "detach" and op.connector in on)
         outputs = sum(1 << bit for bit, op in enumerate(ops) if op.port is not None and change.is_output(op.port))
         if attach & outputs:
-            topics.append(Topic(free, attach & outputs, detach & outputs))
+            topics.append(Topic(slots, attach & outputs, detach & outputs))
     creation = {op.instance: 1 << bit for bit, op in enumerate(ops) if op.kind == "create"}
     return Part(
         ops=ops,
         roles=roles,
         seconds=tuple(_seconds(change, op) for op in ops),
-        usage=tuple(usage),
-        free=tuple(to_fraction(context.capacity(r)) - held.get(r, Fraction()) for r in used),
+        usage=tuple(map(tuple, usage)),
+        free=tuple(free),
         topics=tuple(topics),
         live=tuple(creation.get(op.instance, 0) if op.kind == "attach" else 0 for op in ops),
         after=tuple(

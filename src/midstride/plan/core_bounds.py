@@ -1,15 +1,37 @@
-"""A lower bound on what is still to be lost in a part of the conflict core: each role by itself.
+"""A lower bound on what is still to be lost in a part of the conflict core.
+
+Each role by itself, and for each resource the roles that have to be absent at some time, so that the others fit.
 
 The proof is in docs/design.md, *The proof of least disruption*.
 """
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Iterator
-from fractions import Fraction
+from dataclasses import dataclass
+from typing import Final
 
 from midstride.plan.core import Part
 from midstride.plan.core_losses import PartLosses
+
+# So many sets of roles that make room are looked at; then the cost of the next one is the bound.
+_SETS: Final = 200
+_EPSILON: Final = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class _Replacement:
+    """A role with one old and one new instance: the bits of removing and creating, and what each of them holds.
+
+    ``extra`` is what the role's bound grows by where the old one has to go first.
+    """
+
+    remove: int
+    create: int
+    old: tuple[int, ...]
+    new: tuple[int, ...]
+    extra: float
 
 
 class RoleBounds:
@@ -28,6 +50,15 @@ class RoleBounds:
         self._favourable = sum(1 << bit for bit, op in enumerate(part.ops) if op.kind in ("create", "attach"))
         self._options = [list(self._room(place)) for place in range(len(self._roles))]
         self._tables: list[dict[int, float]] = [{} for _ in self._roles]
+        replaced = list(self._replacements())
+        # The order in which replacements need the least room: first those that free some, by what the new one takes,
+        # then the others, by what the old one frees.
+        self._orders = [
+            sorted(replaced, key=lambda r: (0, r.new[place]) if r.new[place] <= r.old[place] else (1, -r.old[place]))
+            for place in range(len(part.free))
+        ]
+        self._by_extra = sorted(replaced, key=lambda each: each.extra)
+        self._rooms: dict[int, float] = {}
 
     def of(self, state: int) -> float:
         """What is lost at least between ``state`` and the end."""
@@ -36,7 +67,88 @@ class RoleBounds:
             table, own = self._tables[place], state & mask
             found = table.get(own)
             total += self._least(place, own) if found is None else found
-        return total
+        own = state & self.timed
+        room = self._rooms.get(own)
+        if room is None:
+            room = self._rooms[own] = max(
+                (self._least_absences(own, resource) for resource in range(len(self.part.free))), default=0.0
+            )
+        return total + room
+
+    def _replacements(self) -> Iterator[_Replacement]:
+        part = self.part
+        for place, mask in enumerate(self.masks):
+            creates = [bit for bit in _bits(mask) if part.ops[bit].kind == "create"]
+            removes = [bit for bit in _bits(mask) if part.ops[bit].kind == "remove"]
+            if len(creates) == len(removes) == 1:
+                (create,), (remove,) = creates, removes
+                absent = part.seconds[remove] * self._loss(place, 1 << remove) + self._least(place, 1 << remove)
+                yield _Replacement(
+                    1 << remove,
+                    1 << create,
+                    tuple(-amount for amount in part.usage[remove]),
+                    part.usage[create],
+                    absent - self._least(place, 0),
+                )
+
+    def _least_absences(self, state: int, resource: int) -> float:
+        """The least that the bounds grow by, for the roles that must be absent at some time to make room.
+
+        Whoever is absent is so from now on and takes no room, and whoever is not is replaced in the best order.
+        """
+        usage, free = self.part.usage, self.part.free[resource]
+        waiting: dict[int, None] = {}
+        gone = 0
+        for each in self._by_extra:
+            if not state & (each.remove | each.create):
+                waiting[each.remove] = None
+                if each.extra <= _EPSILON:  # to be absent costs no more
+                    free += each.old[resource]
+                    gone |= each.remove
+        for bit in _bits(self.timed):
+            amount = usage[bit][resource]
+            if state >> bit & 1:
+                free -= amount
+            elif amount < 0 and 1 << bit not in waiting:
+                free -= amount  # leaves when it likes
+        order = [
+            (each.remove, each.old[resource], each.new[resource])
+            for each in self._orders[resource]
+            if each.remove in waiting
+        ]
+
+        def is_enough(absent: int, room: int) -> bool:
+            for bit, old, new in order:
+                if not absent & bit:
+                    if new > room:
+                        return False
+                    room += old - new
+            return True
+
+        if is_enough(gone, free):
+            return 0.0
+        choices = [e for e in self._by_extra if e.remove in waiting and not gone & e.remove and e.old[resource]]
+        queue = [(choices[0].extra, 0, choices[0].remove, choices[0].old[resource])] if choices else []
+        for _ in range(_SETS):
+            if not queue:
+                return 0.0
+            cost, last, absent, freed = heapq.heappop(queue)
+            if is_enough(gone | absent, free + freed):
+                return cost
+            if last + 1 < len(choices):
+                this, following = choices[last], choices[last + 1]
+                more = cost + following.extra, last + 1, absent | following.remove, freed + following.old[resource]
+                heapq.heappush(queue, more)
+                heapq.heappush(
+                    queue,
+                    (
+                        more[0] - this.extra,
+                        last + 1,
+                        more[2] & ~this.remove,
+                        more[3] - this.old[resource],
+                    ),
+                )
+        return queue[0][0] if queue else 0.0
 
     def _least(self, place: int, own: int) -> float:
         """The least cost of the actions of one role that are not in ``own``, in any order."""
@@ -69,13 +181,11 @@ class RoleBounds:
 
     # -- room ------------------------------------------------------------------------------------------
 
-    def _room(self, place: int) -> Iterator[tuple[int, tuple[Fraction, ...]]]:
+    def _room(self, place: int) -> Iterator[tuple[int, tuple[int, ...]]]:
         """The states of a role, each with what it takes of each resource, compared with the start."""
         mask = own = self.masks[place]
         while True:
-            used = [
-                sum((self.part.usage[bit][r] for bit in _bits(own)), Fraction()) for r in range(len(self.part.free))
-            ]
+            used = [sum((self.part.usage[bit][r] for bit in _bits(own)), 0) for r in range(len(self.part.free))]
             yield own, tuple(used)
             if not own:
                 return
@@ -89,20 +199,20 @@ class RoleBounds:
             needed = part.usage[bit][resource]
             if not needed:
                 continue
-            used = sum((part.usage[b][resource] for b in _bits(own)), Fraction())
+            used = sum((part.usage[b][resource] for b in _bits(own)), 0)
             best = max(best, self._donors(place, own, resource, needed + used - free, alone))
         return best
 
-    def _donors(self, place: int, own: int, resource: int, needed: Fraction, alone: float) -> float:
+    def _donors(self, place: int, own: int, resource: int, needed: int, alone: float) -> float:
         """The least loss in which the other roles take ``needed`` less of the resource than at the start."""
         state = self._state(place, own)
         here = dict(self.losses.losses(state))
         weight = self.losses.levels.weight
-        offers: list[tuple[float, Fraction, float]] = []  # what it adds to the loss, what it frees, the loss of both
+        offers: list[tuple[float, int, float]] = []  # what it adds to the loss, what it frees, the loss of both
         for other, role in enumerate(self._roles):
             if other == place:
                 continue
-            mask, free, gains = self._of_role[role], Fraction(), list[tuple[float, Fraction, float]]()
+            mask, free, gains = self._of_role[role], 0, list[tuple[float, int, float]]()
             for theirs, used in self._options[other]:
                 both = state & ~mask | self._state(other, theirs) & mask
                 lost = self.losses.losses(both)
@@ -122,14 +232,14 @@ class RoleBounds:
         return _cheapest(offers, needed, alone)
 
 
-def _cheapest(offers: list[tuple[float, Fraction, float]], needed: Fraction, alone: float) -> float:
+def _cheapest(offers: list[tuple[float, int, float]], needed: int, alone: float) -> float:
     """The least of max(alone + the sum of what is added, the greatest loss of a pair), over sets that free enough."""
     best = float("inf")
-    rest = [Fraction()] * (len(offers) + 1)
+    rest = [0] * (len(offers) + 1)
     for index in range(len(offers) - 1, -1, -1):
         rest[index] = rest[index + 1] + offers[index][1]
 
-    def choose(index: int, still: Fraction, added: float, pair: float) -> None:
+    def choose(index: int, still: int, added: float, pair: float) -> None:
         nonlocal best
         if max(alone + added, pair) >= best - 1e-9 or still > rest[index]:
             return

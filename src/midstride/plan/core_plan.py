@@ -8,13 +8,13 @@ claimed of them never rests on the compiled core alone.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import inf
 
 from midstride.model.action import Swap
 from midstride.model.component import FunctionalityRef
-from midstride.model.specification import Constraint, Keep
+from midstride.model.specification import Constraint, Keep, Limit
 from midstride.plan.constraints import ConstraintMonitor
 from midstride.plan.core import Op, parts
 from midstride.plan.core_losses import PartLosses, fullest
@@ -44,15 +44,20 @@ class CoreResult:
     moves: tuple[tuple[Op, ...], ...] | None = ()
 
 
-def search_core(levels: Levels, constraints: Sequence[Constraint], budget: Budget) -> CoreResult:
-    """The lower bound, and the actions of a way through all parts that costs the least known."""
+def search_core(
+    levels: Levels, constraints: Sequence[Constraint], budget: Budget, ignored: Collection[str] = ()
+) -> CoreResult:
+    """The lower bound, and the actions of a way through all parts that costs the least known.
+
+    The resources and topics that are ``ignored`` count as large enough.
+    """
     change = levels.change
-    found = [part for part in parts(change, constraints) if any(part.seconds) or constraints]
-    if not found:
-        return CoreResult()
     keeps = _keeps(levels, constraints)
     if any(most < 0 for most in keeps.values()):
         return CoreResult(inf, None)
+    found = [part for part in parts(change, constraints, ignored) if any(part.seconds) or constraints]
+    if not found:
+        return CoreResult()
     full = fullest(change)
     searches = [PartSearch(part, PartLosses(change, part, levels, full), keeps) for part in found]
     results = [search.beam() for search in searches]
@@ -70,8 +75,12 @@ def search_core(levels: Levels, constraints: Sequence[Constraint], budget: Budge
 
 
 def _keeps(levels: Levels, constraints: Iterable[Constraint]) -> dict[FunctionalityRef, int]:
-    """How many levels below its baseline each functionality may be that is to be kept."""
-    found: dict[FunctionalityRef, int] = {}
+    """How many levels below its baseline each functionality may be that is to be kept.
+
+    A ``limit`` of 0 s keeps it at the baseline. Others do not narrow the search.
+    """
+    never = (each.functionality for each in constraints if isinstance(each, Limit) and not each.seconds)
+    found = {ref: 0 for ref in never if levels.find(ref) is not None}
     monitor = ConstraintMonitor.of(levels, [each for each in constraints if isinstance(each, Keep)])
     for keep, _, threshold in monitor.keeps:
         counted = levels.find(keep.functionality)
@@ -95,6 +104,7 @@ def plans_along(state: SearchState, moves: Sequence[tuple[Op, ...]]) -> Iterator
 def _along(state: SearchState, moves: Sequence[tuple[Op, ...]]) -> Iterator[PlanBuilder]:
     state = state.advance()
     for move in moves:
+        state = _handed_over_jointly(state, move)
         for op in sorted(move, key=lambda op: ("detach", "attach", "create", "remove").index(op.kind)):
             state = _done(state, op, move)
         state = state.raise_touched().advance()
@@ -107,6 +117,26 @@ def _along(state: SearchState, moves: Sequence[tuple[Op, ...]]) -> Iterator[Plan
     builder = state.attach(*state.attaches).finish()
     if _is_valid(builder):
         yield builder
+
+
+def _handed_over_jointly(state: SearchState, move: tuple[Op, ...]) -> SearchState:
+    """The state after a move that exchanges outputs on several topics at once, if it is one and can be made so."""
+    come = [op.attachment for op in move if op.kind == "attach"]
+    leave = [op.attachment for op in move if op.kind == "detach"]
+    if len(come) < 2 or len(move) != 2 * len(come):
+        return state
+    split = state
+    for new, swaps in state.swaps.items():
+        if any((swap.new, swap.connector) in come or (swap.old, swap.connector) in leave for swap in swaps):
+            split = split.without_swaps(new)
+    swaps_of_all: list[Swap] = []
+    for port, connector in come:
+        old = next((pair for pair in leave if pair[1] == connector and pair in split.detaches), None)
+        if old is None or (port, connector) not in split.attaches or not split.satisfies_topic(port, connector):
+            return state
+        leave.remove(old)
+        swaps_of_all.append(Swap(connector, old[0], port))
+    return split.exchange(*swaps_of_all).raise_touched()
 
 
 def _done(state: SearchState, op: Op, move: tuple[Op, ...]) -> SearchState:

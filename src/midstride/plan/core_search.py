@@ -7,17 +7,21 @@ one state. The frontier gives a lower bound at any time; a beam search before it
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from math import inf
 from typing import Final
 
 from midstride.model.component import FunctionalityRef
+from midstride.model.contract import satisfies
 from midstride.plan.core import Part
 from midstride.plan.core_bounds import RoleBounds
 from midstride.plan.core_losses import PartLosses
 
 _EPSILON: Final = 1e-7
 _BEAM: Final = 40
+# Up to this many exchanges that can be made in a state, every set of them is looked at as one hand-over.
+_JOINT: Final = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +32,7 @@ class PartResult:
     """
 
     lower_bound: float
-    cost: float = float("inf")
+    cost: float = inf
     moves: tuple[int, ...] = ()
 
 
@@ -53,6 +57,14 @@ class PartSearch:
         self._topic_of = {bit: topic for topic in part.topics for bit in range(len(ops)) if topic.attach >> bit & 1}
         self._goal = part.everything & ~sum(1 << bit for bit, op in enumerate(ops) if op.kind == "detach")
         self._allowed: dict[int, bool] = {}
+        # Outputs that may take over in a hand-over: the others never satisfy their topics before they are attached.
+        connectors, full = losses.full.context.connectors, losses.full
+        self._good = sum(
+            1 << bit
+            for bit in self._topic_of
+            for port, name in [ops[bit].attachment]
+            if satisfies(full.guarantee(port), connectors[name].guarantee)
+        )
 
     # -- one state -------------------------------------------------------------------------------------
 
@@ -108,7 +120,7 @@ class PartSearch:
             while olds:
                 old = olds & -olds
                 olds ^= old
-                if self._is_due(old.bit_length() - 1, state):
+                if self._is_due(old.bit_length() - 1, state) and (self._good & low or self._is_allowed(state | old)):
                     exchanges.append(state | low | old)
         removals = []
         for bit in self._removes:
@@ -122,14 +134,27 @@ class PartSearch:
                     yield after, 0.0  # superseded: to go now costs nothing, and only makes room
                     return
                 removals.append((after, cost))
-        yield from ((after, 0.0) for after in exchanges)
-        for bit in self._creates:
-            if not state >> bit & 1 and self._is_due(bit, state) and self._fits(bit, state):
-                yield state | 1 << bit, part.seconds[bit] * now
-        yield from removals
+        yield from ((after, 0.0) for after in self._jointly(state, exchanges))
+        if self._is_allowed(state):
+            for bit in self._creates:
+                if not state >> bit & 1 and self._is_due(bit, state) and self._fits(bit, state):
+                    yield state | 1 << bit, part.seconds[bit] * now
+        yield from ((after, cost) for after, cost in removals if self._is_allowed(after))
         for bit in self._alone:
-            if not state >> bit & 1 and self._is_due(bit, state):
+            if not state >> bit & 1 and self._is_due(bit, state) and self._is_allowed(state | 1 << bit):
                 yield state | 1 << bit, 0.0
+
+    def _jointly(self, state: int, exchanges: list[int]) -> Iterable[int]:
+        """The states after the exchanges, and where something is to be kept, after several of them at once.
+
+        Of very many exchanges, each alone is taken as if nothing were to be kept: the bound is looser, not wrong.
+        """
+        if not self.keeps or len(exchanges) > _JOINT:
+            return exchanges
+        together = {state}
+        for after in exchanges:
+            together |= {chosen | after for chosen in together if chosen & after == state}
+        return sorted(after for after in together if after != state and self._is_allowed(after))
 
     # -- searching -------------------------------------------------------------------------------------
 
@@ -137,7 +162,7 @@ class PartSearch:
         """A way through the part, not always the cheapest: the most promising states with each number of actions."""
         layers: list[dict[int, tuple[float, int]]] = [{} for _ in range(len(self.part.ops) + 1)]
         layers[0][0] = (0.0, -1)
-        best, end, parents = float("inf"), -1, dict[int, int]()
+        best, end, parents = inf, -1, dict[int, int]()
         for layer in layers:
             ranked = heapq.nsmallest(width, layer.items(), key=lambda item: item[1][0] + self.bounds.of(item[0]))
             for state, (cost, parent) in ranked:
@@ -148,7 +173,7 @@ class PartSearch:
                     continue
                 for after, more in self.moves(state):
                     following = layers[after.bit_count()]
-                    if cost + more < following.get(after, (best, 0))[0] and self._is_allowed(after):
+                    if cost + more < following.get(after, (best, 0))[0]:
                         following[after] = (cost + more, state)
         return PartResult(self.bounds.of(0), best, _moves(parents, end) if end >= 0 else ())
 
@@ -156,28 +181,30 @@ class PartSearch:
         """A*, until it is proved which way is the cheapest or ``stop`` says so. ``known`` is the best way known."""
         costs = {0: 0.0}
         parents = {0: -1}
-        closed = set[int]()
-        queue = [(self.bounds.of(0), 0, 0)]
-        while queue:
-            estimate, _, state = queue[0]
-            if estimate >= known.cost - _EPSILON:
-                break
-            if stop():
-                return PartResult(estimate, known.cost, known.moves)
-            heapq.heappop(queue)
-            if state in closed:
-                continue
-            closed.add(state)
-            cost = costs[state]
-            if state & self._goal == self._goal:
-                return PartResult(cost, cost, _moves(parents, state))
-            for after, more in self.moves(state):
-                total = cost + more
-                if total < costs.get(after, float("inf")) - 1e-12 and self._is_allowed(after):
-                    estimate = total + self.bounds.of(after)
-                    if estimate < known.cost - _EPSILON:
-                        costs[after], parents[after] = total, state
-                        heapq.heappush(queue, (estimate, -after.bit_count(), after))
+        estimate = self.bounds.of(0)
+        queue = [(estimate, 0, 0.0, 0)]
+        try:
+            while queue:
+                estimate, _, cost, state = queue[0]
+                if estimate >= known.cost - _EPSILON:
+                    break
+                if stop():
+                    raise KeyboardInterrupt
+                heapq.heappop(queue)
+                if cost > costs[state]:
+                    continue  # reached more cheaply since
+                if state & self._goal == self._goal:
+                    return PartResult(cost, cost, _moves(parents, state))
+                for after, more in self.moves(state):
+                    total = cost + more
+                    if total < costs.get(after, inf) - 1e-12:
+                        bound = total + self.bounds.of(after)
+                        if bound < known.cost - _EPSILON:
+                            costs[after], parents[after] = total, state
+                            heapq.heappush(queue, (bound, -after.bit_count(), total, after))
+        except KeyboardInterrupt:
+            # The least estimate that has been looked at is a lower bound whenever the search ends.
+            return PartResult(estimate, known.cost, known.moves)
         return PartResult(known.cost, known.cost, known.moves)
 
 

@@ -24,7 +24,16 @@ from midstride.plan.explain import Degradation, LevelShift
 from midstride.plan.plan import Plan
 from midstride.plan.runtime_values import RuntimeValue
 from midstride.plan.state import left_behind
-from midstride.plan.step_forms import AnyStep, CreateStep, PlanPart, SetStep, decode_step, mode_index, step_form
+from midstride.plan.step_forms import (
+    AnyStep,
+    Between,
+    CreateStep,
+    PlanPart,
+    SetStep,
+    decode_step,
+    mode_index,
+    step_form,
+)
 
 Steps: TypeAlias = Annotated[list[AnyStep], field("a list of steps")]
 Running: TypeAlias = Annotated[
@@ -54,6 +63,7 @@ class PlanCosts(PlanPart, frozen=True, kw_only=True):
     lower_bound: FiniteNumber
     makespan: Annotated[FiniteNumber, field("a makespan", "the critical path of the steps, in seconds")]
     seconds: Annotated[FiniteNumber, field("a number of seconds", "one step after another")]
+    between: Between | UnsetType = UNSET
     fallen: Annotated[list[str], field("a list of functionalities", "of roles, ever below their baseline")]
     falls: Annotated[list[Degradation], field("a list", "why each functionality falls")] = []
     afterwards: Annotated[list[LevelShift], field("a list", "what is in another mode for good")] = []
@@ -101,6 +111,7 @@ def _fields(plan: Plan) -> dict[str, Any]:
         "lower_bound": plan.lower_bound,
         "makespan": plan.makespan,
         "seconds": plan.seconds,
+        "between": plan.between or UNSET,
         "fallen": [str(ref) for ref in plan.fallen],
         "falls": list(plan.degradations),
         "afterwards": list(plan.level_shifts),

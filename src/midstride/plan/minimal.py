@@ -8,18 +8,18 @@ and number of steps (docs/semantics.md section 6).
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import Final
 
 from midstride.errors import PlanRefused
 from midstride.model.component import FunctionalityRef
-from midstride.model.configuration import to_fraction
 from midstride.model.contract import format_number
 from midstride.model.specification import Constraint, Order, roles_of
 from midstride.plan.change import Change
 from midstride.plan.constraints import Breach, ConstraintMonitor, breaches, conflict, in_force, refusal
+from midstride.plan.core import full_topics, scarce_resources
 from midstride.plan.core_plan import Budget, CoreResult, plans_along, search_core
 from midstride.plan.disruption import Levels
 from midstride.plan.moves import moves, play
@@ -32,7 +32,7 @@ from midstride.plan.step import Step
 # How many moves are tried in all; after that only the first few of each choice, and only one is followed.
 _TRIALS: Final = 600
 _FEW: Final = 6
-# Where a plan is known and more actions than these are tied, only the first few of each choice are tried from the start.
+# Where a plan is known and more actions than these are tied, only the first few of each choice are tried at all.
 _MANY: Final = 24
 
 Key = tuple[bool, float, int, float, int]
@@ -53,28 +53,50 @@ class Candidate:
 
 
 def minimal(change: Change, within: float | None = None) -> Plan:
-    """The best plan found, with the lower bound proved ``within`` so many seconds (None: so many states of the search).
+    """The best plan found, with the lower bound proved ``within`` so many seconds (None: in a fixed number of states).
 
     An interrupt (Ctrl-C) ends the search for the proof, and keeps what was found. Raises PlanRefused, with the
     constraints in conflict, where no plan was found that meets all of them.
     """
     levels = Levels(change)
     constraints = in_force(change)
-    core = search_core(levels, constraints, Budget() if within is None else Budget(inf, within))
-    found = _along(core, levels, constraints)
-    found = _find(levels, constraints, found, few=sum(map(len, core.moves or ())) > _MANY)
+    found, bound = _best(levels, constraints, Budget() if within is None else Budget(inf, within))
     if found is None or found.breaches:
         broken = () if found is None else found.breaches
         relevant = _relevant(change, found, constraints)
 
         def can_meet(some: tuple[Constraint, ...]) -> bool:
-            trial = _find(levels, some)
+            trial, _ = _best(levels, some, Budget())
             return trial is not None and not trial.breaches
 
         if can_meet(()):
-            raise refusal(conflict(relevant, can_meet), broken, _no_room(change))
+            conflicting = conflict(relevant, can_meet)
+            raise refusal(conflicting, broken, _limits(levels, conflicting))
         raise PlanRefused("no order of the steps was found that respects all caps and capacities")
-    return Plan.of("minimal", found.steps, levels, core.lower_bound)
+    return Plan.of("minimal", found.steps, levels, bound)
+
+
+def _best(levels: Levels, constraints: Sequence[Constraint], budget: Budget) -> tuple[Candidate | None, float]:
+    """The best plan found, and a lower bound on the disruption of any."""
+    core = search_core(levels, constraints, budget)
+    along = _along(core, levels, constraints)
+    return _find(levels, constraints, along, few=sum(map(len, core.moves or ())) > _MANY), core.lower_bound
+
+
+def _limits(levels: Levels, constraints: Sequence[Constraint]) -> list[str]:
+    """The caps and capacities that ``constraints`` conflict with: a smallest set, where it is proved that they do."""
+    change = levels.change
+    limits = (*scarce_resources(change), *full_topics(change))
+
+    def is_possible(some: Sequence[str]) -> bool:
+        ignored = [limit for limit in limits if limit not in some]
+        return search_core(levels, constraints, Budget(), ignored).lower_bound < inf
+
+    if is_possible(limits):
+        named: Sequence[str] = scarce_resources(change)
+    else:
+        named = conflict(limits, is_possible) if is_possible(()) else ()
+    return [*_no_room(change, named), *_no_slots(change, named)]
 
 
 def _along(core: CoreResult, levels: Levels, constraints: Sequence[Constraint]) -> Candidate | None:
@@ -88,20 +110,24 @@ def _along(core: CoreResult, levels: Levels, constraints: Sequence[Constraint]) 
     return min(candidates, key=lambda candidate: candidate.key[:3], default=None)
 
 
-def _no_room(change: Change) -> list[str]:
-    """The resources that are too scarce for everything new to be created before anything is removed."""
-    configuration, reasons = change.start, []
-    for resource in sorted({name for instance in change.coming for name in instance.component.resource_usage}):
-        coming = [instance for instance in change.coming if resource in instance.component.resource_usage]
-        together = configuration.held.get(resource, 0) + sum(
-            to_fraction(instance.component.resource_usage[resource]) for instance in coming
-        )
-        if together > to_fraction(configuration.context.capacity(resource)):
-            names = [name for name in change.leaving if resource in configuration.component(name).resource_usage]
-            holders = " and ".join([*names, *(instance.name for instance in coming)])
-            capacity = format_number(configuration.context.capacity(resource))
-            reasons.append(f"{holders} do not fit at the same time: {resource} has a capacity of {capacity}")
-    return reasons
+def _no_room(change: Change, resources: Sequence[str]) -> Iterator[str]:
+    """Those of the resources that are too scarce for everything new to be created before anything is removed."""
+    configuration = change.start
+    for resource in sorted(set(resources).intersection(scarce_resources(change))):
+        names = [name for name in change.leaving if resource in configuration.component(name).resource_usage]
+        names += [instance.name for instance in change.coming if resource in instance.component.resource_usage]
+        capacity = format_number(configuration.context.capacity(resource))
+        yield f"{' and '.join(names)} do not fit at the same time: {resource} has a capacity of {capacity}"
+
+
+def _no_slots(change: Change, topics: Sequence[str]) -> Iterator[str]:
+    """Those of the topics on which the new outputs do not fit beside the old ones."""
+    for name in sorted(set(topics).intersection(full_topics(change))):
+        connector, old = change.start.context.connectors[name], (name, change.sibling(name))
+        leave = " and ".join(str(port) for port, on in change.detached if on in old and change.is_output(port))
+        come = " and ".join(str(port) for port, on in change.attached if on == name and change.is_output(port))
+        cap = f"{connector.topic} has a cap of {connector.max_publishers}"
+        yield f"{come} and {leave} do not fit at the same time: {cap}"
 
 
 def _relevant(change: Change, found: Candidate | None, constraints: Iterable[Constraint]) -> list[Constraint]:

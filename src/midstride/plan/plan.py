@@ -68,6 +68,14 @@ class Plan:
             configuration = step.action.effect(configuration)
             yield configuration
 
+    @property
+    def between(self) -> tuple[float, float] | None:
+        """The sums of the shortest and of the longest durations (s) that were measured; None where none were."""
+        if all(step.between is None for step in self.steps):
+            return None
+        found = [step.between or (step.seconds, step.seconds) for step in self.steps]
+        return round(sum(low for low, _ in found), DIGITS), round(sum(high for _, high in found), DIGITS)
+
     @cached_property
     def degradations(self) -> tuple[Degradation, ...]:
         """Why each functionality degrades, from which step to which, and for how long."""

@@ -70,11 +70,11 @@ class PlanBuilder:
             component = action.instance.component if isinstance(action, Create) else None
             if isinstance(action, Remove):
                 component = configuration.component(action.instance)
-            seconds = self.change.seconds(action.kind, component)
-            step = Step(action, seconds, roles, mode_changes(configuration, action))
+            estimate = self.change.estimate(action.kind, component)
+            step = Step(action, estimate.seconds, roles, mode_changes(configuration, action), estimate.between)
             numbered = numbered.set(number, step)
             configuration = action.effect(configuration)
-            meter = meter.after(action, seconds, configuration)
+            meter = meter.after(action, step.seconds, configuration)
             if monitor is not None:
                 monitor = monitor.after(number, step, configuration)
         return PlanBuilder(self.change, configuration, meter, self.touched, self.ceiling, monitor, numbered)

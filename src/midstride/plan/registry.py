@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Final, TypeAlias
 
 from immutables import Map
@@ -21,7 +22,7 @@ Planner: TypeAlias = Callable[[Change], Plan]
 STRATEGIES: Final[Mapping[str, Planner]] = Map({"minimal": minimal, "paper": paper, "quiesce": quiesce, "stop": stop})
 
 
-def planner(name: str = "minimal") -> Planner:
-    """The planner of that name. Raises PlanRefused for an unknown one."""
+def planner(name: str = "minimal", within: float | None = None) -> Planner:
+    """The planner of that name; ``within`` is for ``minimal`` alone. Raises PlanRefused for an unknown one."""
     require("strategy", name, STRATEGIES)
-    return STRATEGIES[name]
+    return partial(minimal, within=within) if name == "minimal" and within is not None else STRATEGIES[name]

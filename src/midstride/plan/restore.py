@@ -11,6 +11,7 @@ from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
 from midstride.plan.change import Change
 from midstride.plan.disruption import Levels
+from midstride.plan.estimate import Estimate
 from midstride.plan.plan import Plan
 from midstride.plan.plan_builder import PlanBuilder
 
@@ -19,7 +20,7 @@ def restore(
     configuration: Configuration,
     specification: Specification,
     modes: Mapping[FunctionalityRef, int],
-    measured: Mapping[str, float],
+    measured: Mapping[str, Estimate],
 ) -> Plan:
     """The upgrades to the better ``modes``, upstream first. ``modes`` are valid in ``configuration``."""
     change = Change(

@@ -233,13 +233,13 @@ class SearchState:
     def detach(self, attachments: Sequence[Attachment]) -> SearchState:
         return replace(self, builder=self.builder.detach(attachments), detaches=_minus(self.detaches, set(attachments)))
 
-    def exchange(self, swap: Swap) -> SearchState:
-        """Hand a topic over from an output that is to be detached to one that is to be attached."""
+    def exchange(self, *swaps: Swap) -> SearchState:
+        """Hand topics over from outputs that are to be detached to ones that are to be attached, all at once."""
         return replace(
             self,
-            builder=self.builder.hand_over([swap]),
-            attaches=_minus(self.attaches, {(swap.new, swap.connector)}),
-            detaches=_minus(self.detaches, {(swap.old, swap.connector)}),
+            builder=self.builder.hand_over(swaps),
+            attaches=_minus(self.attaches, {(swap.new, swap.connector) for swap in swaps}),
+            detaches=_minus(self.detaches, {(swap.old, swap.connector) for swap in swaps}),
         )
 
     def swaps_of_others(self, new: str) -> dict[str, tuple[Swap, ...]]:

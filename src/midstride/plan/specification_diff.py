@@ -169,6 +169,9 @@ def _functionality(name: str, before: ComponentSpec, after: ComponentSpec) -> It
         if mode.needs() != other.needs():
             assumed = [", ".join(str(a) for a in m.assumptions) or "nothing" for m in (mode, other)]
             yield _became(f"{where}, mode {mode.name}: assumes", *assumed)
+        if mode.parameters != other.parameters:
+            stated = [", ".join(f"{name} = {v!r}" for name, v in sorted(m.parameters.items())) for m in (mode, other)]
+            yield _became(f"{where}, mode {mode.name}: parameters", *(each or "none" for each in stated))
         for output in sorted({*mode.guarantees, *other.guarantees}):
             given, gives = mode.guarantee(output), other.guarantee(output)
             if given != gives:

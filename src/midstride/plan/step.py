@@ -21,12 +21,16 @@ class ModeChange:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """An action, its estimated duration (s), the roles it belongs to, and its mode changes by name."""
+    """An action, its estimated duration (s), the roles it belongs to, and its mode changes by name.
+
+    ``between``: the shortest and the longest duration that were measured, where any were.
+    """
 
     action: Action
     seconds: float
     roles: tuple[str, ...]
     modes: tuple[ModeChange, ...] = ()
+    between: tuple[float, float] | None = None
 
     @property
     def is_structural(self) -> bool:

@@ -6,12 +6,13 @@ In it ``component`` is the name of an instance, as users know it, and ``of`` its
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar, TypeAlias
+from typing import Annotated, ClassVar, TypeAlias
 
 import msgspec
 from immutables import Map
+from msgspec import UNSET, UnsetType
 
-from midstride.codec.form import FiniteNumber, Form
+from midstride.codec.form import FiniteNumber, Form, field
 from midstride.codec.parameter import Value, values_form, values_of
 from midstride.errors import PlanRefused
 from midstride.model.action import (
@@ -30,6 +31,10 @@ from midstride.model.component import ComponentSpec, FunctionalityRef, PortRef
 from midstride.model.configuration import Instance
 from midstride.plan.change import Change
 from midstride.plan.step import ModeChange, Step
+
+Between: TypeAlias = Annotated[
+    tuple[FiniteNumber, FiniteNumber], field("two durations", "the shortest and the longest that were measured (s)")
+]
 
 
 class PlanPart(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
@@ -55,10 +60,12 @@ class SwapForm(PlanPart, frozen=True):
     new: str
 
 
-class StepForm(PlanPart, frozen=True, tag_field="action"):
+class StepForm(PlanPart, frozen=True, kw_only=True, tag_field="action"):
     """One step of a plan; the value of ``action`` is its kind."""
 
     what: ClassVar[str] = "a step"
+
+    between: Between | UnsetType = UNSET
 
     @property
     def action(self) -> str:
@@ -134,13 +141,22 @@ AnyStep: TypeAlias = (
 
 def step_form(step: Step) -> AnyStep:
     """The JSON form of one step."""
+    form = _form(step)
+    return form if step.between is None else msgspec.structs.replace(form, between=step.between)
+
+
+def _form(step: Step) -> AnyStep:
     action, seconds = step.action, step.seconds
     modes = {str(each.functionality): ModeChangeForm(before=each.before, after=each.after) for each in step.modes}
     match action:
         case Create(instance=new):
             values = values_form(new.parameters)
             return CreateStep(
-                instance=new.name, role=new.role, component=new.component.name, parameters=values, seconds=seconds
+                instance=new.name,
+                role=new.role,
+                component=new.component.name,
+                parameters=values,
+                seconds=seconds,
             )
         case Remove():
             return RemoveStep(instance=action.instance, seconds=seconds)
@@ -176,7 +192,7 @@ def decode_step(number: int, change: Change, known: dict[str, Instance], form: A
     changes = tuple(
         ModeChange(FunctionalityRef.parse(text), each.before, each.after) for text, each in sorted(modes.items())
     )
-    return Step(action, form.seconds, roles, changes)
+    return Step(action, form.seconds, roles, changes, None if form.between is UNSET else form.between)
 
 
 def mode_index(known: Mapping[str, Instance], ref: FunctionalityRef, mode: str) -> int:

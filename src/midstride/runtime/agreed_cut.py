@@ -29,6 +29,9 @@ from midstride.wire.commands import (
     CutSwap,
     Grid,
     GridCommand,
+    Seat,
+    SeatCommand,
+    SeatPort,
     StateTransfer,
     Trigger,
 )
@@ -68,6 +71,11 @@ class Cut:
     lead: float = 0.0
     state: StateTransfer | None = None
 
+    @property
+    def by_baton(self) -> bool:
+        """Whether one side, or both, has a gate: then the baton decides instead of the moment."""
+        return has_gate(self.configuration, self.old, self.new)
+
     def resume_after(self) -> float:
         """How long the old side waits for the new one's first write (s, on the clock of the cut)."""
         period = self.period if self.period is not None else self._declared_period()
@@ -84,7 +92,7 @@ class Cut:
         rates = [connectors[swap.connector].guarantee.rate or self.configuration.rate(swap.old) for swap in self.swaps]
         return None if None in rates else max(1 / rate for rate in rates if rate)
 
-    def outgoing(self) -> CutOutCommand:
+    def outgoing(self, seat: Seat | None = None) -> CutOutCommand:
         """The cut as the old side is sent it."""
         swaps = [CutSwap(port=swap.old.port, topic=self.configuration.topic(swap.connector)) for swap in self.swaps]
         return CutOutCommand(
@@ -94,6 +102,7 @@ class Cut:
             resume_after=self.resume_after(),
             clock=self.clock,
             state=self.state,
+            seat=seat,
         )
 
     def timeout(self, stretch: float) -> float:
@@ -102,12 +111,15 @@ class Cut:
         moving = 0.0 if self.state is None else self.state.timeout
         return self.lead + self.resume_after() * stretch + 2.0 + moving + transitions
 
-    def incoming(self, address: str) -> CutInCommand:
+    def incoming(self, address: str, seat: Seat | None = None) -> CutInCommand:
         """The cut as the new side is sent it; ``address`` is that of the old side."""
         # An output without a rate or a driving message is written once, so the cut repeats its last message.
-        latch = self.trigger == "none"
         swaps = [
-            CutSwap(port=swap.new.port, topic=self.configuration.topic(swap.connector), latch=latch)
+            CutSwap(
+                port=swap.new.port,
+                topic=self.configuration.topic(swap.connector),
+                latch=not self.configuration.rate(swap.new) if self.by_baton else self.trigger == "none",
+            )
             for swap in self.swaps
         ]
         epoch = self.at if self.trigger == "rate" else None
@@ -120,7 +132,19 @@ class Cut:
             address=address,
             clock=self.clock,
             state=self.state,
+            seat=seat,
+            resume_after=0.0 if seat is None else self.resume_after(),
         )
+
+    async def seat(self, client: ComponentClient, side: str) -> Seat | None:
+        """The seat of ``side`` in the page of the gates, where only the other side has a gate."""
+        old = side == self.old
+        other = self.new if old else self.old
+        if self.configuration.component(side).gate is not None or not self.by_baton:
+            return None
+        own = [(swap.old if old else swap.new, self.configuration.topic(swap.connector)) for swap in self.swaps]
+        ports = [SeatPort(topic=topic, rate=self.configuration.rate(port)) for port, topic in own]
+        return await client.change(other, SeatCommand(cut=self.id, peer=side, ports=ports, old=old))
 
 
 async def agree_cuts(
@@ -142,12 +166,13 @@ async def agree_cuts(
     moments: dict[CutClock, int] = {}
     for swap in swaps:
         old, new = swap.old.instance, swap.new.instance
-        key = (old, new, configuration.component(old).owner(swap.old.port).name)
+        by_baton = has_gate(configuration, old, new)  # one for all outputs, whatever their grids
+        key = (old, new, "" if by_baton else configuration.component(old).owner(swap.old.port).name)
         if key not in cuts:
             grid = grids[key] = await client.read(old, GridCommand(port=swap.old.port))
-            cuts[key] = Cut(
-                configuration, old, new, trigger=grid.trigger, clock=grid.clock, epoch=grid.epoch, period=grid.period
-            )
+            cuts[key] = cut = Cut(configuration, old, new, clock=grid.clock)
+            if not by_baton:
+                cut.trigger, cut.epoch, cut.period = grid.trigger, grid.epoch, grid.period
             moment = grid.now + int(lead * (grid.speed or 1.0) * 1e9)
             moments[grid.clock] = max(moments.get(grid.clock, 0), moment)
         cuts[key].swaps.append(swap)
@@ -257,12 +282,21 @@ async def require_same_clock(client: ComponentClient, old: str, new: str) -> Non
         raise StepFailed(f"{old} cannot hand over: {state.waiting}")
 
 
-def require_same_gate(configuration: Configuration, old: str, new: str) -> None:
-    """Raises StepFailed where only one side uses Midstride's API: the two have no way to agree on a moment."""
-    gates = [configuration.component(name).gate for name in (old, new)]
-    if gates[0] != gates[1]:
-        ours, other = (old, new) if gates[0] is None else (new, old)
-        kinds = f"{other} has a gate (`gate {gates[1] or gates[0]}`) and {ours} uses Midstride's API"
-        if None not in gates:
-            kinds = f"{old} has `gate {gates[0]}` and {new} `gate {gates[1]}`"
-        raise StepFailed(f"{old} cannot hand over to {new}: {kinds}; use `--strategy paper`")
+def has_gate(configuration: Configuration, old: str, new: str) -> bool:
+    """Whether the program of one of these, or of both, does not use Midstride's API."""
+    return any(configuration.component(name).gate is not None for name in (old, new))
+
+
+def require_baton(configuration: Configuration, old: str, new: str) -> None:
+    """Raises StepFailed where the gates of the two are of different kinds, and one of them knows no baton."""
+    components = {name: configuration.component(name) for name in (old, new)}
+    if components[old].gate == components[new].gate:
+        return
+    for name, component in components.items():
+        if component.gate is not None and not component.preloads:
+            kinds = " and ".join(
+                f"{each} has `gate {found.gate}`" if found.gate else f"{each} uses Midstride's API"
+                for each, found in components.items()
+            )
+            words = f"{kinds}, so {name} cannot be held back for the other; use `--strategy paper`"
+            raise StepFailed(f"{old} cannot hand over to {new}: {words}")

@@ -20,12 +20,14 @@ from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Order, Specification
 from midstride.plan.change_builder import change_between, requested_change
+from midstride.plan.estimate import Estimate
 from midstride.plan.forms import PlanForm, PlanPreview
 from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
 from midstride.plan.request import PlanRequest
 from midstride.plan.restore import restore
 from midstride.plan.runtime_values import Values, of_change
+from midstride.plan.sensitivity import sensitivity
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.crash_during_change import CrashResponse
@@ -90,7 +92,7 @@ class ChangeSession:
         plan, target = await asyncio.to_thread(
             _plan, request, system.specification, system.configuration, values, measured, orders
         )
-        return replace(plan, remarks=remarks), target
+        return replace(plan, remarks=(*remarks, *plan.remarks)), target
 
     async def change(
         self,
@@ -295,7 +297,7 @@ def _plan(
     specification: Specification,
     configuration: Configuration,
     values: Mapping[str, Values],
-    measured: Mapping[str, float],
+    measured: Mapping[str, Estimate],
     orders: Sequence[Order] = (),
 ) -> tuple[Plan, Specification]:
     """``orders`` are kept by a plan that replaces one role after another; the other strategies remove all first."""
@@ -310,7 +312,9 @@ def _plan(
     else:
         change = change_between(configuration, specification, planned, measured, request.renewed(planned))
     parameters = of_change(change, values, keep=keep)
-    return replace(planner(request.strategy)(change), parameters=parameters), target
+    plan = planner(request.strategy)(change)
+    doubt = sensitivity(plan)
+    return replace(plan, parameters=parameters, remarks=() if doubt is None else (doubt,)), target
 
 
 def _as_set(configuration: Configuration, values: Mapping[str, Values]) -> Configuration:

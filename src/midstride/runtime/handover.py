@@ -25,10 +25,11 @@ from midstride.runtime.agreed_cut import (
     Cut,
     agree_cuts,
     early_publishers,
+    has_gate,
     publishers_found,
+    require_baton,
     require_found,
     require_same_clock,
-    require_same_gate,
 )
 from midstride.runtime.answering import have_answer
 from midstride.runtime.component_client import ComponentClient
@@ -186,9 +187,10 @@ class LiveHandover:
         """
         pairs = self._pairs
         for old, new in pairs:
-            require_same_gate(self.configuration, old, new)
+            require_baton(self.configuration, old, new)
             with _old_side_needed():
-                await require_same_clock(self.client, old, new)
+                if not has_gate(self.configuration, old, new):  # the baton needs no clock
+                    await require_same_clock(self.client, old, new)
         connectors = sorted({swap.connector for swap in self.swaps})
         found: dict[str, dict[PortRef, int]] = {}
         for name in connectors:
@@ -318,12 +320,13 @@ class LiveHandover:
             for cut in self._cuts:  # the old side first: it resumes if the new side never learns of the cut
                 sent = self.fences.now()
                 try:
-                    await self.client.change(cut.old, cut.outgoing())
+                    await self.client.change(cut.old, cut.outgoing(await cut.seat(self.client, cut.old)))
                 except CommandRefused:
                     self._too_slow = self.fences.now() - sent >= SLOW * cut.lead
                     raise
             for cut in self._cuts:
-                await self.client.change(cut.new, cut.incoming(self.client.address(cut.old)))
+                seat = await cut.seat(self.client, cut.new)
+                await self.client.change(cut.new, cut.incoming(self.client.address(cut.old), seat))
         except CommandRefused:
             if last_try:
                 raise

@@ -22,6 +22,7 @@ import msgspec
 
 from midstride.errors import ManagerError, MidstrideError, Superseded
 from midstride.model.specification import Specification
+from midstride.plan.estimate import Estimate
 from midstride.runtime import journal_records
 from midstride.runtime.disk import DISK, Database, Disk, Lease, Statement
 from midstride.runtime.history import History, SpecificationVersion, read_history, read_specification
@@ -46,14 +47,14 @@ class Journal:
     """The journal in ``path``. Its coroutines write in a thread: a slow disk must not delay the event loop.
 
     ``unwritten`` says why the last write failed, ``damaged`` where a damaged journal is kept. ``estimates``: how long
-    steps take (s), by kind, or by kind and component (``create Talker``).
+    steps take, by kind, or by kind and component (``create Talker``).
     """
 
     def __init__(self, path: Path, backend: str, disk: Disk = DISK) -> None:
         self.path = path
         self.unwritten: str | None = None
         self.damaged: str | None = None
-        self.estimates: dict[str, float] = {}
+        self.estimates: dict[str, Estimate] = {}
         self._backend = backend
         self._disk = disk
         self._database: Database | None = None

@@ -7,7 +7,6 @@ of the changes is removed when the next one begins.
 from __future__ import annotations
 
 import hashlib
-import statistics
 import time
 from dataclasses import dataclass
 from typing import Final
@@ -16,6 +15,7 @@ import msgspec
 
 from midstride.codec.specification import SpecificationForm, decode_specification
 from midstride.model.specification import Specification
+from midstride.plan.estimate import Estimate
 from midstride.runtime.disk import Database, Statement
 
 VERSION: Final = "1"
@@ -130,11 +130,11 @@ def interrupted(database: Database) -> list[Interrupted]:
     ]
 
 
-def estimates(database: Database, backend: str) -> dict[str, float]:
-    """How long each kind of step takes (s)."""
+def estimates(database: Database, backend: str) -> dict[str, Estimate]:
+    """How long each kind of step takes."""
     found: dict[str, list[float]] = {}
     query = "SELECT step, seconds FROM durations WHERE backend = ? ORDER BY number DESC"
     for step, seconds in database.read(query, backend):
         if len(samples := found.setdefault(step, [])) < SAMPLES:
             samples.append(seconds)
-    return {step: round(statistics.median(samples), 3) for step, samples in found.items()}
+    return {step: Estimate.of(samples) for step, samples in found.items()}

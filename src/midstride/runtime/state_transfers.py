@@ -92,6 +92,8 @@ class StateTransfers:
                 new=new,
                 address=self.client.address(new),
             )
+        elif old in self.keeping:
+            self.note_own_state(old, new, "it does not use Midstride's API")
 
     def note_own_state(self, old: str, new: str, because: str) -> None:
         self.lost[new] = own_state(old, new, because, self._bulks.get(new))

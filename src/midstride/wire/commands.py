@@ -205,6 +205,21 @@ class FencedOutputs(WireValue, frozen=True, kw_only=True):
     last: dict[str, int]
 
 
+class Seat(WireValue, frozen=True, kw_only=True):
+    """The part that a component gets in the page of the gates, for the length of a hand-over.
+
+    ``page`` and ``library`` are files; ``index`` is that of its part, ``other`` that of the other side, which has a
+    gate. ``timed``: no output of the component has a rate.
+    """
+
+    page: str
+    library: str
+    baton: int
+    index: int
+    other: int
+    timed: bool
+
+
 class Relieved(WireValue, frozen=True, kw_only=True):
     """``resumed``: it is too late, and the old side writes again."""
 
@@ -444,12 +459,31 @@ class MuteCommand(Command[Done], frozen=True, kw_only=True, tag="mute"):
     """
 
 
+class SeatPort(WireValue, frozen=True, kw_only=True):
+    """An output of the component that gets a seat; ``rate`` is what it guarantees (Hz)."""
+
+    topic: str
+    rate: float | None
+
+
+class SeatCommand(Command[Seat], frozen=True, kw_only=True, tag="seat"):
+    """To a side with a gate: give its peer, which uses Midstride's API, a seat for their cut.
+
+    ``old``: the peer is the old side, so it gets the baton with its seat.
+    """
+
+    cut: str
+    peer: str
+    ports: list[SeatPort]
+    old: bool
+
+
 class CutOutCommand(Command[Done], frozen=True, kw_only=True, tag="cut_out"):
     """The old side: write up to ``at``, then close the gates.
 
     It writes again if the new side has not reported its first write within ``resume_after`` seconds after ``at``; where
     messages drive the output, after the first input newer than ``at``. Both are on ``clock``. Without ``swaps``, only
-    ``state`` moves, and this side makes no call any more.
+    ``state`` moves, and this side makes no call any more. With a ``seat``, the baton decides instead of ``at``.
     """
 
     cut: str
@@ -458,12 +492,14 @@ class CutOutCommand(Command[Done], frozen=True, kw_only=True, tag="cut_out"):
     resume_after: Seconds
     clock: CutClock = "ros"
     state: StateTransfer | None = None
+    seat: Seat | None = None
 
 
 class CutInCommand(Command[Done], frozen=True, kw_only=True, tag="cut_in"):
     """The new side: open the gates at ``at``, and report the first write to the peer.
 
-    A rate-driven mode continues the grid through ``epoch``.
+    A rate-driven mode continues the grid through ``epoch``. With a ``seat``, the baton decides instead of ``at``, and
+    the offer of it ends some time after ``resume_after``.
     """
 
     cut: str
@@ -474,6 +510,8 @@ class CutInCommand(Command[Done], frozen=True, kw_only=True, tag="cut_in"):
     epoch: int | None = None
     clock: CutClock = "ros"
     state: StateTransfer | None = None
+    seat: Seat | None = None
+    resume_after: Seconds = 0.0
 
 
 class CancelCutCommand(Command[Done], frozen=True, kw_only=True, tag="cancel_cut"):

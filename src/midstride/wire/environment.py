@@ -8,6 +8,8 @@ ENV_INSTANCE: Final = "MIDSTRIDE_INSTANCE"
 # The name of its ROS node, which all instances of a role share on ROS 2; and whether another of them answers requests.
 ENV_NODE: Final = "MIDSTRIDE_NODE"
 ENV_STANDBY: Final = "MIDSTRIDE_STANDBY"
+# Set where a program of the system that does not use Midstride's API has, or had, a node of that name.
+ENV_SHARED_NAME: Final = "MIDSTRIDE_SHARED_NAME"
 ENV_NAMESPACE: Final = "MIDSTRIDE_NAMESPACE"
 ENV_TOKEN: Final = "MIDSTRIDE_TOKEN"
 ENV_BACKEND: Final = "MIDSTRIDE_BACKEND"

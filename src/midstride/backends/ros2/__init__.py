@@ -7,15 +7,17 @@ says so where there is none.
 from __future__ import annotations
 
 import inspect
+from collections.abc import Collection
 from pathlib import Path
 
 from midstride.backends import common_messages
+from midstride.capture.observed import ObservedGraph
 from midstride.errors import BackendError
 from midstride.node.host import Host
 from midstride.runtime.backend import Backend
 from midstride.runtime.reaper import Reaper
 
-__all__ = ["create_backend", "create_host", "load", "prepare"]
+__all__ = ["create_backend", "create_host", "load", "observe", "prepare"]
 
 
 def _require_rclpy() -> None:
@@ -65,3 +67,11 @@ def create_backend(
     from midstride.backends.ros2.backend import Ros2Backend
 
     return Ros2Backend(control, logs=logs, guardian=guardian, middleware_settings=middleware_settings)
+
+
+def observe(seconds: float, nodes: Collection[str] = ()) -> ObservedGraph:
+    """See :func:`.observer.observe`. Raises BackendError without ROS 2."""
+    _require_rclpy()
+    from midstride.backends.ros2 import observer
+
+    return observer.observe(seconds, nodes)

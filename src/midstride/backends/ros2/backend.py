@@ -35,6 +35,7 @@ from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middlew
 from midstride.runtime.process import Process
 from midstride.runtime.reaper import Reaper
 from midstride.runtime.timeouts import within
+from midstride.wire.environment import ENV_SHARED_NAME
 
 # A manager that has just joined knows no other node yet: that long it listens before it says that a name is free (s).
 _LISTEN: Final = 0.3
@@ -118,6 +119,8 @@ class Ros2Backend(ProcessBackend):
         graph.starts(full_name)
         environment = launching.environment(launch, self._control, command[0], self.settings, os.environ)
         if launch.foreign is None:
+            if node in self._foreign_nodes.names:
+                environment[ENV_SHARED_NAME] = "1"
             return await self._spawn(launch, full_name, command, environment)
         environment, record = await self._foreign_nodes.prepare(launch, launch.foreign, full_name, environment)
         try:
@@ -155,6 +158,8 @@ class Ros2Backend(ProcessBackend):
     async def _foreign(self, node: str, system: str) -> bool:
         """Whether a node of that name is in the graph that is no instance of the system."""
         for found in self._joined().of_name(node):
+            if found is None and self._foreign_nodes.runs(node):
+                continue  # of the system, and without Midstride's API
             if found is None or found.node != node or found.system not in ("", system):
                 return True
             if not found.system and not await processes.listens(self.transport, found.instance.strip("/")):

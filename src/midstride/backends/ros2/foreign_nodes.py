@@ -49,6 +49,7 @@ class ForeignNodes:
         self._peers = LifecyclePeers()
         self._page: Page | None = None
         self._agents: dict[str, ForeignAgent] = {}
+        self.names: set[str] = set()  # the full names of their ROS nodes, also of those that have ended
         self._closing: set[asyncio.Task[None]] = set()
 
     async def prepare(
@@ -97,6 +98,10 @@ class ForeignNodes:
             self._page = Page(path, library)
         return self._page, library
 
+    def runs(self, node: str) -> bool:
+        """Whether a process without Midstride's API has the ROS node of this full name."""
+        return any(agent.node.record.node == node for agent in self._agents.values())
+
     def discard(self, record: ForeignRecord) -> None:
         """The process could not be started."""
         if record.index is not None and self._page is not None:
@@ -119,6 +124,7 @@ class ForeignNodes:
         if record.index is not None and self._page is not None:
             gates = Gates(self._page, record.index, record.declaration.declared())
         record.write(self._folder)
+        self.names.add(record.node)
         services = self._services(record.node)
         agent = self._agents[record.instance] = ForeignAgent(record, self._folder, gates, services, self._peers)
         await agent.open(self._transport)

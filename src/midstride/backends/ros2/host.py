@@ -31,7 +31,7 @@ from midstride.node.clock_history import ClockHistory
 from midstride.node.diagnostics import DiagnosticEntry
 from midstride.node.host import MessageInfo, NodeParameters
 from midstride.node.service_gate import ServiceGate
-from midstride.wire.environment import ENV_TOKEN
+from midstride.wire.environment import ENV_SHARED_NAME, ENV_TOKEN
 from midstride.wire.state import ComponentState, Endpoint
 from midstride.wire.transport import Transport
 
@@ -207,6 +207,7 @@ class Ros2Host:
             self._namespace,
             gate=self.gate,
             system=names.system_tag(os.environ.get(ENV_TOKEN, "")),
+            shares_name=bool(os.environ.get(ENV_SHARED_NAME)),
             # The node gets all that the manager gave, for ROS itself has parameters (``use_sim_time``).
             parameters=self._context.parameters,
             set_parameters=self._context.set_parameters,

@@ -79,6 +79,7 @@ class ExecutorThread:
 class ComponentNodes:
     """``system`` is that whose manager started the process, empty if none did.
 
+    ``shares_name``: one more node of that name belongs to it.
     ``failed`` is called with the traceback of what a callback raised.
     Raises NodeError where the name is taken.
     """
@@ -91,6 +92,7 @@ class ComponentNodes:
         *,
         gate: ServiceGate,
         system: str,
+        shares_name: bool = False,
         parameters: Mapping[str, Any],
         set_parameters: Mapping[str, Any],
         failed: Callable[[str], None],
@@ -111,6 +113,7 @@ class ComponentNodes:
         early_join.leave()
         self._full_name = names.full(name, namespace)
         self._system = system
+        self._shares_name = shares_name
         try:
             if not system:
                 self._check_free()
@@ -156,7 +159,8 @@ class ComponentNodes:
         if now >= self._checked_until and self._foreign_since is None:
             return False
         in_graph = self._in_graph()  # once, since others may come and go between two looks
-        if in_graph.count(self._full_name) <= max(1, names.instances_of(self._full_name, in_graph, self._system)):
+        known = max(1, names.instances_of(self._full_name, in_graph, self._system)) + self._shares_name
+        if in_graph.count(self._full_name) <= known:
             self._foreign_since = None
         elif self._foreign_since is None:
             self._foreign_since = now

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from math import inf, nan
 from pathlib import Path
 from typing import Any
 
@@ -27,20 +28,41 @@ from midstride.plan.registry import planner
 from midstride.plan.request_form import decode_request
 
 
+def _seconds(_context: click.Context, _parameter: click.Parameter, text: str | None) -> float | None:
+    """``5s`` or ``5``."""
+    try:
+        seconds = None if text is None else float(text.removesuffix("s"))
+    except ValueError:
+        seconds = nan
+    if seconds is not None and not 0 <= seconds < inf:
+        raise click.BadParameter(f"{text} is not a number of seconds, such as 5s")
+    return seconds
+
+
 @click.command("plan")
 @click.argument("file", required=False, type=click.Path(path_type=Path))
 @planned_change_options
 @click.option("--compare", is_flag=True, help="Show the plans of every strategy side by side, on a time axis.")
+@click.option("--within", metavar="SECONDS", callback=_seconds, help="How long to search for the proof of minimality.")
 @declared_parameters_option
 @system_option
 @json_option
 def plan_command(
-    file: Path | None, to: Path | None, compare: bool, declared_parameters: bool, system: str | None, **options: Any
+    file: Path | None,
+    to: Path | None,
+    compare: bool,
+    within: float | None,
+    declared_parameters: bool,
+    system: str | None,
+    **options: Any,
 ) -> int:
     """Show the plan for a change of the system of FILE: its steps, what degrades and for how long.
 
     Without FILE, that for the running system, from its present state; nothing is changed. Only there can parameters
     have been set at run time, so --declared-parameters needs it.
+
+    The search for the proof that nothing degrades less ends after a fixed number of states, or with FILE after --within
+    SECONDS or at Ctrl-C; then the plan says how much is lost at least.
 
     \b
     midstride plan talker.json --replace talker=NewTalker
@@ -51,11 +73,13 @@ def plan_command(
     context = click.get_current_context()
     if compare and context.get_parameter_source("strategy") is not ParameterSource.DEFAULT:
         raise click.UsageError("--compare shows every strategy: leave --strategy out")
-    change = planned_change(to, **options)
+    described = planned_change(to, **options)
     if file is not None and (declared_parameters or system):
         option = "--declared-parameters" if declared_parameters else "--system"
         raise click.UsageError(f"{option} is for the running system: leave FILE out")
-    asked: Document = {**change, "declared_parameters": declared_parameters}
+    if file is None and within is not None:
+        raise click.UsageError("--within needs FILE: the manager of a running system does not search for long")
+    asked: Document = {**described, "declared_parameters": declared_parameters}
     request = replace(decode_request(asked), to=None if to is None else load(to))
     if file is None:
         client, workspace = find(system)
@@ -74,7 +98,8 @@ def plan_command(
             asked = replace(request, strategy=strategy)
             target = asked.target(specification)
             start, renewed = initial(specification), asked.renewed(target)
-            return encode_plan(planner(strategy)(change_between(start, specification, target, renewed=renewed)))
+            change = change_between(start, specification, target, renewed=renewed)
+            return encode_plan(planner(strategy, within)(change))
 
     title = f"from {name} to {to.name}" if to else f"{name}: {request.describe()}"
     if compare:

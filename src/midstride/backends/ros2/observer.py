@@ -1,0 +1,134 @@
+"""Looks at a live ROS 2 graph: its endpoints, and the times of messages on its topics, of any type."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Collection
+from importlib import import_module
+from typing import Any, Final
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+
+from midstride.backends.ros2 import names
+from midstride.backends.ros2.endpoints import for_rclpy, read_info
+from midstride.capture.observed import ObservedEndpoint, ObservedGraph
+from midstride.model.contract import QoS
+
+# How often the graph is read (s): nodes and topics appear one after another.
+EVERY: Final = 0.5
+# How long nodes that are expected may take to appear (s).
+PATIENCE: Final = 10.0
+_DEPTH: Final = 1000
+_LONGEST: Final = 1e9  # a duration beyond this (s) is ROS's "infinite"
+_NODE: Final = "_midstride_capture"
+
+
+def observe(
+    seconds: float,
+    nodes: Collection[str] = (),
+    done: Callable[[ObservedGraph], bool] = lambda graph: False,
+) -> ObservedGraph:
+    """What the graph shows within ``seconds``, or until ``done`` holds. It is read by a hidden node.
+
+    The time counts from when each of ``nodes`` (full names) has been seen, or PATIENCE later.
+    """
+    context = Context()
+    rclpy.init(context=context)
+    node = Node(_NODE, context=context, start_parameter_services=False, enable_rosout=False)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    graph = ObservedGraph()
+    subscribed: set[str] = set()
+    begun = start = looked = time.monotonic()
+    missing = set(nodes)
+    try:
+        while (now := time.monotonic()) - start < seconds and not done(graph):
+            missing.difference_update(graph.nodes() if missing else ())
+            if missing and now - begun < PATIENCE:
+                start = now
+            if now >= looked:
+                looked = now + EVERY
+                _look(node, graph, subscribed)
+                graph.seconds = now - start
+            executor.spin_once(timeout_sec=0.05)
+        _look(node, graph, subscribed)
+        graph.seconds = time.monotonic() - start
+        return graph
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def _look(node: Any, graph: ObservedGraph, subscribed: set[str]) -> None:
+    for topic, _ in node.get_topic_names_and_types():
+        publishers = [_endpoint(info, topic, True) for info in node.get_publishers_info_by_topic(topic)]
+        graph.saw(publishers)
+        graph.saw(_endpoint(info, topic, False) for info in node.get_subscriptions_info_by_topic(topic))
+        wanted = [each for each in publishers if not each.is_infrastructure]
+        if wanted and topic not in subscribed:
+            subscribed.add(topic)
+            _subscribe(node, graph, wanted)
+
+
+def _subscribe(node: Any, graph: ObservedGraph, publishers: list[ObservedEndpoint]) -> None:
+    topic, type_ = publishers[0].topic, publishers[0].type
+    try:
+        package, _, name = type_.replace("/msg/", "/").partition("/")
+        message_type = getattr(import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError):
+        graph.unreadable.add(type_)
+        return
+
+    def heard(_: bytes, info: Any) -> None:
+        known = read_info(info)
+        written = known.source / 1e9 if known.source else time.monotonic()
+        graph.heard(topic, None if known.publisher is None else _identity(known.publisher), written)
+
+    reliable = all(each.qos.is_reliable for each in publishers)
+    profile = QoSProfile(
+        depth=_DEPTH,
+        history=HistoryPolicy.KEEP_LAST,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.VOLATILE,
+    )
+    node.create_subscription(message_type, topic, for_rclpy(heard), profile, raw=True)
+
+
+def _identity(hexadecimal: str) -> str:
+    """Identities have 16 bytes, which rcl pads in some places."""
+    return hexadecimal[:32]
+
+
+def _endpoint(info: Any, topic: str, output: bool) -> ObservedEndpoint:
+    return ObservedEndpoint(
+        node=names.full(info.node_name, info.node_namespace),
+        topic=topic,
+        type=info.topic_type,
+        output=output,
+        qos=_qos(info.qos_profile),
+        identity=_identity(bytes(info.endpoint_gid).hex()),
+    )
+
+
+def _qos(profile: Any) -> QoS:
+    """What discovery tells of a profile: the depth and the history of an endpoint are its own business."""
+    manual = profile.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC
+    return QoS(
+        reliability="best_effort" if profile.reliability == ReliabilityPolicy.BEST_EFFORT else "reliable",
+        durability="transient_local" if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL else "volatile",
+        deadline=_seconds(profile.deadline),
+        liveliness="manual_by_topic" if manual else "automatic",
+        lease=_seconds(profile.liveliness_lease_duration),
+        lifespan=_seconds(profile.lifespan),
+    )
+
+
+def _seconds(duration: Any) -> float | None:
+    seconds = duration.nanoseconds / 1e9
+    return None if seconds <= 0 or seconds > _LONGEST or math.isinf(seconds) else seconds

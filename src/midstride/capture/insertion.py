@@ -1,0 +1,238 @@
+"""Adds what a graph proposes to a specification, without touching what it states already."""
+
+from __future__ import annotations
+
+import shlex
+from bisect import bisect_left
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+
+from midstride.capture.observed import ObservedGraph
+from midstride.capture.proposal import ProposedPort, component_text, node_block, ports_of, topic_lines
+from midstride.errors import SpecificationError
+from midstride.lang.diagnostics import Reporter
+from midstride.lang.files import resolve_name
+from midstride.lang.parser import parse
+from midstride.lang.printer import format_text
+from midstride.lang.source import Source
+from midstride.lang.syntax import ComponentDeclaration, File, Item, NamespaceBlock, NodeDeclaration, TopicDeclaration
+
+
+@dataclass(slots=True)
+class Insertion:
+    """The new text, the nodes that got ports, and, by full name, why others of the graph or the file did not."""
+
+    text: str
+    added: list[str] = field(default_factory=list)
+    left: dict[str, str] = field(default_factory=dict)
+
+
+def insert(text: str, name: str, graph: ObservedGraph, rates: bool = False) -> Insertion:
+    """``text``, the file ``name``, with the ports of its nodes. Raises SpecificationError if it cannot be parsed."""
+    return _Inserter(text, name, graph, rates).insertion()
+
+
+def nodes_without_ports(text: str, name: str) -> list[str]:
+    """The full names of the nodes that can get ports. Raises SpecificationError."""
+    inserter = _Inserter(text, name, ObservedGraph(), False)
+    return [full for _, full, _ in inserter.open_nodes(Insertion(""))]
+
+
+class _Inserter:
+    def __init__(self, text: str, name: str, graph: ObservedGraph, rates: bool) -> None:
+        reporter = Reporter()
+        self.file: File = parse(Source(name, text, Path(name)), reporter)
+        if reporter.has_errors:
+            raise SpecificationError([str(each) for each in reporter.found])
+        self.name, self.graph, self.rates = name, graph, rates
+        self.components = {
+            item.name.text: item
+            for item, _ in self._items(self.file.items, "")
+            if isinstance(item, ComponentDeclaration)
+        }
+        self.taken = set(self.components)
+        self.edits: list[tuple[int, int, str]] = []
+
+    def _items(self, items: tuple[Item, ...], namespace: str) -> Iterator[tuple[Item, str]]:
+        for item in items:
+            if isinstance(item, NamespaceBlock):
+                yield from self._items(item.items, resolve_name(namespace, item.name.text))
+            else:
+                yield item, namespace
+
+    def insertion(self) -> Insertion:
+        result = Insertion("")
+        found, seen = [], set(self.graph.nodes())
+        for each in self.open_nodes(result):
+            if each[1] in seen:
+                found.append(each)
+            else:
+                result.left[each[1]] = "it is not in the graph, or has no topics"
+        in_file = {*result.left, *(full for _, full, _ in found)}
+        result.left |= dict.fromkeys(sorted(seen - in_file), "it is not in this file")
+        ports = {full: ports_of(self.graph, full, self._remaps(component, full)) for _, full, component in found}
+        heard = {port.endpoint.topic for each in ports.values() for port in each if port.endpoint.output}
+        for component in {id(each): each for _, _, each in found}.values():
+            self._complete(component, [(node, ports[full]) for node, full, other in found if other is component], heard)
+        for node, full, _ in found:
+            self._attach(node, ports[full])
+            result.added.append(full)
+        topics = sorted({port.endpoint.topic for each in ports.values() for port in each} - self._declared_topics())
+        self._declare(topic_lines(self.graph, topics))
+        result.text = self._text()
+        return result
+
+    def open_nodes(self, result: Insertion) -> list[tuple[NodeDeclaration, str, ComponentDeclaration]]:
+        """The nodes whose components state no ports, with their full names; the others are noted in ``result``."""
+        found = []
+        for item, namespace in self._items(self.file.items, ""):
+            if isinstance(item, NodeDeclaration):
+                full = "/" + resolve_name(namespace, item.name.text)
+                component = self.components.get(item.component.text if item.component else "")
+                if component is None:
+                    result.left[full] = "its component is not in this file"
+                elif component.inputs or component.outputs or component.functionalities or component.like:
+                    result.left[full] = "its component states its ports"
+                else:
+                    found.append((item, full, component))
+        return found
+
+    def _declared_topics(self) -> set[str]:
+        items = self._items(self.file.items, "")
+        return {
+            "/" + resolve_name(inside, item.name.text) for item, inside in items if isinstance(item, TopicDeclaration)
+        }
+
+    # -- edits -----------------------------------------------------------------------------------------------
+
+    def _text(self) -> str:
+        original = self.file.tokens.source.text
+        text = _edited(original, self.edits)
+        formatted = format_text(text, self.name)
+        assert formatted.text is not None, [str(each) for each in formatted.diagnostics]
+        return formatted.text if format_text(original).text == original else text
+
+    def _complete(
+        self,
+        component: ComponentDeclaration,
+        nodes: list[tuple[NodeDeclaration, list[ProposedPort]]],
+        heard: set[str],
+    ) -> None:
+        """Give the component the ports of its nodes. Where these differ, further nodes get copies of the component."""
+        variants: dict[tuple[str, ...], list[tuple[NodeDeclaration, list[ProposedPort]]]] = {}
+        for node, ports in nodes:
+            variants.setdefault(tuple(each.declaration + each.contract for each in ports), []).append((node, ports))
+        close = self._end_of_block(component.name.span.start)
+        if close is None:
+            return
+        start = component.name.span.end
+        for number, members in enumerate(variants.values()):
+            ports = members[0][1]
+            lines = component_text(ports, heard, self.rates)
+            commands = self._commands(component, ports)
+            if number == 0:
+                self.edits += [(start + first, start + last, new) for first, last, new in commands]
+                self._insert_before(close, lines)
+                continue
+            body = _edited(self.file.tokens.source.text[start:close], commands)
+            name = self._free_name(component.name.text)
+            self.edits.append((close + 1, close + 1, "\n".join([f"\n\ncomponent {name}{body}", *lines, "}"])))
+            for node, _ in members:
+                if node.component is not None:
+                    self.edits.append((node.component.span.start, node.component.span.end, name))
+
+    def _commands(self, component: ComponentDeclaration, ports: list[ProposedPort]) -> list[tuple[int, int, str]]:
+        """The changes of the component's command, as offsets after its name."""
+        own, start = {port.own_topic for port in ports}, component.name.span.end
+        found = []
+        for run in component.runs:
+            command = without_remaps(run.command.text, own)
+            if command != run.command.text:
+                escaped = command.replace("\\", "\\\\").replace('"', '\\"')
+                found.append((run.command.span.start - start, run.command.span.end - start, f'"{escaped}"'))
+        return found
+
+    def _free_name(self, base: str) -> str:
+        number = 2
+        while f"{base}{number}" in self.taken:
+            number += 1
+        self.taken.add(f"{base}{number}")
+        return f"{base}{number}"
+
+    def _attach(self, node: NodeDeclaration, ports: list[ProposedPort]) -> None:
+        if not ports or node.component is None:
+            return
+        if (close := self._end_of_block(node.name.span.start)) is not None:
+            self._insert_before(close, [port.attachment for port in ports])
+        else:
+            end = node.component.span.end
+            self.edits.append((end, end, f" {node_block(ports)}"))
+
+    def _declare(self, lines: list[str]) -> None:
+        if lines and self.file.system is not None:
+            source = self.file.tokens.source
+            line, _ = source.position(self.file.system.span.start)
+            end = source.offset(line, len(source.line(line)) + 1)
+            self.edits.append((end, end, "\n\n" + "\n".join(lines)))
+
+    def _insert_before(self, offset: int, lines: list[str]) -> None:
+        self.edits.append((offset, offset, "\n" + "\n".join(lines) + "\n"))
+
+    def _end_of_block(self, name: int) -> int | None:
+        """Where the block of the declaration closes whose name is at an offset; None if it has none."""
+        tokens = self.file.tokens
+        index = bisect_left(tokens.starts, name)
+        for at in range(index, min(index + 4, len(tokens.starts))):  # `X {`, `X like Y {`, `x : X {`
+            if at in self.file.layout.blocks:
+                return tokens.starts[self.file.layout.blocks[at]]
+            if at > index and at in self.file.layout.statements:
+                break
+        return None
+
+    # -- remappings ------------------------------------------------------------------------------------------
+
+    def _remaps(self, component: ComponentDeclaration, node: str) -> dict[str, str]:
+        """What the program calls topics that its command remaps, by the full names of the topics."""
+        found: dict[str, str] = {}
+        namespace = node.rpartition("/")[0].strip("/")
+        for run in component.runs:
+            for own, topic in _remappings(run.command.text):
+                full = f"{node}/{topic[2:]}" if topic.startswith("~/") else "/" + resolve_name(namespace, topic)
+                found.setdefault(full, own)
+        return found
+
+
+def _edited(text: str, edits: list[tuple[int, int, str]]) -> str:
+    """``text`` with the parts between two offsets replaced; of two at one place, the first comes first."""
+    for start, end, new in sorted(edits, key=lambda edit: edit[:2], reverse=True):
+        text = text[:start] + new + text[end:]
+    return text
+
+
+def _remappings(command: str) -> Iterator[tuple[str, str]]:
+    """The remappings of topics in a command: what the program calls the topic, and its name outside."""
+    words = shlex.split(command)
+    if "--ros-args" in words:
+        for option, value in pairwise(words):
+            own, separator, topic = value.partition(":=")
+            if option in {"-r", "--remap"} and separator and ":" not in own and not own.startswith("__"):
+                yield own, topic
+
+
+def without_remaps(command: str, own: set[str]) -> str:
+    """``command`` without its remappings of the topics that the program calls ``own``: their ports state them now."""
+    words, kept, at = shlex.split(command), [], 0
+    while at < len(words):
+        name, separator, _ = words[at + 1].partition(":=") if at + 1 < len(words) else ("", "", "")
+        if words[at] in {"-r", "--remap"} and separator and name in own:
+            at += 2
+            continue
+        kept.append(words[at])
+        at += 1
+    if len(kept) == len(words):
+        return command
+    if kept and kept[-1] == "--ros-args":
+        kept.pop()
+    return shlex.join(kept)

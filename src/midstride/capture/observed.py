@@ -1,0 +1,75 @@
+"""What is seen of a ROS graph: the endpoints of its nodes, and when messages were written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Final
+
+from midstride.model.contract import QoS
+
+# The times of so many messages are kept for each publisher.
+MAX_TIMES: Final = 100_000
+# Topics of ROS's own that nearly every node has, and that belong to no port.
+_EVERYWHERE: Final = frozenset({"/rosout", "/parameter_events"})
+_OF_LIFECYCLE: Final = "/transition_event"
+
+
+@dataclass(frozen=True, slots=True)
+class ObservedEndpoint:
+    """A publisher (``output``) or a subscription. ``node`` and ``topic`` are full names; ``identity`` is unique."""
+
+    node: str
+    topic: str
+    type: str
+    output: bool
+    qos: QoS
+    identity: str
+
+    @property
+    def is_infrastructure(self) -> bool:
+        """Whether it is ROS's own rather than the node's: logs, parameters, the clock, lifecycle, ROS actions."""
+        hidden = "/_" in self.topic or "/_" in self.node
+        clock = self.topic == "/clock" and not self.output
+        return hidden or clock or self.topic in _EVERYWHERE or self.topic.endswith(_OF_LIFECYCLE)
+
+
+@dataclass(slots=True)
+class ObservedGraph:
+    """What has been seen so far. ``seconds``: for how long; ``unreadable``: the types that could not be imported."""
+
+    seconds: float = 0.0
+    endpoints: dict[tuple[str, str, bool], ObservedEndpoint] = field(default_factory=dict)
+    unreadable: set[str] = field(default_factory=set)
+    _times: dict[tuple[str, str], list[float]] = field(default_factory=dict)
+
+    def saw(self, endpoints: Iterable[ObservedEndpoint]) -> None:
+        """The graph shows these endpoints now."""
+        for endpoint in endpoints:
+            if not endpoint.is_infrastructure:
+                self.endpoints[endpoint.node, endpoint.topic, endpoint.output] = endpoint
+
+    def heard(self, topic: str, publisher: str | None, time: float) -> None:
+        """A message on ``topic`` was written at ``time`` (s), by the publisher of that identity, if that is known."""
+        times = self._times.setdefault((topic, publisher or ""), [])
+        if len(times) < MAX_TIMES:
+            times.append(time)
+
+    def publishers(self, topic: str) -> list[ObservedEndpoint]:
+        return [each for each in self.endpoints.values() if each.output and each.topic == topic]
+
+    def times(self, endpoint: ObservedEndpoint) -> list[float] | None:
+        """When ``endpoint`` published, as far as it can be distinguished from others on its topic."""
+        if (endpoint.topic, endpoint.identity) in self._times:
+            return self._times[endpoint.topic, endpoint.identity]
+        if len(self.publishers(endpoint.topic)) > 1:
+            return None if (endpoint.topic, "") in self._times else []
+        return self._times.get((endpoint.topic, ""), [])
+
+    def nodes(self) -> list[str]:
+        """The full names of the nodes with endpoints."""
+        return sorted({endpoint.node for endpoint in self.endpoints.values()})
+
+    def of_node(self, node: str) -> list[ObservedEndpoint]:
+        found = (each for each in self.endpoints.values() if each.node == node)
+        return sorted(found, key=lambda each: (each.output, each.topic))

@@ -1,0 +1,176 @@
+"""What a graph proposes for each node: its ports and one functionality, as text of the Stride language."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+from midstride.capture.observed import ObservedEndpoint, ObservedGraph
+from midstride.capture.rates import MeasuredRate, measured
+from midstride.lang.token_stream import RESERVED
+from midstride.model.contract import DEFAULT_QOS, QoS
+
+FUNCTIONALITY: Final = "main"
+SHORT: Final = 70
+_NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_]+")
+
+
+@dataclass(frozen=True, slots=True)
+class ProposedPort:
+    """A port. ``own_topic`` is what the program calls the topic; ``rate`` and ``note`` say what was measured."""
+
+    name: str
+    endpoint: ObservedEndpoint
+    own_topic: str
+    rate: MeasuredRate | None = None
+    note: str = ""
+
+    @property
+    def contract(self) -> str:
+        return contract_text(self.endpoint.type, self.endpoint.qos)
+
+    @property
+    def stated_topic(self) -> str:
+        """``own_topic`` as the language has it: with its namespace, if it is a word of the language."""
+        if self.own_topic not in RESERVED:
+            return self.own_topic
+        return f"{self.endpoint.node.rpartition('/')[0]}/{self.own_topic}"
+
+    @property
+    def declaration(self) -> str:
+        """How a component states the port."""
+        own = f" as {self.stated_topic}" if self.stated_topic != self.name else ""
+        return f"output {self.name}{own}" if self.endpoint.output else f"input {self.name} : {self.contract}{own}"
+
+    @property
+    def attachment(self) -> str:
+        return f"{self.name} {'->' if self.endpoint.output else '<-'} {self.endpoint.topic}"
+
+
+def contract_text(type_: str, qos: QoS) -> str:
+    """A contract. What is ROS 2's default in a profile is left out."""
+    plain = replace(
+        qos,
+        reliability=qos.reliability if not qos.is_reliable else None,
+        durability=qos.durability if qos.is_transient_local else None,
+        liveliness=qos.liveliness if qos.liveliness == "manual_by_topic" else None,
+    )
+    return type_ if plain == DEFAULT_QOS else f"{type_} {plain}"
+
+
+def ports_of(graph: ObservedGraph, node: str, remaps: Mapping[str, str]) -> list[ProposedPort]:
+    """The ports of a node; ``remaps`` has what its program calls topics, by their full names."""
+    ports: list[ProposedPort] = []
+    taken: set[str] = set()
+    endpoints = graph.of_node(node)
+    for endpoint in endpoints:
+        name = _port_name(endpoint, endpoints, taken)
+        taken.add(name)
+        own = remaps.get(endpoint.topic) or _relative(endpoint.topic, node)
+        rate, note = _measured(graph, endpoint) if endpoint.output else (None, "")
+        ports.append(ProposedPort(name, endpoint, own, rate, note))
+    return ports
+
+
+def node_block(ports: Iterable[ProposedPort]) -> str:
+    """The attachments of a node in braces, on one line if that is short."""
+    attachments = [port.attachment for port in ports]
+    line = f"{{ {'   '.join(attachments)} }}"
+    return line if len(line) <= SHORT else "\n".join(["{", *attachments, "}"])
+
+
+def _measured(graph: ObservedGraph, endpoint: ObservedEndpoint) -> tuple[MeasuredRate | None, str]:
+    times = graph.times(endpoint)
+    if endpoint.type in graph.unreadable:
+        return None, "rate not measured: the package of its type is not here"
+    if times is None:
+        return None, "rate not measured: several nodes publish on the topic"
+    if (rate := measured(times)) is None:
+        return None, f"rate not measured: {len(times)} message{'' if len(times) == 1 else 's'} in {graph.seconds:.3g} s"
+    return rate, str(rate)
+
+
+def _port_name(endpoint: ObservedEndpoint, all_: Iterable[ObservedEndpoint], taken: set[str]) -> str:
+    parts = [_NOT_IN_NAMES.sub("_", part) for part in endpoint.topic.strip("/").split("/")]
+    twice = sum(each.topic == endpoint.topic for each in all_) > 1
+    ending = ("_out" if endpoint.output else "_in") if twice else ""
+    names = ["_".join(parts[-count:]) + ending for count in range(1, len(parts) + 1)]
+    names += [f"{names[-1]}_{number}" for number in range(2, len(taken) + 3)]
+    return next(name for name in names if name not in taken and name not in RESERVED and not name[0].isdigit())
+
+
+def _relative(topic: str, node: str) -> str:
+    """What the program may call the topic: a name relative to the node or its namespace means the same."""
+    namespace = node.rpartition("/")[0] + "/"
+    if topic.startswith(f"{node}/"):
+        return f"~/{topic.removeprefix(f'{node}/')}"
+    return topic.removeprefix(namespace) if topic.startswith(namespace) else topic
+
+
+def component_text(ports: Iterable[ProposedPort], heard: set[str], rates: bool, own_topics: bool = True) -> list[str]:
+    """The statements of a component with these ports.
+
+    An input is assumed if its topic is in ``heard``, the topics with a publisher in the specification. With ``rates``,
+    guarantees state the proposed bounds.
+    """
+    ports = list(ports)
+    if not ports:
+        return []
+    inputs = [port for port in ports if not port.endpoint.output]
+    outputs = [port for port in ports if port.endpoint.output]
+
+    lines = [port.declaration if own_topics else port.declaration.partition(" as ")[0] for port in [*inputs, *outputs]]
+    lines.append(f"functionality {FUNCTIONALITY} {{")
+    if inputs:
+        lines.append("uses " + ", ".join(port.name for port in inputs))
+    if outputs:
+        lines.append("produces " + ", ".join(port.name for port in outputs))
+    lines.append("mode normal {")
+    for port in inputs:
+        known = port.endpoint.topic in heard
+        lines.append(f"assume {port.name}" if known else f"# no node here publishes what `{port.name}` receives")
+    for port in outputs:
+        bound = f" @ {port.rate.bound:g} Hz" if rates and port.rate is not None else ""
+        type_, _, qos = port.contract.partition(" ")
+        lines.append(f"guarantee {port.name} : {' '.join(filter(None, (type_ + bound, qos)))}  # {port.note}")
+    return [*lines, "}", "mode degraded { }", "}"]
+
+
+def topic_lines(graph: ObservedGraph, topics: Iterable[str]) -> list[str]:
+    """The declarations of topics, each with what all of its publishers offer."""
+    lines = []
+    for topic in topics:
+        endpoints = [each for each in graph.endpoints.values() if each.topic == topic]
+        publishers = [each for each in endpoints if each.output]
+        types = sorted({each.type for each in publishers or endpoints})
+        profile = (
+            _weakest([each.qos for each in publishers]) if publishers else _needed([each.qos for each in endpoints])
+        )
+        lines.append(f"topic {topic} : {contract_text(types[0], profile)}")
+    return lines
+
+
+def _weakest(profiles: list[QoS]) -> QoS:
+    """What every one of these profiles offers."""
+    deadlines, leases = [each.deadline for each in profiles], [each.lease for each in profiles]
+    return QoS(
+        reliability=None if all(each.is_reliable for each in profiles) else "best_effort",
+        durability="transient_local" if all(each.is_transient_local for each in profiles) else None,
+        deadline=None if None in deadlines else max(each for each in deadlines if each is not None),
+        lease=None if None in leases else max(each for each in leases if each is not None),
+        liveliness="manual_by_topic" if all(each.liveliness == "manual_by_topic" for each in profiles) else None,
+    )
+
+
+def _needed(profiles: list[QoS]) -> QoS:
+    """What is enough for every one of these profiles."""
+    deadlines = [each.deadline for each in profiles if each.deadline is not None]
+    leases = [each.lease for each in profiles if each.lease is not None]
+    return QoS(
+        durability="transient_local" if any(each.is_transient_local for each in profiles) else None,
+        deadline=min(deadlines, default=None),
+        lease=min(leases, default=None),
+        liveliness="manual_by_topic" if any(each.liveliness == "manual_by_topic" for each in profiles) else None,
+    )

@@ -1,0 +1,35 @@
+"""A specification of what a graph shows alone, as a first draft: it does not know what starts the nodes."""
+
+from __future__ import annotations
+
+import re
+
+from midstride.capture.observed import ObservedGraph
+from midstride.capture.proposal import component_text, node_block, ports_of, topic_lines
+from midstride.lang.printer import format_text
+
+
+def draft(name: str, graph: ObservedGraph, rates: bool = False) -> str:
+    """The text of the system ``name``, with every node of the graph."""
+    ports = {node: ports_of(graph, node, {}) for node in graph.nodes()}
+    topics = sorted({port.endpoint.topic for each in ports.values() for port in each})
+    heard = {port.endpoint.topic for each in ports.values() for port in each if port.endpoint.output}
+    lines = [
+        f"# Captured for {graph.seconds:g} s. What starts a node is not in the graph: add it to each component,",
+        '# as `run "…" gate preload` for a program that does not use Midstride\'s API.',
+        f"system {name}",
+        "",
+        *topic_lines(graph, topics),
+        "",
+    ]
+    nodes: dict[str, list[str]] = {}
+    for node, found in ports.items():
+        component = "".join(word[0].upper() + word[1:] for word in re.split(r"[^A-Za-z0-9]+", node) if word)
+        lines += [f"component {component} {{", *component_text(found, heard, rates, own_topics=False), "}", ""]
+        namespace, _, own = node.rpartition("/")
+        nodes.setdefault(namespace.strip("/"), []).append(f"node {own} : {component} {node_block(found)}")
+    for namespace, statements in sorted(nodes.items()):
+        lines += [f"namespace {namespace} {{", *statements, "}", ""] if namespace else [*statements, ""]
+    formatted = format_text("\n".join(lines))
+    assert formatted.text is not None, [str(each) for each in formatted.diagnostics]
+    return formatted.text

@@ -1,0 +1,240 @@
+"""What a graph proposes: ports, types and QoS are exact, rates within 5 %; a file keeps what it states."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from midstride.capture.insertion import insert, without_remaps
+from midstride.capture.observed import ObservedEndpoint, ObservedGraph
+from midstride.capture.rates import measured
+from midstride.capture.standalone import draft
+from midstride.errors import SpecificationError
+from midstride.lang import format_text, load
+from midstride.launch_files.importing import import_launch_file
+from midstride.model.specification import Specification
+from tests.capture.simulated import SENSOR, SimulatedGraph, twenty
+
+STRING = "std_msgs/msg/String"
+
+
+def checked(text: str, folder: Path, *warnings: str) -> Specification:
+    """The specification, in which there is no problem besides these warnings, and which is formatted."""
+    file = folder / "captured.stride"
+    file.write_text(text, encoding="utf-8")
+    loaded = load(file)
+    assert [each.code for each in loaded.diagnostics] == list(warnings), [str(each) for each in loaded.diagnostics]
+    assert format_text(text).text == text
+    return loaded.require()
+
+
+def ports(system: Specification) -> set[tuple[str, str, str, bool, bool, bool]]:
+    """Node, topic, type, whether it is an output, reliable, transient local: of every attached port."""
+    found = set()
+    for node in system.nodes.values():
+        component = system.components[node.component]
+        for port, topics in node.attachments.items():
+            if component.has_output(port):
+                mode = component.owner(port).modes[0]
+                contract = mode.guarantees[port]
+            else:
+                contract = component.inputs[port]
+            qos = contract.qos
+            (topic,) = topics
+            found.add(
+                (
+                    f"/{node.role}",
+                    topic,
+                    contract.type.replace("std_msgs/String", "std_msgs/msg/String"),
+                    component.has_output(port),
+                    qos.is_reliable,
+                    qos.is_transient_local,
+                )
+            )
+    return found
+
+
+def of(endpoint: ObservedEndpoint) -> tuple[str, str, str, bool, bool, bool]:
+    qos = endpoint.qos
+    return endpoint.node, endpoint.topic, endpoint.type, endpoint.output, qos.is_reliable, qos.is_transient_local
+
+
+def launch(graph: ObservedGraph, folder: Path) -> str:
+    """The import of a launch file that starts the nodes of a graph."""
+    lines = []
+    for number, node in enumerate(graph.nodes()):
+        namespace, _, name = node.rpartition("/")
+        remap = '<remap from="out" to="/cmd_vel"/>' if name == "planner" else ""
+        lines.append(f'<node exec="p{number}" name="{name}" namespace="{namespace}">{remap}</node>')
+    file = folder / "all.launch.xml"
+    file.write_text("<launch>\n" + "\n".join(lines) + "\n</launch>\n")
+    return import_launch_file(file, {}, {}, folder).text
+
+
+def test_twenty_nodes_are_captured_exactly(tmp_path: Path) -> None:
+    graph = twenty().observed()
+    imported = launch(graph, tmp_path)
+    found = insert(imported, "all.stride", graph, rates=True)
+    assert len(found.added) == 20 and found.left == {}
+    system = checked(found.text, tmp_path, "W031")  # nothing publishes /joy
+    assert ports(system) == {of(endpoint) for endpoint in graph.endpoints.values()}
+    assert len(graph.endpoints) == 10 * 2 + 9 * 2 + 9 + 3
+    rates = {
+        f"/{node.role}": guarantee.rate
+        for node in system.nodes.values()
+        for port, guarantee in system.components[node.component].functionalities["main"].modes[0].guarantees.items()
+        if guarantee.rate is not None
+    }
+    assert len(rates) == 20
+    for number in range(10):
+        stated = rates[f"/robot{number % 3}/sensor{number}"]
+        assert 0.8 * 5.0 * (number + 1) <= stated <= 5.0 * (number + 1)
+    # An input is assumed where a node of the file publishes its topic.
+    assert "# no node here publishes what `joy` receives" in found.text and "assume filtered3" in found.text
+
+
+def test_rates_are_within_five_per_cent(tmp_path: Path) -> None:
+    simulated = twenty()
+    for names_publishers in (True, False):
+        simulated.names_publishers = names_publishers
+        graph = simulated.observed()
+        for endpoint in graph.endpoints.values():
+            rate = simulated.rates.get(endpoint.identity, 0.0)
+            if rate:
+                found = measured(graph.times(endpoint) or [])
+                assert found is not None and abs(found.mean / rate - 1) < 0.05
+                assert found.bound <= rate
+
+
+def test_publishers_of_one_topic_are_measured_apart_only_where_messages_name_them() -> None:
+    graph = SimulatedGraph()
+    graph.publisher("/a", "/t", STRING, rate=10.0)
+    graph.publisher("/b", "/t", STRING, rate=20.0)
+    seen = graph.observed()
+    rates = [measured(seen.times(each) or []) for each in seen.publishers("/t")]
+    assert [round(rate.mean) for rate in rates if rate is not None] == [10, 20]
+    graph.names_publishers = False
+    text = draft("s", graph.observed())
+    assert text.count("rate not measured: several nodes publish on the topic") == 2
+
+
+def test_a_bound_is_below_what_was_measured_and_has_two_digits() -> None:
+    regular = measured([number / 50 for number in range(500)])
+    assert regular is not None and regular.bound == 47.0 and regular.mean == pytest.approx(50.0)
+    assert str(regular) == ("measured 50 Hz; gaps: median 20 ms, 95 % 20 ms, longest 20 ms; proposed: @ 47 Hz")
+    slow = measured([3.0 * number for number in range(10)])
+    assert slow is not None and slow.bound == 0.31
+    bursts = measured([number // 2 + 0.01 * (number % 2) for number in range(100)])
+    assert bursts is not None and bursts.bound < 1.0 < bursts.mean
+    assert measured([0.0, 1.0, 2.0]) is None and measured([1.0] * 10) is None and measured([]) is None
+
+
+def test_without_rates_they_are_comments(tmp_path: Path) -> None:
+    graph = SimulatedGraph()
+    graph.publisher("/talker", "/chat", STRING, rate=50.0)
+    graph.subscription("/ear", "/chat", STRING, SENSOR)
+    text = draft("s", graph.observed())
+    system = checked(text, tmp_path)
+    guarantee = system.components["Talker"].functionalities["main"].modes[0].guarantees["chat"]
+    assert guarantee.rate is None and "proposed: @ " in text
+
+
+FILE = """system chat  # ours
+
+# The one that talks.
+component Talker {
+  run "ros2 run demo talker --ros-args -r topic:=/chat -r other:=/unused" gate preload
+  parameters { rate = 50 }  # Hz
+}
+
+component Done { run "./done" gate preload
+  output out
+  functionality f {
+    produces out
+    mode normal { guarantee out : std_msgs/msg/String }
+    mode degraded { }
+  }
+}
+
+topic /done : std_msgs/msg/String
+
+node talker : Talker {
+  respawn
+}
+node done : Done { out -> /done }
+node gone : Talker
+"""
+
+
+def test_the_rest_of_the_file_stays(tmp_path: Path) -> None:
+    graph = SimulatedGraph()
+    graph.publisher("/talker", "/chat", STRING, rate=50.0)
+    graph.publisher("/talker", "/talker/state", STRING)
+    graph.subscription("/talker", "/chat", STRING)
+    graph.publisher("/done", "/done", STRING)
+    graph.publisher("/other", "/done", STRING)
+    found = insert(FILE, "chat.stride", graph.observed())
+    assert found.added == ["/talker"]
+    assert found.left == {
+        "/done": "its component states its ports",
+        "/gone": "it is not in the graph, or has no topics",
+        "/other": "it is not in this file",
+    }
+    old, new = FILE.splitlines(), found.text.splitlines()
+    lost = [line for line in old if line not in new]
+    assert lost == ['  run "ros2 run demo talker --ros-args -r topic:=/chat -r other:=/unused" gate preload']
+    assert '  run "ros2 run demo talker --ros-args -r other:=/unused" gate preload' in new
+    for line in ("output chat_out as /topic", "output state as ~/state", "topic /chat : std_msgs/msg/String"):
+        assert line in [each.strip() for each in new]
+    (tmp_path / "chat.stride").write_text(found.text)
+    loaded = load(tmp_path / "chat.stride")
+    assert [each.code for each in loaded.diagnostics if each.severity == "error"] == []
+    again = insert(found.text, "chat.stride", graph.observed())
+    assert again.text == found.text and again.added == []
+
+
+def test_nodes_that_share_a_component_share_its_ports(tmp_path: Path) -> None:
+    graph = SimulatedGraph()
+    for side in ("left", "right"):
+        graph.publisher(f"/{side}/camera", f"/{side}/image", "sensor_msgs/msg/Image", SENSOR, rate=10.0)
+    text = """system cameras
+
+component Camera {
+  run "camera" gate preload
+}
+
+namespace left {
+  node camera : Camera
+}
+namespace right {
+  node camera : Camera
+}
+"""
+    found = insert(text, "cameras.stride", graph.observed())
+    system = checked(found.text, tmp_path)
+    assert {dict(node.attachments)["image"] for node in system.nodes.values()} == {("/left/image",), ("/right/image",)}
+    assert "as " not in found.text.replace("has", "")  # `image` in the namespace is what the program says
+
+
+def test_names_of_ports_are_words_that_the_language_leaves_free() -> None:
+    graph = SimulatedGraph()
+    for topic in ("/mode", "/a/scan", "/b/scan", "/input", "/x/3d"):
+        graph.publisher("/node1", topic, STRING)
+    assert load_text(draft("s", graph.observed())) == []
+
+
+def load_text(text: str) -> list[str]:
+    return [str(each) for each in format_text(text).diagnostics]
+
+
+def test_remaps_that_no_port_states_stay() -> None:
+    command = "env A=b ros2 run p e --x --ros-args -r a:=/b -r c:=/d -p k:=1"
+    assert without_remaps(command, {"a"}) == "env A=b ros2 run p e --x --ros-args -r c:=/d -p k:=1"
+    assert without_remaps("./e --ros-args -r a:=/b", {"a"}) == "./e"
+    assert without_remaps("./e  'x y'", {"a"}) == "./e  'x y'"
+
+
+def test_a_file_with_errors_is_refused() -> None:
+    with pytest.raises(SpecificationError, match=r"bad\.stride"):
+        insert("system s\ncomponent {", "bad.stride", SimulatedGraph().observed())

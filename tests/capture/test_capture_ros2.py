@@ -1,0 +1,72 @@
+"""A planted system of twenty plain rclpy nodes is captured from the live graph, and its specification is clean."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from midstride.capture.insertion import insert
+from midstride.capture.observed import ObservedGraph
+from midstride.capture.rates import measured
+from midstride.launch_files.importing import import_launch_file
+from midstride.model.contract import QoS
+from tests.capture.test_capture import checked, of, ports
+
+RATES = {f"/robot{number % 3}/sensor{number}": 2.0 + number for number in range(10)}
+
+
+@pytest.fixture
+def planted() -> Iterator[None]:
+    process = subprocess.Popen([sys.executable, str(Path(__file__).with_name("planted.py"))])
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+def launch_file(folder: Path) -> Path:
+    sensors = [f'<node exec="planted" name="{node[8:]}" namespace="{node[1:7]}"/>' for node in RATES]
+    filters = [f'<node exec="planted" name="filter{number}"/>' for number in range(9)]
+    file = folder / "planted.launch.xml"
+    file.write_text("<launch>" + "\n".join([*sensors, *filters, '<node exec="planted" name="planner"/>']) + "</launch>")
+    return file
+
+
+@pytest.mark.ros2
+@pytest.mark.full
+def test_a_planted_system_is_captured_exactly(tmp_path: Path, planted: None) -> None:
+    from midstride.backends.ros2.observer import observe
+
+    def done(graph: ObservedGraph) -> bool:
+        """Every endpoint has been seen, and every sensor has been heard for a while."""
+        sensors = [each for each in graph.endpoints.values() if each.node in RATES and each.output]
+        return len(graph.endpoints) == 48 and all(len(graph.times(each) or []) > 20 for each in sensors)
+
+    graph = observe(100.0, list(RATES), done)
+    assert len(graph.endpoints) == 48  # 10 sensors with 2, 9 filters with 2, the planner with 10
+    latched = {each.node for each in graph.endpoints.values() if each.qos.is_transient_local}
+    assert latched == {*RATES, "/planner"}
+    best_effort = [each for each in graph.endpoints.values() if not each.qos.is_reliable]
+    assert {each.topic.rpartition("/")[2] for each in best_effort} == {"scan"} and len(best_effort) == 19
+    assert {each.qos for each in best_effort} == {
+        QoS(reliability="best_effort", durability="volatile", liveliness="automatic")
+    }
+
+    imported = import_launch_file(launch_file(tmp_path), {}, {}, tmp_path)
+    assert imported.nodes == 20 and len(imported.findings) == 0
+    found = insert(imported.text, "planted.stride", graph)
+    assert len(found.added) == 20 and found.left == {}
+    system = checked(found.text, tmp_path)
+    assert ports(system) == {of(endpoint) for endpoint in graph.endpoints.values()}
+
+    for endpoint in graph.endpoints.values():
+        if endpoint.output and endpoint.node in RATES:
+            rate = measured(graph.times(endpoint) or [])
+            assert rate is not None
+            print(endpoint.node, RATES[endpoint.node], rate)
+            assert 0.5 * RATES[endpoint.node] < rate.mean < 1.2 * RATES[endpoint.node]

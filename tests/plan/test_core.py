@@ -1,0 +1,178 @@
+"""The conflict core: what is tied, what its parts cost at least, and what a search that ends early may claim."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from random import Random
+
+import pytest
+
+from benchmarks._conflict_core_systems import FUNCTIONALITIES, TIED, instance
+from midstride.errors import PlanRefused
+from midstride.model.component import FunctionalityRef
+from midstride.model.specification import Keep, Limit, Order, Specification, initial
+from midstride.plan.change import Change
+from midstride.plan.change_builder import change_between
+from midstride.plan.core import parts
+from midstride.plan.core_losses import PartLosses, fullest
+from midstride.plan.core_plan import Budget, search_core
+from midstride.plan.core_search import PartResult, PartSearch
+from midstride.plan.disruption import Levels
+from midstride.plan.minimal import minimal
+from midstride.plan.validate import replay
+from tests.plan import systems
+from tests.plan.cases import changed, system, work
+from tests.plan.exhaustive import Exhaustive
+
+
+def between(ends: tuple[Specification, Specification]) -> Change:
+    start, target = ends
+    return change_between(initial(start), start, target)
+
+
+def searches(change: Change) -> list[PartSearch]:
+    levels, full = Levels(change), fullest(change)
+    return [PartSearch(part, PartLosses(change, part, levels, full), {}) for part in parts(change, ())]
+
+
+@pytest.mark.parametrize("seed", [0, 40, 99])
+def test_the_published_set_is_what_it_says(seed: int) -> None:
+    change = between(instance(seed))
+    assert sum(len(part.ops) for part in parts(change, ())) == TIED
+    assert len(change.start.modes) == FUNCTIONALITIES
+
+
+@pytest.mark.full
+def test_a_published_change_is_proved() -> None:
+    plan = minimal(between(instance(40)))
+    assert (plan.proved_minimal, plan.disruption, plan.lower_bound) == (True, 1262.25, 1262.25)
+    assert replay(plan).holds
+
+
+def test_nothing_is_tied_where_everything_fits() -> None:
+    start, target = instance(40)
+    change = between((systems.unbounded(start), systems.unbounded(target)))
+    assert parts(change, ()) == []
+    assert search_core(Levels(change), (), Budget()).lower_bound == 0.0
+
+
+def test_roles_on_different_computers_are_independent() -> None:
+    change = between(instance(40))
+    held = [
+        {r for op in part.ops for r in change.component_of(op.instance).resource_usage} for part in parts(change, ())
+    ]
+    assert len(held) == 6
+    assert all(not one & other for index, one in enumerate(held) for other in held[:index])
+
+
+@pytest.mark.parametrize("seed", range(0, 40, 2))
+def test_every_bound_on_the_way_is_at_most_what_is_left(seed: int) -> None:
+    """In each state of each part, against the exact cost of the rest, by the search without a bound."""
+    change = between(systems.tight(Random(seed), 3))
+    for search in searches(change):
+        rest = cheapest_rests(search)
+        for state, least in rest.items():
+            assert search.bounds.of(state) <= least + 1e-9, f"{state:b}"
+
+
+def cheapest_rests(search: PartSearch) -> dict[int, float]:
+    """From each state that can be reached to the end."""
+    goal = search.part.everything & ~sum(1 << b for b, op in enumerate(search.part.ops) if op.kind == "detach")
+    found: dict[int, float] = {}
+
+    def rest(state: int) -> float:
+        if state not in found:
+            following = [cost + rest(after) for after, cost in search.moves(state)]
+            found[state] = 0.0 if state & goal == goal else min(following, default=float("inf"))
+        return found[state]
+
+    rest(0)
+    return found
+
+
+@pytest.mark.parametrize("ended_by", [None, KeyboardInterrupt])
+def test_a_search_that_ends_early_claims_no_more_than_it_knows(ended_by: type[BaseException] | None) -> None:
+    def stop() -> bool:
+        if ended_by is not None:
+            raise ended_by
+        return True
+
+    loose = 0
+    for seed in range(0, 30, 2):
+        for search in searches(between(systems.tight(Random(seed), 3))):
+            known = search.beam()
+            ended, exact = search.run(stop, known), search.run(lambda: False, PartResult(0.0))
+            assert ended.lower_bound <= exact.cost + 1e-9 <= ended.cost + 2e-9
+            assert ended.moves == known.moves
+            loose += ended.lower_bound < exact.cost - 1e-6
+    assert loose > 0
+
+
+def test_without_a_proof_the_gap_is_stated() -> None:
+    change = between(systems.tight(Random(16), 3))
+    plan, least = minimal(change, within=0.0), minimal(change)
+    assert least.proved_minimal
+    assert plan.lower_bound < least.disruption <= plan.disruption
+    assert not plan.proved_minimal
+    assert replay(plan).holds
+
+
+def test_outputs_are_exchanged_jointly_where_none_may_be_missing() -> None:
+    """Two that stay exchange their exclusive topics, and neither may be unattached at any time."""
+    components = [work(name, outputs=["out"]) for name in ("A", "B")]
+    caps = {"/x": 1, "/y": 1}
+    start = system(components, {"a": ("A", {"out": "/x"}), "b": ("B", {"out": "/y"})}, caps=caps)
+    target = system(components, {"a": ("A", {"out": "/y"}), "b": ("B", {"out": "/x"})}, caps=caps)
+    keeps = tuple(Keep(FunctionalityRef(role, "work"), "normal") for role in ("a", "b"))
+    plan = minimal(between((start, replace(target, constraints=keeps))))
+    assert plan.fallen == ()
+    assert replay(plan).holds
+
+
+# -- what cannot be met ------------------------------------------------------------------------------------
+
+
+def two_resources(*constraints: Keep | Limit | Order) -> tuple[Specification, Specification]:
+    """a's replacement does not fit beside it on the GPU; b's does not in memory."""
+    components = [
+        work(f"{kind}{name}", outputs=["out"], holds={resource: 1.0})
+        for name, resource in (("A", "gpu"), ("B", "memory"))
+        for kind in ("Old", "New")
+    ]
+    nodes = {"a": ("OldA", {"out": "/a"}), "b": ("OldB", {"out": "/b"})}
+    start = system(components, nodes, resources={"gpu": 1.0, "memory": 1.0})
+    target = start.with_replaced("a", "NewA").with_replaced("b", "NewB")
+    return start, replace(target, constraints=constraints)
+
+
+def test_only_the_resource_in_conflict_is_named() -> None:
+    keep, order = Keep(FunctionalityRef("a", "work"), "normal"), Order("a", "b")
+    with pytest.raises(PlanRefused) as caught:
+        changed(*two_resources(order, keep), "minimal")
+    assert str(caught.value).endswith("; a and a_2 do not fit at the same time: gpu has a capacity of 1")
+    assert "memory" not in str(caught.value)
+    assert "order" not in str(caught.value)
+
+
+def test_a_cap_in_conflict_is_named() -> None:
+    """The new one comes silent, so it cannot take over by a hand-over, and both at once are one too many."""
+    components = [work("Old", outputs=["out"]), work("New", ["in"], ["out"]), work("Feed", outputs=["out"])]
+    start = system(components, {"n": ("Old", {"out": "/x"})}, caps={"/x": 1})
+    target = start.with_replaced("n", "New")
+    user = Limit(FunctionalityRef("n", "work"), 0.0)
+    with pytest.raises(PlanRefused) as caught:
+        changed(start, replace(target, constraints=(user,)), "minimal")
+    assert str(caught.value).endswith("; n_2.out and n.out do not fit at the same time: /x has a cap of 1")
+
+
+def test_limit_of_no_time_is_proved_like_a_keep() -> None:
+    """A limit of 0 s forbids the states below the baseline, and the bound knows."""
+    rng = Random(607)
+    start, target = systems.change(rng, systems.system(rng, 4, 3), 5)
+    asked = systems.constrained(rng, start, target).constraints
+    never = tuple(each for each in asked if isinstance(each, Limit) and not each.seconds)
+    assert never
+    change = between((start, replace(target, constraints=never)))
+    plan = minimal(change)
+    assert plan.proved_minimal
+    assert plan.disruption > (Exhaustive(change).optimum() or 0.0)

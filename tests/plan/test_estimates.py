@@ -1,0 +1,75 @@
+"""Durations of steps with their spread, and plans that are best only with the expected ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from immutables import Map
+
+from midstride.model.component import Resource
+from midstride.model.specification import Specification, initial
+from midstride.plan.change_builder import change_between
+from midstride.plan.estimate import Estimate
+from midstride.plan.forms import decode_plan, encode_plan
+from midstride.plan.plan import Plan
+from midstride.plan.registry import planner
+from midstride.plan.sensitivity import sensitivity
+from tests.plan.cases import system, work
+
+
+def two_on_one_device() -> tuple[Specification, Specification]:
+    """Once one of the old ones has gone, there is room for the new other one beside its old one."""
+    parts = [
+        replace(work(f"{kind}{role}", outputs=["out"], holds={"gpu": held}), startup_seconds=None)
+        for role in "AB"
+        for kind, held in (("Old", 2.0), ("New", 1.0))
+    ]
+    nodes = {role.lower(): (f"Old{role}", {"out": f"/{role}"}) for role in "AB"}
+    start = replace(system(parts, nodes, resources={"gpu": 4.0}), timing=Map())
+    return start, start.with_replaced("a", "NewA").with_replaced("b", "NewB")
+
+
+def planned(measured: dict[str, Estimate], strategy: str = "minimal") -> Plan:
+    start, target = two_on_one_device()
+    return planner(strategy)(change_between(initial(start), start, target, measured))
+
+
+def test_an_estimate_is_the_median_with_the_shortest_and_the_longest() -> None:
+    assert Estimate.of([0.4, 9.0, 0.6]) == Estimate(0.6, 0.4, 9.0)
+    assert Estimate(0.6, 0.4, 9.0).plus(1.0) == Estimate(1.6, 1.4, 10.0)
+    assert Estimate.exactly(2.0).between is None
+
+
+def test_a_plan_has_the_spread_of_what_was_measured() -> None:
+    plan = planned({"create NewA": Estimate(1.0, 0.8, 5.0)})
+    assert [step.between for step in plan.steps if step.describe() == "create a_2 (NewA)"] == [(0.8, 5.0)]
+    assert plan.between == (round(plan.seconds - 0.2, 9), round(plan.seconds + 4.0, 9))
+    assert planned({}).between is None
+    document = encode_plan(plan)
+    assert document["between"] == plan.between
+    assert decode_plan(document).steps == plan.steps
+    assert "between" not in encode_plan(planned({}))
+
+
+def test_a_plan_that_is_best_only_as_expected_says_so() -> None:
+    spread = {"create NewA": Estimate(1.0, 0.8, 5.0), "create NewB": Estimate.exactly(1.5)}
+    plan = planned(spread)
+    assert next(step.describe() for step in plan.steps if step.action.kind == "create") == "create a_2 (NewA)"
+    words = sensitivity(plan)
+    assert words is not None
+    assert "`create NewA` takes 1 s, as expected. It has taken 5 s" in words
+    # What is stated is true: the other plan is made, and costs that.
+    slow = planned(spread | {"create NewA": Estimate.exactly(5.0)})
+    assert words.endswith(f"{slow.disruption:.3g}.")
+
+
+def test_a_plan_that_is_best_in_any_case_says_nothing() -> None:
+    assert sensitivity(planned({"create NewA": Estimate(1.0, 0.8, 1.4), "create NewB": Estimate.exactly(1.5)})) is None
+    assert sensitivity(planned({"attach": Estimate(0.1, 0.1, 9.0)})) is None
+    assert sensitivity(planned({"create NewA": Estimate(1.0, 0.8, 5.0)}, "paper")) is None
+    alone = planned({"create NewA": Estimate(1.0, 0.8, 5.0)}).change
+    only_a = alone.specification.with_replaced("a", "NewA")
+    room = replace(only_a, resources=Map({"gpu": Resource("gpu", 9.0)}))
+    change = change_between(initial(alone.specification), alone.specification, room, alone.measured)
+    assert planner("minimal")(change).disruption == 0
+    assert sensitivity(planner("minimal")(change)) is None
