@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from tests.acceptance.support import ended
 from tests.backends.ros2_support import Bare, run
+from tests.test_ament_index import planted
 
 pytestmark = [pytest.mark.ros2, pytest.mark.full, pytest.mark.timeout(200)]
 
@@ -58,7 +60,7 @@ topic /scan : std_msgs/msg/String @ 20 Hz
 topic /cmd  : std_msgs/msg/String @ 20 Hz
 
 component Lidar {
-  run "python3 node.py lidar" gate preload
+  run "start lidar" package "drive_nodes" gate preload
   output scan
   functionality sense {
     produces scan
@@ -92,7 +94,12 @@ node driver : Driver { scan <- /scan   cmd -> /cmd }
 """
 
 
-def test_a_mode_sets_parameters_and_one_that_is_refused_is_not_entered(tmp_path: Path) -> None:
+def test_a_mode_sets_parameters_and_one_that_is_refused_is_not_entered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", planted(tmp_path / "prefix", "drive_nodes", "start"))
+    start = tmp_path / "prefix" / "lib" / "drive_nodes" / "start"
+    start.write_text(f'#!/bin/sh\nexec {sys.executable} node.py "$@"\n', encoding="utf-8")
     (tmp_path / "node.py").write_text(PROGRAM, encoding="utf-8")
     (tmp_path / "drive.stride").write_text(TEXT, encoding="utf-8")
     (tmp_path / "system").mkdir()

@@ -11,9 +11,11 @@ from midstride.codec.specification import decode_specification, encode_specifica
 from midstride.lang import format_text
 from midstride.lang.load import load
 from midstride.model.rules import violations
+from midstride.model.specification_checks import check, errors
 from midstride.plan.request import PlanRequest
 from midstride.plan.specification_diff import differences
 from midstride.runtime.manager import Manager
+from midstride.simulation.stand_in import with_stand_ins
 from tests.foreign.simulated import SimulatedRos, managed
 
 TEXT = """system drive
@@ -122,6 +124,13 @@ def test_what_is_wrong_with_them_is_reported(before: str, after: str, message: s
     path.write_text(TEXT.replace(before, after).replace("GATE", "preload"), encoding="utf-8")
     found = [each.message for each in load(path).diagnostics if each.severity == "error"]
     assert any(message in each for each in found) if message else not found, found
+
+
+def test_a_simulation_runs_without_them(tmp_path: Path) -> None:
+    path = tmp_path / "drive.stride"
+    text = TEXT.replace('"driver" gate GATE', '"driver" package "drive_nodes" gate preload')
+    path.write_text(text, encoding="utf-8")
+    assert errors(check(with_stand_ins(load(path).require()))) == []
 
 
 def test_a_mode_between_that_sets_nothing_is_reported(tmp_path: Path) -> None:

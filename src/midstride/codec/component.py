@@ -169,6 +169,7 @@ class ComponentForm(Form, frozen=True):
     what: ClassVar[str] = "a component"
 
     run: Annotated[str, field("a command", "the command that starts it; none: started elsewhere")] | UnsetType = UNSET
+    package: Annotated[str, field("a package", "the ROS 2 package of its program", min_length=1)] | UnsetType = UNSET
     takes_seconds: SecondsOrZero | UnsetType = UNSET
     holds: Annotated[
         dict[str, Annotated[float, field("an amount", gt=0, le=LARGEST)]],
@@ -194,6 +195,7 @@ class ComponentForm(Form, frozen=True):
     def of(cls, component: ComponentSpec) -> ComponentForm:
         return cls(
             run=component.run or UNSET,
+            package=component.package or UNSET,
             takes_seconds=stated(component.startup_seconds),
             holds={name: plain(amount) for name, amount in sorted(component.resource_usage.items())},
             parameters={name: ParameterForm.of(parameter) for name, parameter in sorted(component.parameters.items())},
@@ -221,6 +223,7 @@ class ComponentForm(Form, frozen=True):
             parameters={key: form.parameter() for key, form in self.parameters.items()},
             allows=tuple(NodeEndpoint(endpoint.kind, endpoint.name) for endpoint in self.allows),
             run=given(self.run),
+            package=given(self.package),
             takes=given(self.takes_seconds),
             tolerates={port: form.tolerates for port, form in self.inputs.items() if form.tolerates is not UNSET},
             gate=given(self.gate),

@@ -189,6 +189,7 @@ class ComponentBuilder:
             },
             allows=tuple(dict.fromkeys(NodeEndpoint(ENDPOINT_KINDS[a.kind], a.name.text) for a in declaration.allows)),
             run=None if run is None else run.command.text,
+            package=None if run is None or run.package is None else run.package.text,
             takes=None if run is None or run.startup is None else run.startup.value,
             tolerates={each.name.text: int(each.tolerates.value) for each in declaration.inputs if each.tolerates},
             gate=next((gate for gate in GATES if run and run.gate and run.gate.text == gate), None),

@@ -50,7 +50,7 @@ class _Hover:
         if component is None:
             return
         if component.run is not None:
-            yield f"`{component.run}`"
+            yield f"`{component.run}`" + ("" if component.package is None else f" of package {component.package}")
         for name in component.input_order:
             yield f"input `{name} : {component.inputs[name]}`{_tolerance(component, name)}"
         for name in component.outputs:

@@ -58,9 +58,10 @@ class ComponentParser(ContractParser):
             words = self.rest_of_line()
             raise self.fail("a command in double quotes after `run`", f'write `run "{words}"`')
         command = self.text("a command in double quotes after `run`")
+        package = self.text("a package in double quotes after `package`") if self.accept_word("package") else None
         startup = self.seconds("a startup time") if self.accept_word("takes") else None
         gate = self._gate() if self.accept_word("gate") else None
-        return syntax.Run(command, startup, gate, self.since(start))
+        return syntax.Run(command, package, startup, gate, self.since(start))
 
     def _gate(self) -> syntax.Name | None:
         gate, start = self.name("`preload`, `lifecycle` or `none` after `gate`"), self.i - 1

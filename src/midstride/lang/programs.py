@@ -1,17 +1,20 @@
 """The files that components run: a warning for each that is not there.
 
-A program is started in the folder of the system's file, without a shell. Only a file that `run` names is looked up:
-what is on the search path is known on the robot alone.
+A program is started in the folder of the system's file, without a shell. Only a file that `run` names is looked up, or
+the executable of a package: what is on the search path is known on the robot alone.
 """
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
+from midstride.ament_index import executable
+from midstride.errors import StartFailed
 from midstride.model.diagnostics import Problem
 from midstride.model.near_miss import did_you_mean
 from midstride.model.specification import Specification
@@ -23,12 +26,19 @@ _WITH_VALUE: Final = ("-W", "-X")
 
 
 def missing_programs(specification: Specification, folder: Path) -> Iterator[Problem]:
-    """W161 for each `run` that names a file that is not there; ``folder`` is that of the system's file."""
+    """W161 for each `run` that names what is not there; ``folder`` is that of the system's file."""
     seen = set()
     for name, component in sorted(specification.components.items()):
-        if component.run is None or component.run in seen:
+        if component.run is None or (component.run, component.package) in seen:
             continue
-        seen.add(component.run)
+        seen.add((component.run, component.package))
+        if component.package is not None:
+            try:
+                executable(component.package, shlex.split(component.run)[0], os.environ)
+            except StartFailed as error:
+                message = f"component {name} runs `{component.run}`, but {error}"
+                yield Problem("W161", ("components", name, "package"), message)
+            continue
         for file in _files(shlex.split(component.run)):
             if not (folder / file).exists():
                 message = f"component {name} runs `{component.run}`, but there is no file {folder / file}"

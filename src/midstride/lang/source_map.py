@@ -92,6 +92,8 @@ def _component(declaration: syntax.ComponentDeclaration, rest: Subject) -> Span:
     match rest:
         case ["run"] if run is not None:
             return run.command.span
+        case ["package"] if run is not None and run.package is not None:
+            return run.package.span
         case ["takes_seconds"] if run is not None and run.startup is not None:
             return run.startup.span
         case ["gate"] if run is not None and run.gate is not None:

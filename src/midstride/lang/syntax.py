@@ -97,6 +97,7 @@ class ContractExpression(NamedTuple):
 
 class Run(NamedTuple):
     command: Name
+    package: Name | None
     startup: Number | None
     gate: Name | None
     span: Span

@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Final
 
+from midstride.ament_index import prefix_of, prefixes
 from midstride.launch_files.findings import UnknownValue
 
 MAX_FOLDERS: Final = 50_000
@@ -21,7 +22,7 @@ class Packages:
     """Installed packages are those of AMENT_PREFIX_PATH in ``environment``; ``folders`` have source trees."""
 
     def __init__(self, environment: Mapping[str, str], folders: Sequence[str]) -> None:
-        self._prefixes = [path for path in environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if path]
+        self._environment = environment
         self._folders = folders
 
     def share(self, name: str) -> str:
@@ -45,13 +46,10 @@ class Packages:
 
     def roots(self) -> list[str]:
         """The folders below which launch files of packages are."""
-        return [*(os.path.join(prefix, "share") for prefix in self._prefixes), *self._folders]
+        return [*(os.path.join(prefix, "share") for prefix in prefixes(self._environment)), *self._folders]
 
     def _installed(self, name: str) -> str | None:
-        index = os.path.join("share", "ament_index", "resource_index", "packages", name)
-        if not _PACKAGE.fullmatch(name):
-            return None
-        return next((prefix for prefix in self._prefixes if os.path.isfile(os.path.join(prefix, index))), None)
+        return prefix_of(name, self._environment) if _PACKAGE.fullmatch(name) else None
 
     @cached_property
     def _sources(self) -> dict[str, str]:

@@ -177,8 +177,9 @@ class NodeEndpoint:
 class ComponentSpec:
     """A component type. Two are the same implementation iff their *bodies* are equal, whatever the names.
 
-    ``run`` is the command that starts it (None: it is started elsewhere), ``startup_seconds`` how long that takes
-    (s), where known. ``tolerates``: how many missed messages in succession an input tolerates, where stated.
+    ``run`` is the command that starts it (None: it is started elsewhere), ``package`` the ROS 2 package of which its
+    program is an executable, if any, ``startup_seconds`` how long the start takes (s), where known. ``tolerates``: how
+    many missed messages in succession an input tolerates, where stated.
     ``gate``: what holds back the outputs of a program that does not use Midstride's API (None: it does use it), and
     ``topics`` the names that such a program has for its ports, where they are not the ports' own.
     """
@@ -197,6 +198,7 @@ class ComponentSpec:
     tolerates: Map[str, int] = field(default_factory=Map)
     gate: Gate | None = None
     topics: Map[str, str] = field(default_factory=Map)
+    package: str | None = None
     _owners: dict[str, FunctionalitySpec] = field(init=False, compare=False, repr=False)
     _users: dict[str, list[FunctionalitySpec]] = field(init=False, compare=False, repr=False)
     _outputs: frozenset[str] = field(init=False, compare=False, repr=False)
@@ -229,6 +231,7 @@ class ComponentSpec:
         tolerates: Mapping[str, int] | None = None,
         gate: Gate | None = None,
         topics: Mapping[str, str] | None = None,
+        package: str | None = None,
     ) -> ComponentSpec:
         """Build one from plain values, keeping the order of declaration."""
         inputs = inputs or {}
@@ -247,6 +250,7 @@ class ComponentSpec:
             tolerates=Map(tolerates or {}),
             gate=gate,
             topics=Map(topics or {}),
+            package=package,
         )
 
     def __iter__(self) -> Iterator[FunctionalitySpec]:
@@ -323,6 +327,7 @@ class ComponentSpec:
             self.resource_usage,
             frozenset(self.allows),
             self.run,
+            self.package,
             self.gate,
             self.topics,
         )

@@ -82,6 +82,8 @@ def _component_names(component: ComponentSpec, path: Path) -> Iterator[Problem]:
             yield Problem("E006", (*path, "parameters", name), f"`{name}` is not a valid parameter name")
     if component.run is not None:
         yield from _command(component.run, (*path, "run"))
+    if component.package is not None:
+        yield from _package(component, component.package, path)
 
 
 def _repeated(names: Sequence[str]) -> list[str]:
@@ -100,6 +102,16 @@ def _command(text: str, path: Path) -> Iterator[Problem]:
         return
     if not words:
         yield Problem("E009", path, "the command is empty", "omit it if the component is started elsewhere")
+
+
+def _package(component: ComponentSpec, package: str, path: Path) -> Iterator[Problem]:
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", package):
+        yield Problem("E009", (*path, "package"), f"`{package}` is not a valid package name")
+    if component.run is None:
+        yield Problem("E009", (*path, "package"), "a package is stated without an executable", "name it: `run`")
+    elif "/" in component.run.partition(" ")[0]:
+        message = f"`{component.run}` names a file, and package {package} is stated, which has executables"
+        yield Problem("E009", (*path, "run"), message, "name the executable alone, or omit the package")
 
 
 def _functionality_names(component: ComponentSpec, functionality: FunctionalitySpec, path: Path) -> Iterator[Problem]:

@@ -125,6 +125,7 @@ def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterat
     for what, old, new in (
         ("run", before.run, after.run),
         ("takes", before.startup_seconds, after.startup_seconds),
+        ("package", before.package, after.package),
         ("gate", before.gate, after.gate),
     ):
         if old != new:

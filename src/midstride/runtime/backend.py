@@ -26,6 +26,7 @@ class Launch:
     ``set_parameters`` are values that were set while its predecessor ran; they take precedence over ``parameters``.
     ``node`` is the name of its ROS node where the platform allows two nodes of one name, by default the instance's.
     ``standby``: another instance of that node answers requests until the new one is sent ``answer``.
+    ``package``: the program is an executable of that package, where the platform has such.
     ``foreign``: the component, where its program does not use Midstride's API; ``topics`` then has those of its ports.
     """
 
@@ -40,6 +41,7 @@ class Launch:
     standby: bool = False
     foreign: ComponentSpec | None = None
     topics: dict[str, str] = field(default_factory=dict)
+    package: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

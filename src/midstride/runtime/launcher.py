@@ -104,6 +104,10 @@ class Launcher:
         if gate is not None and self._backend.name != "ros2":
             self._forget_start(name)
             raise StartFailed(f"{name} has a gate (`gate {gate}`), and the back end {self._backend.name} has none")
+        package = instance.component.package
+        if package is not None and self._backend.name != "ros2":
+            self._forget_start(name)
+            raise StartFailed(f"{name} is in package {package}, which the back end {self._backend.name} cannot look up")
         try:
             arguments = tuple(shlex.split(command))
             if not arguments:
@@ -115,7 +119,18 @@ class Launcher:
             # A program without Midstride's API has the instance's name: nothing in it could answer for the role.
             node, foreign = (instance.role, None) if gate is None else (name, instance.component)
             launch = Launch(
-                name, namespace, arguments, token, directory, parameters, set_values, node, standby, foreign, {**topics}
+                name,
+                namespace,
+                arguments,
+                token,
+                directory,
+                parameters,
+                set_values,
+                node,
+                standby,
+                foreign,
+                {**topics},
+                package,
             )
             self.handles[name] = await self._backend.start(launch)
         except ValueError as error:
@@ -138,6 +153,7 @@ class Launcher:
             return False
         return (
             instance.component.gate is None
+            and instance.component.package is None
             and bool(arguments)
             and self._backend.takes_spare(arguments, self._directory)
         )

@@ -51,14 +51,24 @@ def with_stand_ins(specification: Specification, stateless: Collection[str] = ()
 def _stand_in(component: ComponentSpec, keeps_state: bool) -> ComponentSpec:
     if component.run is None:
         return component
+    plain = _with_the_api(component)
     described = {
-        "component": encode_component(replace(component, run=None, gate=None, topics=Map())),
+        "component": encode_component(replace(plain, run=None)),
         "keeps_state": keeps_state,
         "stateless": not keeps_state,
     }
     word = f"{component.name}-{zlib.crc32(json.dumps(described).encode()):08x}"
     _described[word] = component, described
-    return replace(component, run=" ".join([*_PROGRAM, word]), gate=None, topics=Map())
+    return replace(plain, run=" ".join([*_PROGRAM, word]))
+
+
+def _with_the_api(component: ComponentSpec) -> ComponentSpec:
+    """The same for a program that uses Midstride's API, which has no gate and sets parameters in its code."""
+    functionalities = {
+        each.name: replace(each, modes=tuple(replace(mode, parameters=Map()) for mode in each.modes))
+        for each in component
+    }
+    return replace(component, functionalities=Map(functionalities), gate=None, topics=Map(), package=None)
 
 
 @cache

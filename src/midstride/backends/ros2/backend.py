@@ -22,6 +22,7 @@ from rclpy.context import Context
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
+from midstride.ament_index import executable
 from midstride.backends import processes
 from midstride.backends.common import on_new_thread
 from midstride.backends.processes import ProcessBackend
@@ -106,7 +107,11 @@ class Ros2Backend(ProcessBackend):
     async def start(self, launch: Launch) -> Handle:
         full_name = names.full(launch.instance, launch.namespace)
         node = names.full(launch.node or launch.instance, launch.namespace)
-        command = processes.command(launch.arguments, launch.directory, os.environ, self._python)
+        program, *rest = launch.arguments
+        if launch.package is None:
+            command = processes.command(launch.arguments, launch.directory, os.environ, self._python)
+        else:
+            command = (executable(launch.package, program, os.environ), *rest)
         graph = self._joined()
         await asyncio.sleep(max(0.0, self._opened + _LISTEN - time.monotonic()))
         if (
