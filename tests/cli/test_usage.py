@@ -331,6 +331,23 @@ def test_the_plans_of_every_strategy_are_compared_on_one_time_axis(capsys: pytes
     ]
 
 
+def test_a_plan_is_explained_with_what_it_would_cost_to_keep_what_falls(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = json.loads(Path(TALKER).read_text())
+    document["resources"] = {"gpu": {"capacity": 1}}
+    for name in ("Talker", "NewTalker"):
+        document["components"][name]["holds"] = {"gpu": 1}
+    file = tmp_path / "talker.json"
+    file.write_text(json.dumps(document))
+    status, out, err = run(capsys, "plan", str(file), "--replace", "talker=NewTalker", "--explain")
+    assert (status, err) == (0, "")
+    assert "`create talker_2 (NewTalker)` has to wait: resource gpu: 2 held by talker, talker_2" in out
+    assert "It cannot be kept at normal: no plan was found" in out
+    status, _, err = run(capsys, "plan", str(file), "--replace", "talker=NewTalker", "--explain", "--compare")
+    assert status == 2 and "--explain" in err
+
+
 def test_a_strategy_that_refuses_does_not_hide_the_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     document = json.loads(Path(TALKER).read_text())
     document["constraints"] = [{"keep": "listener.listen", "at": "normal"}]

@@ -126,6 +126,7 @@ def falls(document: Document) -> str:
 
 def _fall(document: Document, fall: Document) -> str:
     steps: list[Document] = document["steps"]
+    name = fall["functionality"]
     since, until = fall["from_step"], fall["to_step"]
     where = f"steps {since} to {until}" if until is not None else f"from step {since} on"
     mode = _mode_entered(steps[since - 1], fall["functionality"]) if since else None
@@ -133,7 +134,20 @@ def _fall(document: Document, fall: Document) -> str:
     unserved = fall.get("unserved_from_step")
     if mode and unserved is not None:
         depth += f", unserved from step {unserved} on,"
-    return f"{fall['functionality']}{depth} for about {seconds(fall['seconds'])} ({where})\n  {fall['because']}"
+    head = f"{fall['functionality']}{depth} for about {seconds(fall['seconds'])} ({where})"
+    lines = [head, fall["because"], *fall.get("forced_by", ())]
+    lines += [_alternative(each) for each in document.get("alternatives") or () if each["functionality"] == name]
+    return "\n  ".join(lines)
+
+
+def _alternative(alternative: Document) -> str:
+    """What it would cost to keep a functionality."""
+    mode = alternative["kept_at"]
+    if alternative["impossible"] is not None:
+        return f"It cannot be kept at {mode}: {alternative['impossible']}"
+    instead = _listed(alternative["fallen"]) if alternative["fallen"] else "nothing"
+    cost = f"the disruption would be {alternative['disruption']:.3g}"
+    return f"To keep it at {mode}, {cost}: {instead} would degrade instead"
 
 
 def _mode_entered(step: Document, functionality: str) -> str | None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Annotated
 
 import msgspec
 
 from midstride.codec.form import Form, field
-from midstride.model.action import Degrade
+from midstride.model.action import Attach, Create, Degrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.rules import Evaluator
@@ -33,6 +33,10 @@ class Degradation(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=
     unserved: Annotated[
         int | None, field("a step", "from which on no instance serves it; null where one always does")
     ] = msgspec.field(name="unserved_from_step")
+    forced_by: Annotated[
+        list[str],
+        field("a list of texts", "the capacities and caps that keep the new side from coming first"),
+    ] = []
 
 
 class LevelShift(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
@@ -80,8 +84,11 @@ def degradations(change: Change, steps: Sequence[Step]) -> tuple[Degradation, ..
     def close(ref: FunctionalityRef, meter: DisruptionMeter, until: int | None) -> None:
         since = begun.pop(ref)
         seconds = round(meter.seconds(ref) - spent[ref], DIGITS)
-        because = _because(steps, configurations, ref, since)
-        found.append(Degradation(str(ref), since, until, seconds, because, unserved.pop(ref, None)))
+        because, cause = _because(steps, configurations, ref, since)
+        last = len(steps) if until is None else until
+        window, before = steps[max(since - 1, 0) : last], configurations[max(since - 1, 0)]
+        forced_by = [] if cause is None else list(_forced_by(window, before, cause))
+        found.append(Degradation(str(ref), since, until, seconds, because, unserved.pop(ref, None), forced_by))
 
     for number, (step, (_, meter)) in enumerate(zip(steps, track[1:], strict=True), start=1):
         for moved in meter.changes:
@@ -97,20 +104,35 @@ def degradations(change: Change, steps: Sequence[Step]) -> tuple[Degradation, ..
     return tuple(sorted(found, key=lambda each: (each.since, each.functionality)))
 
 
-def _because(steps: Sequence[Step], configurations: Sequence[Configuration], ref: FunctionalityRef, since: int) -> str:
-    """The reason: the assumption that would not be satisfied if the functionality stayed in its mode."""
+def _because(
+    steps: Sequence[Step], configurations: Sequence[Configuration], ref: FunctionalityRef, since: int
+) -> tuple[str, Step | None]:
+    """The assumption that would be violated if the functionality stayed in its mode; and the step that causes that."""
     if since == 0:
-        return "it is already below when the plan begins"
+        return "it is already below when the plan begins", None
     step, before = steps[since - 1], configurations[since - 1]
     if not isinstance(step.action, Degrade):
-        return f"after `{step.describe()}`, no instance of {ref.instance} serves it"
+        return f"after `{step.describe()}`, no instance of {ref.instance} serves it", step
     degraded = (live for live in sorted(step.action.modes) if live.functionality == ref.functionality)
     live = next((live for live in degraded if before.instances[live.instance].role == ref.instance), None)
     number = next((n for n, later in enumerate(steps[since:], start=since + 1) if later.is_structural), None)
     if number is None:
-        return "the strategy degrades it"
-    after, next_step = configurations[number], f"step {number} (`{steps[number - 1].describe()}`)"
+        return "the strategy degrades it", None
+    after, cause = configurations[number], steps[number - 1]
+    next_step = f"step {number} (`{cause.describe()}`)"
     if live is not None and live.instance in after.instances:
         for violation in Evaluator(after, {live: before.modes[live]}).violations_of([live]):
-            return f"in mode {before.mode(live).name}, {live} {violation.because}, after {next_step}"
-    return f"the strategy degrades it before {next_step}, although it loses nothing there"
+            return f"in mode {before.mode(live).name}, {live} {violation.because}, after {next_step}", cause
+    return f"the strategy degrades it before {next_step}, although it loses nothing there", None
+
+
+def _forced_by(steps: Sequence[Step], before: Configuration, cause: Step) -> Iterator[str]:
+    """What keeps the roles of ``cause`` from creating and attaching ``before`` it what they do only after it."""
+    found: dict[str, None] = {}
+    for step in steps:
+        if isinstance(step.action, (Create, Attach)) and set(step.roles) & set(cause.roles):
+            for reason in step.action.check(before):
+                if reason.precondition in ("capacity", "cap"):
+                    found[f"`{step.describe()}` has to wait: {reason}"] = None
+            before = step.action.effect(before)
+    yield from found

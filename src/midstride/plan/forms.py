@@ -18,6 +18,7 @@ from midstride.model.configuration import Configuration, configure
 from midstride.model.diagnostics import Problem
 from midstride.model.name_checks import specification_names
 from midstride.model.specification import Specification
+from midstride.plan.alternatives import Alternative, alternatives
 from midstride.plan.change import Change
 from midstride.plan.change_builder import change_between
 from midstride.plan.explain import Degradation, LevelShift
@@ -69,6 +70,11 @@ class PlanCosts(PlanPart, frozen=True, kw_only=True):
     afterwards: Annotated[list[LevelShift], field("a list", "what is in another mode for good")] = []
 
 
+Alternatives: TypeAlias = Annotated[
+    list[Alternative], field("a list", "what it would cost to keep what falls, where that was asked for")
+]
+
+
 class PlanPreview(PlanCosts, frozen=True, kw_only=True):
     """A plan without the specifications that it starts from and leads to."""
 
@@ -89,6 +95,7 @@ class PlanForm(PlanCosts, frozen=True, kw_only=True):
 
     start: SpecificationForm
     target: SpecificationForm
+    alternatives: Alternatives | UnsetType = UNSET
     steps: Steps
     running: Running | UnsetType = UNSET
     standing: Standing | UnsetType = UNSET
@@ -139,9 +146,9 @@ def _standing(configuration: Configuration) -> dict[str, str]:
     return {str(ref): configuration.mode(ref).name for ref in sorted(modes) if modes[ref] != highest[ref]}
 
 
-def encode_plan(plan: Plan) -> Document:
-    """The document of the whole plan, both specifications included."""
-    return encode(PlanForm.of(plan))
+def encode_plan(plan: Plan, *, explain: bool = False) -> Document:
+    """The document of the whole plan, both specifications included; ``explain`` adds the alternatives."""
+    return encode(PlanForm.of(plan, alternatives=alternatives(plan) if explain else UNSET))
 
 
 def decode_plan(document: object) -> Plan:

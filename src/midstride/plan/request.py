@@ -19,6 +19,7 @@ class PlanRequest:
     A role in ``replace`` or ``restart`` gets a new instance, also of the same component: its program may have changed.
     ``restart`` may accompany a whole specification.
     With ``declared_parameters``, parameter values that were set at run time are not kept.
+    ``explain``: a plan that is only shown says what it would cost to keep what it degrades.
     ``restore``: only raise these functionalities of instances, to these modes.
     """
 
@@ -31,6 +32,7 @@ class PlanRequest:
     strategy: str = "minimal"
     declared_parameters: bool = False
     restore: tuple[tuple[FunctionalityRef, int], ...] = ()
+    explain: bool = False
 
     def target(self, specification: Specification) -> Specification:
         """The specification to change to. Raises PlanRefused for an unknown name or a malformed declaration."""

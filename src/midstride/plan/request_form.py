@@ -42,6 +42,9 @@ class ChangeRequest(Form, frozen=True):
     declared_parameters: Annotated[
         bool, field("a boolean", "start with the declared values of parameters, not with those set at run time")
     ] = False
+    explain: Annotated[
+        bool, field("a boolean", "for a plan that is only shown: what it would cost to keep what it degrades")
+    ] = False
 
     def request(self) -> PlanRequest:
         """The request as the planners know it; names are not checked. Raises ValueError as the parts do."""
@@ -54,6 +57,7 @@ class ChangeRequest(Form, frozen=True):
             components=tuple(form.declared() for form in self.components),
             strategy=self.strategy,
             declared_parameters=self.declared_parameters,
+            explain=self.explain,
         )
 
 

@@ -19,6 +19,7 @@ from starlette.requests import ClientDisconnect
 from midstride import __version__
 from midstride.codec.specification import SpecificationForm
 from midstride.errors import MidstrideError, SpecificationError
+from midstride.plan.alternatives import alternatives
 from midstride.plan.request_form import ChangeRequest
 from midstride.runtime.history import History, SpecificationVersion
 from midstride.runtime.reports import (
@@ -186,7 +187,12 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
         lifecycle.require_up()
         revision = manager.revision
         found = await manager.plan(request)
-        return await asyncio.to_thread(lambda: answer(PlannedChange.of(found, revision=revision)))
+
+        def response() -> Response:
+            more = {"alternatives": alternatives(found)} if request.explain else {}
+            return answer(PlannedChange.of(found, revision=revision, **more))
+
+        return await asyncio.to_thread(response)
 
     @router.post("/change", responses=answers(Outcome, body=True), openapi_extra=request_body(SubmittedChange))
     async def change(http: Request) -> Response:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from math import inf, nan
 from pathlib import Path
 from typing import Any
@@ -14,17 +15,18 @@ from rich.console import RenderableType
 
 from midstride.cli import render, render_comparison
 from midstride.cli.change_options import STRATEGIES, declared_parameters_option
-from midstride.cli.client import Document
+from midstride.cli.client import Client, Document
 from midstride.cli.files import load
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.planned_change import planned_change, planned_change_options
 from midstride.cli.systems import find, system_option
 from midstride.codec.specification import encode_specification
 from midstride.errors import MidstrideError
-from midstride.model.specification import initial
+from midstride.model.specification import Specification, initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.forms import encode_plan
 from midstride.plan.registry import planner
+from midstride.plan.request import PlanRequest
 from midstride.plan.request_form import decode_request
 
 
@@ -43,6 +45,7 @@ def _seconds(_context: click.Context, _parameter: click.Parameter, text: str | N
 @click.argument("file", required=False, type=click.Path(path_type=Path))
 @planned_change_options
 @click.option("--compare", is_flag=True, help="Show the plans of every strategy side by side, on a time axis.")
+@click.option("--explain", is_flag=True, help="Say what it would cost to keep what degrades, if that is possible.")
 @click.option("--within", metavar="SECONDS", callback=_seconds, help="How long to search for the proof of minimality.")
 @declared_parameters_option
 @system_option
@@ -51,6 +54,7 @@ def plan_command(
     file: Path | None,
     to: Path | None,
     compare: bool,
+    explain: bool,
     within: float | None,
     declared_parameters: bool,
     system: str | None,
@@ -71,6 +75,8 @@ def plan_command(
     midstride plan talker.json --replace talker=NewTalker --compare
     """
     context = click.get_current_context()
+    if compare and explain:
+        raise click.UsageError("--compare and --explain cannot be combined: --explain is about one plan")
     if compare and context.get_parameter_source("strategy") is not ParameterSource.DEFAULT:
         raise click.UsageError("--compare shows every strategy: leave --strategy out")
     described = planned_change(to, **options)
@@ -79,28 +85,13 @@ def plan_command(
         raise click.UsageError(f"{option} is for the running system: leave FILE out")
     if file is None and within is not None:
         raise click.UsageError("--within needs FILE: the manager of a running system does not search for long")
-    asked: Document = {**described, "declared_parameters": declared_parameters}
+    asked: Document = {**described, "declared_parameters": declared_parameters, "explain": explain}
     request = replace(decode_request(asked), to=None if to is None else load(to))
     if file is None:
         client, workspace = find(system)
-        new = {} if request.to is None else {"to": encode_specification(request.to)}
-        name = workspace.name
-
-        def planned(strategy: str) -> Document:
-            document: Document = client.post("/plan", {**asked, **new, "strategy": strategy})
-            return document
-
+        name, planned = workspace.name, partial(_for_running, client, request.to, asked)
     else:
-        specification = load(file)
-        name = file.name
-
-        def planned(strategy: str) -> Document:
-            asked = replace(request, strategy=strategy)
-            target = asked.target(specification)
-            start, renewed = initial(specification), asked.renewed(target)
-            change = change_between(start, specification, target, renewed=renewed)
-            return encode_plan(planner(strategy, within)(change))
-
+        name, planned = file.name, partial(_for_file, load(file), request, within)
     title = f"from {name} to {to.name}" if to else f"{name}: {request.describe()}"
     if compare:
         documents = {strategy: _or_refused(planned, strategy) for strategy in STRATEGIES}
@@ -116,6 +107,19 @@ def plan_command(
     else:
         console().print(shown)
     return 0
+
+
+def _for_running(client: Client, to: Specification | None, asked: Document, strategy: str) -> Document:
+    new = {} if to is None else {"to": encode_specification(to)}
+    document: Document = client.post("/plan", {**asked, **new, "strategy": strategy})
+    return document
+
+
+def _for_file(specification: Specification, request: PlanRequest, within: float | None, strategy: str) -> Document:
+    request = replace(request, strategy=strategy)
+    target = request.target(specification)
+    change = change_between(initial(specification), specification, target, renewed=request.renewed(target))
+    return encode_plan(planner(strategy, within)(change), explain=request.explain)
 
 
 def _or_refused(planned: Callable[[str], Document], strategy: str) -> Document:
