@@ -291,11 +291,16 @@ def test_what_only_ros_can_name_is_passed_in_the_command(tmp_path: Path) -> None
         <node exec="./a" name="a" launch-prefix="nice -n 5">
           <env name="LD_PRELOAD" value=""/><param name="plugins/x" value="'7'"/>
         </node>
-        <node exec="./b" name="b"><env name="LD_PRELOAD" value="libx.so"/></node>""",
+        <node pkg="p" exec="b" name="b"><env name="LD_PRELOAD" value="libx.so"/></node>""",
     )
-    assert kinds(found) == ["unsupported"]
+    assert kinds(found) == ["package", "unsupported"]
     assert commands(found, tmp_path) == {
         "a": "env 'MODE=a b' nice -n 5 ./a --ros-args -p 'plugins/x:=\"7\"'",
-        "b": "env 'MODE=a b' ./b",
+        "b": "env 'MODE=a b' ros2 run p b",
     }
     assert found.text.count("use_sim_time = true") == 2
+
+
+def test_a_lifecycle_node_has_its_gate(tmp_path: Path) -> None:
+    found = of_xml(tmp_path, '<lifecycle_node pkg="nav" exec="map" name="map" namespace=""/>')
+    assert 'run "map" package "nav" gate lifecycle' in found.text and kinds(found) == ["package"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Final
@@ -18,7 +17,6 @@ from midstride.model.component import ParameterValue
 
 MAX_STRING: Final = 8000
 _PARAMETER: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*")
-_PACKAGE: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 _WORD: Final = re.compile(r"[A-Za-z0-9]+")
 
 
@@ -121,13 +119,12 @@ def _body(node: LaunchedNode, parameters: LaunchedParameters, findings: ImportFi
             values.append(f"{name} = {text}")
         else:  # not a name in the language, but one in ROS
             more += ["-p", f"{name}:={text}"]
-    words, package = node.words(more), ""
-    if words[:2] == ["ros2", "run"] and _PACKAGE.fullmatch(words[2]) and "/" not in words[3]:
-        words, package = words[3:], f'package "{words[2]}" '
-    command = quoted(shlex.join(words))
+    run, package = node.run(more)
+    command = quoted(run)
     if command is None:
         findings.add("unsupported", f"the command of `{node.role}` cannot be written; it is `false`", node.span)
-    lines = [f"run {command or quoted('false')} {package}gate preload"]
+    of_package = f" package {quoted(package)}" if package and command else ""
+    lines = [f"run {command or quoted('false')}{of_package} gate {node.gate}"]
     lines += [f"parameters {quoted(os.path.relpath(path, folder))}" for path in parameters.files]
     return [*lines, "parameters {", *values, "}"] if values else lines
 
