@@ -46,6 +46,10 @@ class SimulatedNode:
     rejects: dict[str, str] = field(default_factory=dict)
     state: str = UNCONFIGURED
     hung: bool = False
+    closed: bool = False
+
+    def close(self) -> None:
+        self.closed = True
 
     async def _answers(self, timeout: float) -> None:
         if self.hung:

@@ -15,6 +15,9 @@ class NoAnswer(BackendError):
 class NodeServices(Protocol):
     """The services that a node of ROS 2 has without code of its author. Times are in s; each raises NoAnswer."""
 
+    def close(self) -> None:
+        """Nothing is asked any more."""
+
     async def lifecycle_state(self, timeout: float) -> str:
         """The label of the state: `unconfigured`, `inactive`, `active`, `finalized`, or that of a transition."""
 
