@@ -58,7 +58,7 @@ class _Visitor:
         node._perform_substitutions(self._context)
         full = node.node_name.replace(node.UNSPECIFIED_NODE_NAMESPACE, "").strip("/")
         namespace, _, name = full.rpartition("/")
-        parameters = []
+        parameters: list[tuple[str, str | None]] = []
         for value, is_file in node._Node__expanded_parameter_arguments or ():
             if not is_file:
                 self.left.append(("parameters", f"a parameter of `{full}` is left out: it is stated by a description"))
