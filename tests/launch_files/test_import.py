@@ -368,3 +368,16 @@ def test_nodes_of_a_launch_file_in_python(tmp_path: Path, monkeypatch: pytest.Mo
 def test_a_launch_file_in_python_that_cannot_be_carried_out(tmp_path: Path, script: str, why: str) -> None:
     with pytest.raises(UnknownValue, match=why):
         python_files.carried_out("a.launch.py", {}, "", {}, runner=(sys.executable, "-c", script))
+
+
+def test_names_that_are_words_of_the_language(tmp_path: Path) -> None:
+    """A namespace keeps its name, as a path; parameters do anyway."""
+    found = of_xml(
+        tmp_path,
+        """<node exec="./a" name="a" namespace="system">
+          <param name="mode" value="1"/><param name="a.topic" value="2"/>
+        </node>
+        <node exec="./b" name="b" namespace="node/input"/>""",
+    )
+    assert kinds(found) == [] and set(commands(found, tmp_path)) == {"system/a", "node/input/b"}
+    assert "mode = 1" in found.text and "a.topic = 2" in found.text
