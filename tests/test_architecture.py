@@ -45,6 +45,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "testing": EVERY - {"server", "cli", "simulation"},
     "simulation": EVERY - {"server", "cli"},
     "": EVERY - {"server", "cli", "testing", "simulation"},
+    "launch": frozenset({"backends"}),
     "__main__": frozenset({"cli"}),
 }
 

@@ -2,13 +2,127 @@
 
 from __future__ import annotations
 
+import re
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
-from tests.acceptance.foreign_support import robot, talkers
+from midstride.lang.load import load
+from tests.acceptance.foreign_support import TALKER, Robot, robot, talkers
 from tests.acceptance.support import ended
 from tests.backends.ros2_support import run
+
+# What is not let in: a program, in plain rclpy, that differs from the talker in one way.
+FAULTY = """
+import sys, time
+import rclpy
+from rclpy.node import Node
+from std_msgs.msg import Int32, String
+
+kind = sys.argv[1]
+rclpy.init()
+node = Node("talker")
+publisher = node.create_publisher(Int32 if kind == "type" else String, "chatter", 10)
+count = 0
+
+def talk():
+    global count
+    count += 1
+    if kind == "dies" and publisher.get_subscription_count():
+        sys.exit(7)
+    if kind == "hangs" and count > 10:
+        time.sleep(1000)
+    publisher.publish(Int32(data=count) if kind == "type" else String(data=f"{node.get_name()} {count}"))
+
+node.create_timer(0.04 if kind == "half" else 0.02, talk)
+rclpy.spin(node)
+"""
+REASONS = {
+    "dies": "talker_2 ",
+    "hangs": "has written nothing",
+    "half": "does not keep the 50 Hz",
+    "type": "node /talker_2 publishes std_msgs/msg/Int32 on /chat, and output out of Type is declared as std_msgs",
+    "qos": "node /talker_2 publishes on /chat with reliable, volatile, and output out of Qos is declared with",
+}
+
+# Two outputs with a rate, and one that is written once; with the API, and without.
+SEVERAL_PLAIN = """
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
+
+rclpy.init()
+node = Node("several")
+latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+counts = {"fast": 0, "slow": 0}
+publishers = {name: node.create_publisher(String, name, 10) for name in counts}
+once = node.create_publisher(String, "once", latched)
+
+def talk(name):
+    counts[name] += 1
+    publishers[name].publish(String(data=f"{node.get_name()} {counts[name]}"))
+
+once.publish(String(data=f"{node.get_name()} 1"))
+node.create_timer(0.02, lambda: talk("fast"))
+node.create_timer(0.05, lambda: talk("slow"))
+rclpy.spin(node)
+"""
+SEVERAL_OURS = """
+import os
+
+from midstride import Component, QoS
+from std_msgs.msg import String
+
+comp = Component("Ours")
+name = os.environ["MIDSTRIDE_INSTANCE"]
+counts = {"fast": 0, "slow": 0}
+
+def functionality(port, rate):
+    output = comp.create_output(port, String)
+    def talk():
+        counts[port] += 1
+        output.write(String(data=f"{name} {counts[port]}"))
+    made = comp.create_functionality(f"talk_{port}", outputs=[output])
+    made.set_normal_mode(talk, rate=rate, outputs=[output])
+    made.set_degraded_mode(lambda: None)
+
+functionality("fast", 50)
+functionality("slow", 20)
+once = comp.create_output("once", String, qos=QoS(durability="transient_local"))
+latch = comp.create_functionality("latch", outputs=[once])
+latch.set_normal_mode(lambda: once.write(String(data=f"{name} 1")), outputs=[once])
+latch.set_degraded_mode(lambda: None)
+comp.start()
+"""
+SEVERAL = """system several
+topic /fast : std_msgs/msg/String @ 50 Hz
+topic /slow : std_msgs/msg/String @ 20 Hz
+topic /once : std_msgs/msg/String qos(durability = transient_local)
+
+component Plain {
+  run "python3 plain.py" gate preload
+  output fast
+  output slow
+  output once
+  functionality talk_fast {
+    produces fast
+    mode normal { guarantee fast : std_msgs/msg/String @ 50 Hz }
+    mode degraded { }
+  }
+  functionality talk_slow {
+    produces slow
+    mode normal { guarantee slow : std_msgs/msg/String @ 20 Hz }
+    mode degraded { }
+  }
+  functionality latch {
+    produces once
+    mode normal { guarantee once : std_msgs/msg/String qos(durability = transient_local) }
+    mode degraded { }
+  }
+}
+"""
 
 pytestmark = [pytest.mark.ros2, pytest.mark.full, pytest.mark.timeout(240)]
 
@@ -38,6 +152,67 @@ def test_a_node_hands_over_to_a_component_and_back(tmp_path: Path, first: str, k
             assert system.changes() == [("talker", "talker_2"), ("talker_2", "talker_3")]
             assert system.holes() == []
             assert (await system.manager.status()).valid
+
+    with ended():
+        run(scenario(), 200)
+
+
+def test_a_node_that_is_not_what_was_declared_is_not_let_in(tmp_path: Path) -> None:
+    """It dies, hangs or is too slow behind its gate, or has another type or QoS: the old one never stops."""
+    specification = talkers(tmp_path, timing="timing { probation 1 s  probation_timeout 5 s }")
+    (tmp_path / "faulty.py").write_text(FAULTY, encoding="utf-8")
+    text = (tmp_path / "swaps.stride").read_text(encoding="utf-8")
+    for kind in REASONS:
+        words = TALKER % (kind.capitalize(), f"python3 faulty.py {kind}", " as chatter", 50)
+        words = words.replace(f'{kind}"', f'{kind}" gate preload')
+        text += words if kind != "qos" else words.replace("50 Hz", "50 Hz qos(durability = transient_local)")
+    (tmp_path / "swaps.stride").write_text(text, encoding="utf-8")
+    specification = load(tmp_path / "swaps.stride").require()
+
+    async def scenario() -> None:
+        async with robot(specification, tmp_path) as system:
+            for kind, reason in REASONS.items():
+                outcome = await system.change(kind.capitalize())
+                assert outcome.outcome == "rolled_back", (kind, outcome)
+                assert re.search(reason, outcome.because or ""), (kind, outcome.because)
+                await system.hears()
+            assert {name for _, name, _ in system.heard} == {"talker"}
+            assert system.holes() == []
+            assert (await system.manager.status()).valid
+
+    with ended():
+        run(scenario(), 200)
+
+
+def test_several_outputs_change_together_and_what_is_written_once_is_written_at_the_change(tmp_path: Path) -> None:
+    (tmp_path / "plain.py").write_text(SEVERAL_PLAIN, encoding="utf-8")
+    (tmp_path / "ours.py").write_text(SEVERAL_OURS, encoding="utf-8")
+    ours = SEVERAL[SEVERAL.index("component") :].replace("component Plain", "component Ours")
+    ours = ours.replace('"python3 plain.py" gate preload', '"python3 ours.py"')
+    attached = "node talker : Plain { fast -> /fast, slow -> /slow, once -> /once }\n"
+    (tmp_path / "several.stride").write_text(SEVERAL + ours + attached, encoding="utf-8")
+
+    async def scenario() -> None:
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from std_msgs.msg import String
+
+        latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        once: list[str] = []
+        async with robot(load(tmp_path / "several.stride").require(), tmp_path, "/fast") as system:
+            slow = Robot(system.folder, system.manager, system.bare)
+            system.bare.node.create_subscription(String, "/slow", slow.hear, 1000)
+            system.bare.node.create_subscription(String, "/once", lambda said: once.append(said.data), latched)
+            await slow.hears()
+            await system.bare.until(lambda: once == ["talker 1"])
+            names = ["talker", "talker_2", "talker_3", "talker_2"]
+            for number, component in enumerate(("Plain", "Ours", "Plain"), 1):
+                await system.replaced(component)
+                await slow.hears()
+                await system.bare.until(lambda name=f"{names[number]} 1": once[-1] == name)  # type: ignore[misc]
+            assert once == [f"{name} 1" for name in names]
+            for heard in (system, slow):
+                assert heard.changes() == list(pairwise(names))
+                assert heard.holes() == []
 
     with ended():
         run(scenario(), 200)

@@ -33,6 +33,7 @@ int main(int count, char **arguments)
   require(rcl_node_init(&node, "c_talker", "", &context, &node_options), "node");
   rcl_publisher_t publishers[MOST];
   rcl_publisher_options_t publisher_options = rcl_publisher_get_default_options();
+  publisher_options.qos.depth = 1000; /* a listener may be late */
   int topics = 0;
   while (topics < MOST && topics + 2 < count && strcmp(arguments[topics + 2], "--ros-args") != 0) {
     publishers[topics] = rcl_get_zero_initialized_publisher();

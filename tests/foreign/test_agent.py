@@ -16,6 +16,7 @@ from midstride.codec.component import NamedComponentForm
 from midstride.errors import CommandRefused
 from midstride.foreign.agent import ForeignAgent
 from midstride.foreign.gates import Gates
+from midstride.foreign.graph_check import NodeGraph
 from midstride.foreign.record import ForeignRecord
 from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode
 from midstride.model.contract import Predicate
@@ -37,9 +38,10 @@ TALKER = ComponentSpec.of("Talker", outputs=("out",), functionalities=(TALK,), r
 class Nodes:
     """Nodes at 200 Hz with their agents, and a manager's connections to these."""
 
-    def __init__(self, folder: Path, programs: Path, library: Path) -> None:
+    def __init__(self, folder: Path, programs: Path, library: Path, graph: NodeGraph | None = None) -> None:
         self.folder = folder / "gates"
         self.folder.mkdir()
+        self.graph = graph
         self.lab = Lab(self.folder, programs, library)
         self.transport = SocketFolder(folder / "components")
         self.agents: dict[str, ForeignAgent] = {}
@@ -71,7 +73,8 @@ class Nodes:
         """An agent for what is in the record: a manager's first one, or the next manager's."""
         record = ForeignRecord.read(self.folder, instance)
         assert record is not None and record.index is not None
-        agent = self.agents[instance] = ForeignAgent(record, self.folder, Gates(self.lab.page, record.index, TALKER))
+        gates = Gates(self.lab.page, record.index, TALKER)
+        agent = self.agents[instance] = ForeignAgent(record, self.folder, gates, graph=self.graph)
         await agent.open(self.transport)
 
     async def change(self, instance: str, command: commands.Command[commands.R_co]) -> commands.R_co:

@@ -60,7 +60,7 @@ launch:
     args: --loud
 """
 IMPORTED = """component Talker {
-  run "ros2 run demo talker.py --ros-args -r chatter:=/chat" gate preload
+  run "talker.py --ros-args -r chatter:=/chat" package "demo" gate preload
   parameters {
     rate = 50
     words = ["a", "b"]
@@ -79,7 +79,7 @@ def test_a_launch_file_becomes_a_specification(tmp_path: Path, ending: str, text
     assert kinds(found) == ["package", "package"]
     system = specification(found, tmp_path)
     assert {node.role for node in system.nodes.values()} == {"r50/talker", "ears/listener"}
-    assert commands(found, tmp_path)["ears/listener"] == "ros2 run demo listener --loud"
+    assert commands(found, tmp_path)["ears/listener"] == "listener --loud"
     (listener,) = (node for node in system.nodes.values() if node.role == "ears/listener")
     assert listener.respawn is not None
 
@@ -291,11 +291,16 @@ def test_what_only_ros_can_name_is_passed_in_the_command(tmp_path: Path) -> None
         <node exec="./a" name="a" launch-prefix="nice -n 5">
           <env name="LD_PRELOAD" value=""/><param name="plugins/x" value="'7'"/>
         </node>
-        <node exec="./b" name="b"><env name="LD_PRELOAD" value="libx.so"/></node>""",
+        <node pkg="p" exec="b" name="b"><env name="LD_PRELOAD" value="libx.so"/></node>""",
     )
-    assert kinds(found) == ["unsupported"]
+    assert kinds(found) == ["package", "unsupported"]
     assert commands(found, tmp_path) == {
         "a": "env 'MODE=a b' nice -n 5 ./a --ros-args -p 'plugins/x:=\"7\"'",
-        "b": "env 'MODE=a b' ./b",
+        "b": "env 'MODE=a b' ros2 run p b",
     }
     assert found.text.count("use_sim_time = true") == 2
+
+
+def test_a_lifecycle_node_has_its_gate(tmp_path: Path) -> None:
+    found = of_xml(tmp_path, '<lifecycle_node pkg="nav" exec="map" name="map" namespace=""/>')
+    assert 'run "map" package "nav" gate lifecycle' in found.text and kinds(found) == ["package"]

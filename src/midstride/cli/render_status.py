@@ -57,6 +57,7 @@ def _functionality(row: Document, component: Document) -> tuple[Text, Text, Text
         why.append(row["restoring"])
     if component["waiting"]:
         why.append(f"waiting: {component['waiting']}")
+    why += component.get("differences", [])
     if row.get("busy") is not None:
         why.append(f"busy for {seconds(row['busy'])}")
     return name, mode, Text("; ".join(why))

@@ -17,6 +17,7 @@ from midstride.codec.component import NamedComponentForm
 from midstride.errors import CommandRefused, MidstrideError
 from midstride.foreign.cuts import PUBLISHING, ForeignCuts
 from midstride.foreign.gates import Gates
+from midstride.foreign.graph_check import NodeGraph, differences, lacking, shown
 from midstride.foreign.lifecycle_cuts import LifecycleCuts, LifecyclePeers
 from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.node import TICK, ForeignNode, without_ports
@@ -36,6 +37,9 @@ from midstride.wire.transport import Transport
 HEARTBEAT: Final = 0.5
 # How often it asks a lifecycle node for its state and its parameters (s).
 LOOK: Final = 1.0
+# How long the graph may take to show a new node's endpoints (s), and how often it is compared later (s).
+GRAPH_TIMEOUT: Final = 5.0
+GRAPH_LOOK: Final = 2.0
 # How often it looks whether a baton has moved (s).
 WATCH: Final = 0.05
 # How long a node may take to create the publishers and subscriptions that are declared (s).
@@ -60,9 +64,11 @@ class ForeignAgent:
         gates: Gates | None,
         services: NodeServices | None = None,
         peers: LifecyclePeers | None = None,
+        graph: NodeGraph | None = None,
     ) -> None:
         self.node = ForeignNode(record, folder, gates)
         self._cuts: ForeignCuts | LifecycleCuts = ForeignCuts(self.node)
+        self._services = services
         self.lifecycle: LifecycleNode | None = None
         self._parameters: ForeignParameters | None = None
         if services is not None:
@@ -71,7 +77,8 @@ class ForeignAgent:
             self.lifecycle = LifecycleNode(self.node, services)
             if gates is None:
                 self._cuts = LifecycleCuts(self.lifecycle, peers or LifecyclePeers())
-        self._failed: str | None = None  # why it has not been configured
+        self._graph = graph
+        self._failed: str | None = None  # why it has not been configured, or is not what is declared
         self._replies: dict[str, asyncio.Task[Reply]] = {}
         self._lock = asyncio.Lock()
         self._registered = asyncio.Event()
@@ -115,7 +122,8 @@ class ForeignAgent:
         await self._server.open(transport)
         loop = asyncio.get_running_loop()
         self._tasks = [
-            loop.create_task(each) for each in (self._register(), self._heartbeat(), self._watch_lifecycle())
+            loop.create_task(each)
+            for each in (self._register(), self._heartbeat(), self._watch_lifecycle(), self._watch_graph())
         ]
 
     async def close(self) -> None:
@@ -123,6 +131,8 @@ class ForeignAgent:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
         await self._server.close(0.0)
+        if self._services is not None:
+            self._services.close()
 
     async def _register(self) -> None:
         missing: list[str] = []
@@ -136,10 +146,37 @@ class ForeignAgent:
         if self.node.gates is not None and self._failed is None:
             await self.node.comes_true(lambda: not self.node.require_gates().missing(), ENDPOINTS_TIMEOUT)
             missing = self.node.gates.missing()
+            missing = await self._compare(missing)
         self._registered.set()
         self._report()
         declaration = NamedComponentForm.of(without_ports(self.node.component, missing))
         self._server.register(frames.Registration(declaration=declaration, endpoints=[]))
+
+    async def _compare(self, missing: list[str]) -> list[str]:
+        """Compare what the graph shows with what is declared; the ports that it then lacks without a reason given.
+
+        What the graph does not show in time is not judged. A node that has been accepted keeps running.
+        """
+        component, topics, node = self.node.component, self.node.record.topics, self.node.record.node
+        if (graph := self._graph) is None or self.node.record.welcomed:
+            return missing
+        if not missing:
+            await self.node.comes_true(lambda: shown(component, topics, graph()), GRAPH_TIMEOUT, every=WATCH)
+        found = graph()
+        faults = lacking(component, topics, node, found, missing) + differences(component, topics, node, found)
+        self._failed = "; ".join(faults) or None
+        return []
+
+    async def _watch_graph(self) -> None:
+        """Look now and then whether the node still has what is declared: it may create endpoints at any time."""
+        await self._registered.wait()
+        while self._graph is not None:
+            await asyncio.sleep(GRAPH_LOOK)
+            record = self.node.record
+            found = differences(self.node.component, record.topics, record.node, self._graph())
+            if found != self.node.differences:
+                self.node.differences = found
+                self._report()
 
     async def _heartbeat(self) -> None:
         """Report twice a second, and soon after a baton has moved, which the nodes do without a command."""

@@ -58,10 +58,9 @@ static void *real(_Atomic(void *) *known, const char *name)
     return found;
   found = dlsym(RTLD_NEXT, name);
   if (!found) { /* loaded by an extension module of Python, so not in the global scope */
-    const char *library = strncmp(name, "rmw_", 4) == 0      ? "librmw_implementation.so"
-                          : strncmp(name, "rcutils_", 8) == 0 ? "librcutils.so"
-                                                              : "librcl.so";
-    void *handle = dlopen(library, RTLD_NOW | RTLD_NOLOAD);
+    /* What it is linked with is searched, too: the functions of the middleware are in a library of another name on each
+     * installation. */
+    void *handle = dlopen("librcl.so", RTLD_NOW | RTLD_NOLOAD);
     if (handle) {
       found = dlsym(handle, name);
       dlclose(handle);

@@ -44,6 +44,7 @@ class ForeignNode:
         # As of the last time that the node was asked: its parameters, and those set while it ran with what they were.
         self.parameters: dict[str, Any] = {}
         self.declared: dict[str, Any] = {}
+        self.differences: list[str] = []  # in which way the graph shows another node than the declared one
         self._folder = folder
         self._since = dict.fromkeys(record.modes, time.monotonic())
         self._because = dict.fromkeys(record.modes, "started")
@@ -130,6 +131,7 @@ class ForeignNode:
             declared=self.declared,
             stopping=0.0,
             waiting=None if record.welcomed else NOT_WELCOMED,
+            differences=self.differences,
             node=record.node,
             imported=1,
         )

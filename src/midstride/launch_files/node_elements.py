@@ -37,18 +37,15 @@ class NodeElements:
         """Raises UnknownValue."""
         self.expect(entity, _NODE)
         program = self.text(entity, "exec", context)
-        command = [program]
-        if "pkg" in entity.attributes:
-            package = self.text(entity, "pkg", context)
-            command = ["ros2", "run", package, program]
-            if package not in context.packages:
-                self.findings.add("package", f"package `{package}` is not here", entity.span)
+        package = self.text(entity, "pkg", context) if "pkg" in entity.attributes else ""
+        if package and package not in context.packages:
+            self.findings.add("package", f"package `{package}` is not here", entity.span)
         if "name" in entity.attributes:
             name = self._name(self.text(entity, "name", context), entity)
         else:
             name = self._name(_stem(program), entity, stated=False)
         namespace = self.text(entity, "namespace", context) if "namespace" in entity.attributes else ""
-        self._note(entity, context, name, self.joined(context.namespace, namespace), _stem(program), command)
+        self._note(entity, context, name, self.joined(context.namespace, namespace), _stem(program), [program], package)
 
     def executable(self, entity: Entity, context: Context) -> None:
         """Any program. Raises UnknownValue."""
@@ -87,7 +84,14 @@ class NodeElements:
                 self.findings.add("composable", message, component.span)
 
     def _note(
-        self, entity: Entity, context: Context, name: str, namespace: str, program: str, command: list[str]
+        self,
+        entity: Entity,
+        context: Context,
+        name: str,
+        namespace: str,
+        program: str,
+        command: list[str],
+        package: str = "",
     ) -> None:
         prefix, args = (self._words(entity, each, context) for each in ("launch-prefix", "args"))
         self.system.nodes.append(
@@ -95,13 +99,16 @@ class NodeElements:
                 name=name,
                 namespace=namespace,
                 program=program,
-                command=(*prefix, *command, *args),
+                command=(*command, *args),
                 span=entity.span,
                 remaps=(*context.remaps, *self._remaps(entity, context)),
                 settings=(*context.settings, *self._settings(entity, context)),
                 environment=dict(self._environment(entity, context)),
                 ros_arguments=self._words(entity, "ros_args", context),
                 respawn=tuple(self._respawn(entity, context)),
+                package=package,
+                prefix=prefix,
+                gate="lifecycle" if entity.tag == "lifecycle_node" else "preload",
             )
         )
         for child in entity.children:

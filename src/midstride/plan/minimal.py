@@ -52,15 +52,15 @@ class Candidate:
         return self.key[:3] == (False, 0.0, 0)
 
 
-def minimal(change: Change, within: float | None = None) -> Plan:
-    """The best plan found, with the lower bound proved ``within`` so many seconds (None: in a fixed number of states).
+def minimal(change: Change, budget: Budget | None = None) -> Plan:
+    """The best plan found, with the lower bound proved within ``budget`` (None: in a fixed number of states).
 
     An interrupt (Ctrl-C) ends the search for the proof, and keeps what was found. Raises PlanRefused, with the
     constraints in conflict, where no plan was found that meets all of them.
     """
     levels = Levels(change)
     constraints = in_force(change)
-    found, bound = _best(levels, constraints, Budget() if within is None else Budget(inf, within))
+    found, bound = _best(levels, constraints, budget or Budget())
     if found is None or found.breaches:
         broken = () if found is None else found.breaches
         relevant = _relevant(change, found, constraints)

@@ -44,7 +44,9 @@ def status(
     ]
     return reports.Status(
         # A component that waits for the clock of a simulation does not do what its modes guarantee.
-        valid=not found and not silences and all(each.as_modelled and each.waiting is None for each in components),
+        valid=not found
+        and not silences
+        and all(each.as_modelled and each.waiting is None and not each.differences for each in components),
         violations=[str(violation) for violation in found],
         components=components,
         crashed=[
@@ -120,6 +122,7 @@ def _component(
         reachable=state is not None,
         ending=instance.name in launcher.ending,
         waiting=None if state is None else state.waiting,
+        differences=[] if state is None else state.differences,
         as_modelled=all(each.mode == each.modelled for each in functionalities),
         changed_files=[] if program is None else program.changed,
         unknown_files=None if program is None else program.unknown,

@@ -93,6 +93,7 @@ class LinkState(WireValue, frozen=True, kw_only=True):
 
 class ComponentState(WireValue, frozen=True, kw_only=True):
     """``revision`` counts the component's changes. ``waiting``: what it waits for, if anything.
+    ``differences``: in which way its node is not what is declared, which only a node without Midstride's API can show.
 
     ``node``: the full name of its ROS node, None where there is none. ``answers``: it answers requests to the node's
     services; of several instances of a role, one does.
@@ -119,6 +120,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     answers: bool = True
     declared: dict[str, Any] = msgspec.field(default_factory=dict)
     keeps_state: bool = False
+    differences: list[str] = []
 
     def set_values(self) -> dict[str, Any]:
         """The values of the parameters that were set while it ran."""

@@ -8,8 +8,9 @@ import logging
 import os
 import time
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -21,6 +22,7 @@ from midstride.errors import BackendError, CommandRefused
 from midstride.foreign import build
 from midstride.foreign.agent import ForeignAgent
 from midstride.foreign.gates import Gates
+from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.lifecycle_cuts import LifecyclePeers
 from midstride.foreign.page import Page
 from midstride.foreign.record import ForeignRecord
@@ -39,13 +41,20 @@ log = logging.getLogger(__name__)
 class ForeignNodes:
     """Those of one system. Their page and records are in ``folder``; their agents listen on ``transport``.
 
-    ``services(node)``: what a node, by its full name, can be asked.
+    ``services(node)``: what a node, by its full name, can be asked; ``graph(node)``: what the graph shows of it.
     """
 
-    def __init__(self, folder: Path, transport: Transport, services: Callable[[str], NodeServices | None]) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        transport: Transport,
+        services: Callable[[str], NodeServices | None],
+        graph: Callable[[str], Sequence[GraphEndpoint]] | None = None,
+    ) -> None:
         self._folder = folder
         self._transport = transport
         self._services = services
+        self._graph = graph
         self._peers = LifecyclePeers()
         self._page: Page | None = None
         self._agents: dict[str, ForeignAgent] = {}
@@ -126,7 +135,9 @@ class ForeignNodes:
         record.write(self._folder)
         self.names.add(record.node)
         services = self._services(record.node)
-        agent = self._agents[record.instance] = ForeignAgent(record, self._folder, gates, services, self._peers)
+        graph = None if self._graph is None else partial(self._graph, record.node)
+        agent = ForeignAgent(record, self._folder, gates, services, self._peers, graph)
+        self._agents[record.instance] = agent
         await agent.open(self._transport)
 
     async def finish(self, instance: str) -> None:

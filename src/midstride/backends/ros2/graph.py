@@ -15,8 +15,12 @@ import time
 from collections.abc import Iterator, Mapping
 from typing import Any, Final, TypeAlias
 
-from midstride.backends.ros2 import names
+from rclpy.node import NodeNameNonExistentError
+
+from midstride.backends.naming import split
+from midstride.backends.ros2 import endpoints, names
 from midstride.backends.ros2.names import InstanceNode
+from midstride.foreign.graph_check import GraphEndpoint
 from midstride.runtime.backend import Endpoints
 
 # For how long a dead process may stay in the graph (s): the lease of the middleware, and some time to notice.
@@ -79,6 +83,27 @@ class Graph:
                 publishers += [(name, topic) for name in writers]
                 subscribers += [(name, topic) for name in readers]
         return Endpoints(frozenset(nodes), tuple(sorted(publishers)), tuple(sorted(subscribers)))
+
+    def of_process(self, node: str) -> list[GraphEndpoint]:
+        """The endpoints of a node that no component has, by its full name."""
+        name, inside = split(node)
+        instances = self._instances()
+        found = []
+        for output, listed, infos in (
+            (True, self._node.get_publisher_names_and_types_by_node, self._publishers),
+            (False, self._node.get_subscriber_names_and_types_by_node, self._subscriptions),
+        ):
+            try:
+                topics = [topic for topic, _ in listed(name, inside)]
+            except NodeNameNonExistentError:
+                continue
+            for topic in topics:
+                found += [
+                    GraphEndpoint(output, topic, info.topic_type, endpoints.qos_of(info.qos_profile))
+                    for info in infos(topic)
+                    if _node(info) == node and self._lives(info, node) and names.participant(info) not in instances
+                ]
+        return found
 
     def lingering_readers(self, topic: str) -> int:
         """How many subscriptions of dead processes the graph still shows on ``topic``."""

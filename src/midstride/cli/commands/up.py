@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import click
@@ -21,9 +21,11 @@ from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.progress import Progress
 from midstride.cli.render import lowered_line
 from midstride.cli.shutdown import wait_for_manager_exit
+from midstride.cli.staying import ended_by_signals, stay
 from midstride.cli.view import watch
 from midstride.codec.specification import encode_specification
 from midstride.errors import ManagerBusy, ManagerError
+from midstride.model.specification import Specification
 from midstride.runtime.workspace import Workspace
 
 # How long a manager may take to answer for the first time (s): a cold start on a busy machine.
@@ -103,6 +105,9 @@ def manager_arguments(
     is_flag=True,
     help="Leave what has degraded because its input failed degraded until a command restores it.",
 )
+@click.option(
+    "--stop-on-exit", is_flag=True, help="Stay without a view, and stop the system when this command is ended."
+)
 @json_option
 def up_command(
     file: Path,
@@ -115,6 +120,7 @@ def up_command(
     no_diagnostics: bool,
     finish_interrupted: bool,
     keep_degraded: bool,
+    stop_on_exit: bool,
     spares: int,
 ) -> int:
     """Start the system of FILE and its manager, and watch them.
@@ -122,6 +128,8 @@ def up_command(
     Ctrl-C leaves the view; components and manager keep running. If the manager is killed, the next `up` reattaches to
     its components. `midstride down` stops everything.
     """
+    if detach and stop_on_exit:
+        raise click.UsageError("--detach returns at once, so it excludes --stop-on-exit")
     if http_host is not None and http is None:
         raise click.UsageError("--http-host needs --http PORT")
     arguments = manager_arguments(file, backend, use_sim_time, no_middleware_settings, no_diagnostics, spares)
@@ -137,6 +145,23 @@ def up_command(
     if http is not None:
         arguments += ["--http", str(http), *(["--http-host", http_host] if http_host else [])]
     arguments += ["--finish-interrupted"] * finish_interrupted + ["--keep-degraded"] * keep_degraded
+    with ended_by_signals() if stop_on_exit else nullcontext():
+        status = _up(client, workspace, specification, file, arguments, http, http_host)
+        if stop_on_exit:
+            return stay(client, workspace.name)
+    return status if detach or wants_json() else watch(client, workspace.name) or status
+
+
+def _up(
+    client: Client,
+    workspace: Workspace,
+    specification: Specification,
+    file: Path,
+    arguments: list[str],
+    http: int | None,
+    http_host: str | None,
+) -> int:
+    """Bring the system up, and print how that went; 1 if not all is as specified."""
     answer = bring_up(client, workspace, arguments)
     if client.get("/specification") != encode_specification(specification):
         click.echo(
@@ -156,10 +181,7 @@ def up_command(
         click.echo(line)
     if http is not None:
         click.echo(f"API: http://{http_host or '127.0.0.1'}:{http}/api/v1, token in {workspace.path / 'token'}")
-    if detach:
-        return status
-
-    return watch(client, workspace.name) or status
+    return status
 
 
 def missing_lines(report: Document) -> Iterator[str]:

@@ -1,0 +1,51 @@
+"""A command that stays for as long as its system runs, and stops the system when it is ended itself."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import click
+
+from midstride.cli.client import Client
+from midstride.cli.shutdown import shut_down
+
+POLL = 0.2
+# A manager that does not answer for so long has ended (s).
+SILENCE = 5.0
+
+
+@contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """SIGTERM and SIGHUP interrupt the block as Ctrl-C does. Who is ended by a launch gets SIGINT, then SIGTERM."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    for number in before:
+        signal.signal(number, lambda *_: signal.raise_signal(signal.SIGINT))
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def stay(client: Client, system: str) -> int:
+    """Wait until this process is interrupted, its parent ends, or the manager does; stop the system, if it runs."""
+    parent, answered = os.getppid(), time.monotonic()
+    try:
+        while os.getppid() == parent:
+            time.sleep(POLL)
+            if client.service() is not None:
+                answered = time.monotonic()
+            elif time.monotonic() - answered > SILENCE:
+                click.echo(f"{system}: its manager has ended", err=True)
+                return 1
+    except KeyboardInterrupt:
+        pass
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # a terminal and a launch may both send one
+        signal.signal(number, signal.SIG_IGN)
+    shut_down(system)
+    click.echo(f"{system} is down.")
+    return 0

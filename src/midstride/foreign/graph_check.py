@@ -1,0 +1,100 @@
+"""Whether what a node without Midstride's API has in the graph is what its component declares: topics, types, QoS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, TypeAlias
+
+from midstride.model.component import ComponentSpec
+from midstride.model.contract import NOTHING, Predicate, QoS, canonical_type
+
+
+@dataclass(frozen=True, slots=True)
+class GraphEndpoint:
+    """A publisher (``output``) or subscription of a node, as the graph shows it. ``topic`` is the full name."""
+
+    output: bool
+    topic: str
+    type: str
+    qos: QoS
+
+
+_OF_EVERY_NODE: Final = ("/rosout", "/parameter_events")
+#: What the graph shows of one node now.
+NodeGraph: TypeAlias = Callable[[], Sequence[GraphEndpoint]]
+
+
+def shown(component: ComponentSpec, topics: Mapping[str, str], found: Sequence[GraphEndpoint]) -> bool:
+    """Whether the graph shows an endpoint for every port; ``topics`` has the full name of each one's topic."""
+    there = {(endpoint.output, endpoint.topic) for endpoint in found}
+    return all((component.has_output(port), topics[port]) in there for port in component.ports())
+
+
+def differences(
+    component: ComponentSpec, topics: Mapping[str, str], node: str, found: Sequence[GraphEndpoint]
+) -> list[str]:
+    """Every endpoint of ``node`` whose type or QoS is not the declared one, in words.
+
+    A publisher must offer at least the QoS that is declared, and a subscription may request no more: else the
+    middleware would not match what the specification connects (docs/semantics.md section 1). What the graph does not
+    show yet is not judged.
+    """
+    words = []
+    for port in component.ports():
+        output, declared = component.has_output(port), _declared(component, port)
+        for endpoint in found:
+            if declared is None or (endpoint.output, endpoint.topic) != (output, topics[port]):
+                continue
+            does = f"node {node} {'publishes' if output else 'subscribes to'}"
+            kind = f"{'output' if output else 'input'} {port} of {component.name} is declared"
+            if canonical_type(endpoint.type) != declared.type:
+                what = f"{endpoint.type} on {topics[port]}" if output else f"{topics[port]} as {endpoint.type}"
+                words.append(f"{does} {what}, and {kind} as {declared.type}")
+            needed, offered = (declared.qos, endpoint.qos) if output else (endpoint.qos, declared.qos)
+            if clauses := needed.unmet_by(offered):
+                words.append(
+                    f"{does} {'on ' if output else ''}{topics[port]} with {_in_words(endpoint.qos)}, and {kind} with "
+                    f"{_in_words(declared.qos)} ({', '.join(clauses)})"
+                )
+    return words
+
+
+def lacking(
+    component: ComponentSpec,
+    topics: Mapping[str, str],
+    node: str,
+    found: Sequence[GraphEndpoint],
+    missing: Sequence[str],
+) -> list[str]:
+    """For each port that is ``missing``, what is declared, and what the node has instead."""
+    words = []
+    for port in missing:
+        output = component.has_output(port)
+        kind, verb = ("publisher on", "publishes on") if output else ("subscription to", "subscribes to")
+        others = sorted(
+            f"{endpoint.topic} ({endpoint.type})"
+            for endpoint in found
+            if endpoint.output == output and endpoint.topic not in {*topics.values(), *_OF_EVERY_NODE}
+        )
+        instead = f"; it {verb} {', '.join(others)}" if others else ""
+        port_kind = "output" if output else "input"
+        words.append(
+            f"node {node} has no {kind} {topics[port]}, the topic of {port_kind} {port} of {component.name}{instead}"
+        )
+    return words
+
+
+def _declared(component: ComponentSpec, port: str) -> Predicate | None:
+    if not component.has_output(port):
+        return component.inputs[port]
+    owner = component.find_owner(port)
+    guarantee = NOTHING if owner is None else owner.modes[0].guarantee(port)
+    return guarantee if isinstance(guarantee, Predicate) else None
+
+
+def _in_words(qos: QoS) -> str:
+    policies = qos.effective()
+    words = [f"{policies.reliability}, {policies.durability}"]
+    words += [f"{name} {given:g} s" for name in ("deadline", "lease") if (given := getattr(policies, name)) is not None]
+    return ", ".join(words)
