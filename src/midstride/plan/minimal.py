@@ -100,13 +100,14 @@ def _limits(levels: Levels, constraints: Sequence[Constraint]) -> list[str]:
 
 
 def _along(core: CoreResult, levels: Levels, constraints: Sequence[Constraint]) -> Candidate | None:
-    """The best plan along the core's moves."""
+    """The best plan along the core's moves, with hand-overs unless these lose more."""
     if not core.moves:
         return None
     orders = [constraint for constraint in constraints if isinstance(constraint, Order)]
     state = SearchState.at_start(PlanBuilder.at_start(levels), orders)
     candidates = (_candidate(levels, constraints, builder) for builder in plans_along(state, core.moves))
-    return min(candidates, key=lambda candidate: candidate.key, default=None)
+    # The first of those that lose as little: without a hand-over, old and new are heard at once, however quick it is.
+    return min(candidates, key=lambda candidate: candidate.key[:3], default=None)
 
 
 def _no_room(change: Change, resources: Sequence[str]) -> Iterator[str]:
