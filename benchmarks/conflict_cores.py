@@ -4,6 +4,7 @@ For each change of the published set (``_conflict_core_systems``): how long the 
 the plan may be from the least after the time given; the same of a plain A* over the sets of done actions, with the same
 memoised fixed point and each role's own least absence as its bound, but without independent parts, without the bound of
 what has to make room, and without a plan to begin with; and, if asked for, of clingo on the logic program of the tests.
+Times are those of the processor, so that what else the machine does makes no difference (clingo's are the clock's).
 """
 
 from __future__ import annotations
@@ -71,9 +72,9 @@ def changed(seed: int) -> Change:
 
 
 def planned(change: Change, seconds: float) -> dict[str, Any]:
-    begin = time.perf_counter()
-    plan = minimal(change, seconds)
-    taken = time.perf_counter() - begin
+    begin = time.process_time()
+    plan = minimal(change, Budget(inf, seconds, time.process_time))
+    taken = time.process_time() - begin
     assert replay(plan).holds
     gap = 0.0 if plan.proved_minimal else 1 - plan.lower_bound / plan.disruption
     return {
@@ -86,12 +87,12 @@ def planned(change: Change, seconds: float) -> dict[str, Any]:
 
 
 def plain(change: Change, seconds: float) -> dict[str, Any]:
-    begin = time.perf_counter()
+    begin = time.process_time()
     part = together(parts(change, ()))
     search = PartSearch(part, PartLosses(change, part, Levels(change), fullest(change)), {})
     search.bounds = OwnAbsences(part, search.losses)
-    result = search.run(Budget(inf, seconds).is_used_up, PartResult(0.0))
-    return {"proved": result.cost < inf, "seconds": time.perf_counter() - begin, "bound": result.lower_bound}
+    result = search.run(Budget(inf, seconds, time.process_time).is_used_up, PartResult(0.0))
+    return {"proved": result.cost < inf, "seconds": time.process_time() - begin, "bound": result.lower_bound}
 
 
 def _solve(seed: int) -> None:
@@ -117,6 +118,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=10.0, help="for each change and each way")
     parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
+    parser.add_argument("--skip-plain", action="store_true", help="without the plain A*, which takes most of the time")
     parser.add_argument("--clingo", action="store_true", help="needs clingo; most of the time goes into it")
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "conflict_cores.json")
     options = parser.parse_args()
@@ -126,32 +128,36 @@ def main() -> int:
         change = changed(seed)
         separate = parts(change, ())
         row: dict[str, Any] = {"seed": seed, "tied": sum(len(part.ops) for part in separate), "parts": len(separate)}
-        row["minimal"], row["plain"] = planned(change, options.seconds), plain(change, options.seconds)
+        row["minimal"] = planned(change, options.seconds)
+        if not options.skip_plain:
+            row["plain"] = plain(change, options.seconds)
         if options.clingo:
             row["clingo"] = clingo(seed, options.seconds)
         rows.append(row)
-        ours, other = row["minimal"], row["plain"]
+        ours, other = row["minimal"], row.get("plain")
         print(
             f"{seed:>3}  {row['tied']} tied in {row['parts']} parts  disruption {ours['disruption']:8.2f}  "
             + (f"proved in {ours['seconds']:5.2f} s" if ours["proved"] else f"at least {ours['bound']:8.2f}")
-            + f"  plain A*: {other['seconds']:5.2f} s"
-            + ("" if other["proved"] else ", no proof"),
+            + (
+                f"  plain A*: {'proved' if other['proved'] else 'no proof'} in {other['seconds']:5.2f} s"
+                if other
+                else ""
+            ),
             flush=True,
         )
 
-    ways = ["minimal", "plain", *(["clingo"] if options.clingo else [])]
-    for way in ways:
+    for way in (way for way in ("minimal", "plain", "clingo") if way in rows[0]):
         proved = [row[way]["seconds"] for row in rows if row[way]["proved"]]
         median = f", median {statistics.median(proved):.2f} s" if proved else ""
         print(f"{way}: {len(proved)} of {len(rows)} proved within {options.seconds:g} s{median}")
     gaps = [row["minimal"]["gap"] for row in rows if not row["minimal"]["proved"]]
     print(f"gap of the others: {', '.join(f'{gap:.0%}' for gap in gaps) or 'none'}")
-    failed = sum(not row["plain"]["proved"] for row in rows)
     verdict = {
         "proved_in_90_percent": sum(row["minimal"]["proved"] for row in rows) >= 0.9 * len(rows),
         "others_within_20_percent": all(gap <= 0.2 for gap in gaps),
-        "plain_fails_on_half": failed >= len(rows) / 2,
     }
+    if not options.skip_plain:
+        verdict["plain_fails_on_half"] = sum(not row["plain"]["proved"] for row in rows) >= len(rows) / 2
     print(", ".join(f"{name.replace('_', ' ')}: {'yes' if held else 'NO'}" for name, held in verdict.items()))
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(json.dumps({"rows": rows, "verdict": verdict}, indent=2) + "\n")

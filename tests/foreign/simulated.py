@@ -46,6 +46,10 @@ class SimulatedNode:
     rejects: dict[str, str] = field(default_factory=dict)
     state: str = UNCONFIGURED
     hung: bool = False
+    closed: bool = False
+
+    def close(self) -> None:
+        self.closed = True
 
     async def _answers(self, timeout: float) -> None:
         if self.hung:
@@ -57,7 +61,7 @@ class SimulatedNode:
         await self._answers(timeout)
         return self.state
 
-    async def transition(self, name: str, timeout: float) -> bool:
+    async def transition(self, name: str, state: str, timeout: float) -> bool:
         self.hung |= name in self.hangs
         await self._answers(timeout)
         await asyncio.sleep(0.02)

@@ -9,13 +9,16 @@ from typing import Any, TypeVar
 
 import pytest
 
+from midstride.backends.simulator import loop as virtual
+from midstride.errors import CommandRefused
+from midstride.foreign.lifecycle import NodeLifecycle
 from midstride.model.rules import violations
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Outcome
 from midstride.runtime.workspace import Workspace
 from tests.foreign import simulated
-from tests.foreign.simulated import SimulatedRos
+from tests.foreign.simulated import SimulatedNode, SimulatedRos
 from tests.runtime.systems import saved
 
 T = TypeVar("T")
@@ -74,7 +77,8 @@ async def settled(manager: Manager, outcome: Outcome, active: list[str], simulat
 
 def test_the_old_one_is_deactivated_before_the_new_one_is_activated(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: SimulatedRos) -> None:
-        simulator.nodes["talker"].values |= {"word": "bye", "own": 2.5}
+        old = simulator.nodes["talker"]
+        old.values |= {"word": "bye", "own": 2.5}
         outcome = await manager.change(REPLACE)
         assert (outcome.outcome, outcome.because) == ("done", None)
         assert simulator.events == [
@@ -88,6 +92,7 @@ def test_the_old_one_is_deactivated_before_the_new_one_is_activated(tmp_path: Pa
         # What was set on the old one, the new one had from its start, before it was configured.
         assert simulator.nodes["talker_2"].values == {"word": "bye", "own": 2.5}
         await settled(manager, outcome, ["listener", "talker_2"], simulator)
+        assert old.closed
 
     managed(tmp_path, body)
 
@@ -205,3 +210,37 @@ def test_one_that_leaves_its_state_by_itself_is_degraded(tmp_path: Path) -> None
         assert "its lifecycle state is inactive" in str(status)
 
     managed(tmp_path, body)
+
+
+def reached(state: str, target: str, later: Mapping[float, str], **behaviour: Any) -> SimulatedNode:
+    """A node once it has reached ``target``. It was in ``state``, and ``later`` (by s) enters others by itself."""
+    node = SimulatedNode("talker", [], state=state, **behaviour)
+
+    async def scenario() -> None:
+        for seconds, entered in later.items():
+            asyncio.get_running_loop().call_later(seconds, setattr, node, "state", entered)
+        await NodeLifecycle("talker", node, startup=20.0).reach(target)
+        assert node.state == target
+
+    virtual.run(scenario())
+    return node
+
+
+def test_a_transition_that_was_begun_before_is_waited_for() -> None:
+    assert reached("activating", "inactive", {3.0: "active"}).events == ["talker deactivate"]
+
+
+@pytest.mark.parametrize(
+    ("state", "target", "behaviour", "words"),
+    [
+        ("finalized", "active", {}, "talker cannot become active: it is finalized, so replace it"),
+        ("activating", "active", {}, "talker cannot become active: it stays in state activating"),
+        ("unconfigured", "inactive", {"hangs": {"configure"}}, "not answered `configure` within 20 s"),
+        ("inactive", "finalized", {"hangs": {"cleanup"}}, "not answered `cleanup` within 5 s; it was inactive before"),
+        ("unconfigured", "finalized", {"refuses": {"shutdown"}}, "`shutdown` with a failure; it is unconfigured"),
+        ("active", "inactive", {"hung": True}, "talker cannot become inactive: talker has not answered within 2 s"),
+    ],
+)
+def test_what_cannot_be_reached_is_said(state: str, target: str, behaviour: dict[str, Any], words: str) -> None:
+    with pytest.raises(CommandRefused, match=words):
+        reached(state, target, {}, **behaviour)

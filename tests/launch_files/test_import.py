@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
 
 from midstride.errors import SpecificationError
 from midstride.lang.files import INCLUDE_PATH
+from midstride.launch_files import interpreter, python_files
+from midstride.launch_files.findings import UnknownValue
+from midstride.launch_files.importing import import_launch_file
 from tests.launch_files.support import commands, imported, kinds, of_xml, specification
 
 XML = """<launch>
@@ -60,7 +64,7 @@ launch:
     args: --loud
 """
 IMPORTED = """component Talker {
-  run "ros2 run demo talker.py --ros-args -r chatter:=/chat" gate preload
+  run "talker.py --ros-args -r chatter:=/chat" package "demo" gate preload
   parameters {
     rate = 50
     words = ["a", "b"]
@@ -79,7 +83,7 @@ def test_a_launch_file_becomes_a_specification(tmp_path: Path, ending: str, text
     assert kinds(found) == ["package", "package"]
     system = specification(found, tmp_path)
     assert {node.role for node in system.nodes.values()} == {"r50/talker", "ears/listener"}
-    assert commands(found, tmp_path)["ears/listener"] == "ros2 run demo listener --loud"
+    assert commands(found, tmp_path)["ears/listener"] == "listener --loud"
     (listener,) = (node for node in system.nodes.values() if node.role == "ears/listener")
     assert listener.respawn is not None
 
@@ -291,11 +295,76 @@ def test_what_only_ros_can_name_is_passed_in_the_command(tmp_path: Path) -> None
         <node exec="./a" name="a" launch-prefix="nice -n 5">
           <env name="LD_PRELOAD" value=""/><param name="plugins/x" value="'7'"/>
         </node>
-        <node exec="./b" name="b"><env name="LD_PRELOAD" value="libx.so"/></node>""",
+        <node pkg="p" exec="b" name="b"><env name="LD_PRELOAD" value="libx.so"/></node>""",
     )
-    assert kinds(found) == ["unsupported"]
+    assert kinds(found) == ["package", "unsupported"]
     assert commands(found, tmp_path) == {
         "a": "env 'MODE=a b' nice -n 5 ./a --ros-args -p 'plugins/x:=\"7\"'",
-        "b": "env 'MODE=a b' ./b",
+        "b": "env 'MODE=a b' ros2 run p b",
     }
     assert found.text.count("use_sim_time = true") == 2
+
+
+def test_a_lifecycle_node_has_its_gate(tmp_path: Path) -> None:
+    found = of_xml(tmp_path, '<lifecycle_node pkg="nav" exec="map" name="map" namespace=""/>')
+    assert 'run "map" package "nav" gate lifecycle' in found.text and kinds(found) == ["package"]
+
+
+def test_a_launch_file_in_python_is_a_program_and_not_carried_out_unasked(tmp_path: Path) -> None:
+    file = tmp_path / "robot.launch.py"
+    file.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\n")
+    found = of_xml(tmp_path, f'<include file="{file}"/>')
+    assert kinds(found) == ["python"] and "--run-python" in str(next(iter(found.findings)))
+    with pytest.raises(SpecificationError, match="--run-python"):
+        imported(file)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_nodes_of_a_launch_file_in_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What its process describes; that process is checked where `launch` is (test_python_launch.py)."""
+    described = {
+        "nodes": [
+            {
+                "name": "a",
+                "namespace": "top/g",
+                "package": "demo",
+                "executable": "a",
+                "arguments": ["--x", "7"],
+                "remaps": [["in", "/out"]],
+                "parameters": [["a.yaml", None], ["/launch_params_1", "/**:\n  ros__parameters:\n    rate: 50.0\n"]],
+                "lifecycle": True,
+            }
+        ],
+        "left": [["unsupported", "`TimerAction` in Python is left out"]],
+    }
+    given = []
+
+    def carried_out(path: str, variables: object, namespace: str, environment: object) -> object:
+        given.append((Path(path).name, variables, namespace))
+        return described
+
+    monkeypatch.setattr(interpreter, "carried_out", carried_out)
+    (tmp_path / "b.launch.py").write_text("")
+    (tmp_path / "a.yaml").write_text("/**:\n  ros__parameters:\n    gain: 2\n")
+    (tmp_path / "a.launch.xml").write_text(
+        '<launch><arg name="n"/><let name="k" value="1"/><push-ros-namespace namespace="top"/>'
+        '<include file="b.launch.py"/></launch>'
+    )
+    found = import_launch_file(tmp_path / "a.launch.xml", {}, {}, tmp_path, run_python=True)
+    assert given == [("b.launch.py", {"k": "1"}, "top")]
+    assert kinds(found) == ["argument", "unsupported", "package"]
+    assert 'run "a --x 7 --ros-args -r in:=/out" package "demo" gate lifecycle' in found.text
+    assert "rate = 50.0" in found.text and 'parameters "a.yaml"' in found.text and "namespace top/g" in found.text
+
+
+@pytest.mark.parametrize(
+    ("script", "why"),
+    [
+        ("import sys; sys.exit(3)", "cannot be imported"),
+        ("raise RuntimeError('no luck')", "it failed: RuntimeError: no luck"),
+        ("import sys; print(1); sys.exit(1)", "it failed: exit status 1"),
+    ],
+)
+def test_a_launch_file_in_python_that_cannot_be_carried_out(tmp_path: Path, script: str, why: str) -> None:
+    with pytest.raises(UnknownValue, match=why):
+        python_files.carried_out("a.launch.py", {}, "", {}, runner=(sys.executable, "-c", script))

@@ -151,6 +151,24 @@ def test_a_new_side_that_has_failed_behind_its_gate_refuses_the_cut(tmp_path: Pa
     in_lab(tmp_path, main)
 
 
+def test_an_old_side_that_hung_over_the_cut_is_not_heard_beside_the_new_one(tmp_path: Path) -> None:
+    """Its call for the slot before the cut comes a second late; by then, the new side has long taken over."""
+
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
+        at = await next_slot(lab, 0.2)
+        await cut_at(lab, at)
+        await lab.sleep(0.1)
+        simulator.faults.hang("old", 1.0)
+        assert await outcomes(lab) == ("done", "done")
+        await lab.sleep(0.2)
+        heard = sides(await lab.received("sink"))
+        assert heard == sorted(heard, reverse=True), "first the old side, then the new one"
+        assert (await lab.port("old", "out", TOPIC))["gated"] >= 1
+
+    in_lab(tmp_path, main)
+
+
 def test_an_output_whose_code_has_raised_can_be_attached_with_an_open_gate(tmp_path: Path) -> None:
     """As the next manager does, which attaches before it upgrades; discovery takes a moment, and it waits for that."""
 

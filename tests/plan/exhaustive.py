@@ -217,3 +217,43 @@ class Constrained(Exhaustive):
             later = any(self.change.role_of(op.name) == constraint.then for op in after - before)
             return not later or self.of_role.get(constraint.first, set()) <= after
         return True
+
+
+class Limited(Exhaustive):
+    """The same among the plans that meet each ``limit``, counted over creations and removals alone.
+
+    The other steps count too, so this is at most what any plan costs that meets them.
+    """
+
+    def optimum(self, spotless: bool = False) -> float | None:
+        limits = [each for each in in_force(self.change) if isinstance(each, Limit)]
+        tie, start = count(), (State(), (0.0,) * len(limits))
+        queue = [(0.0, next(tie), start)]
+        known = {start: 0.0}
+        while queue:
+            cost, _, node = heapq.heappop(queue)
+            state, spent = node
+            if cost > known[node]:
+                continue
+            if state == self.all:
+                return round(cost, 9)
+            for after in self.steps(state):
+                following = after, self._spent(limits, spent, state, after)
+                total = cost + self.cost(state, after)
+                if any(seconds > limit.seconds for seconds, limit in zip(following[1], limits, strict=True)):
+                    continue
+                if total < known.get(following, float("inf")) - 1e-12:
+                    known[following] = total
+                    heapq.heappush(queue, (total, next(tie), following))
+        return None
+
+    def _spent(self, limits: list[Limit], spent: tuple[float, ...], before: State, after: State) -> tuple[float, ...]:
+        op, *others = after - before
+        taken = 0.0
+        if not others and op.kind in ("create", "remove"):
+            taken = self.change.seconds(op.kind, self.change.component_of(op.name))
+        lost = {*self.losses(before), *self.losses(after)}
+        return tuple(
+            round(seconds + taken * (limit.functionality in lost), 9)
+            for seconds, limit in zip(spent, limits, strict=True)
+        )

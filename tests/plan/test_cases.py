@@ -463,6 +463,16 @@ def test_what_stands_lower_than_it_could_is_raised() -> None:
     assert fallen(plan) == ["filter.work", "sink.work"]
 
 
+def test_a_topic_is_handed_over_although_something_is_degraded_at_the_start() -> None:
+    """Attaching the new publisher beside the old one would be quicker, and both would be heard."""
+    specification = chain()
+    low = {FunctionalityRef("sink", "work"): 1}
+    target = specification.with_replaced("filter", "Median")
+    plan = sound(STRATEGIES["minimal"](change_between(initial(specification).with_modes(low), specification, target)))
+    kinds = [step.action.kind for step in plan.steps]
+    assert kinds == ["upgrade", "create", "attach", "upgrade", "handover", "degrade", "detach", "remove"]
+
+
 def test_what_the_new_environment_keeps_down_is_told_as_fallen() -> None:
     """A camera has failed, the eye has gone down by itself; the target gives it up and adds another source."""
     image = Predicate("sensor_msgs/msg/Image", 30.0)

@@ -19,10 +19,11 @@ from midstride.plan.core_plan import Budget, search_core
 from midstride.plan.core_search import PartResult, PartSearch
 from midstride.plan.disruption import Levels
 from midstride.plan.minimal import minimal
+from midstride.plan.plan import Plan
 from midstride.plan.validate import replay
 from tests.plan import systems
 from tests.plan.cases import changed, system, work
-from tests.plan.exhaustive import Exhaustive
+from tests.plan.exhaustive import Exhaustive, Limited
 
 
 def between(ends: tuple[Specification, Specification]) -> Change:
@@ -110,11 +111,20 @@ def test_a_search_that_ends_early_claims_no_more_than_it_knows(ended_by: type[Ba
 
 def test_without_a_proof_the_gap_is_stated() -> None:
     change = between(systems.tight(Random(16), 3))
-    plan, least = minimal(change, within=0.0), minimal(change)
+    plan, least = minimal(change, Budget(states=0)), minimal(change)
     assert least.proved_minimal
     assert plan.lower_bound < least.disruption <= plan.disruption
     assert not plan.proved_minimal
     assert replay(plan).holds
+
+
+@pytest.mark.parametrize(("bound", "claimed"), [(9.0, (False, 9.0)), (10.0, (True, 10.0)), (11.0, (False, 0.0))])
+def test_a_bound_above_the_cost_proves_nothing(bound: float, claimed: tuple[bool, float]) -> None:
+    change = between(systems.tight(Random(14), 3))
+    plan = minimal(change)
+    assert plan.disruption == 10.0
+    again = Plan.of("minimal", plan.steps, Levels(change), bound)
+    assert (again.proved_minimal, again.lower_bound) == claimed
 
 
 def test_outputs_are_exchanged_jointly_where_none_may_be_missing() -> None:
@@ -163,6 +173,25 @@ def test_a_cap_in_conflict_is_named() -> None:
     with pytest.raises(PlanRefused) as caught:
         changed(start, replace(target, constraints=(user,)), "minimal")
     assert str(caught.value).endswith("; n_2.out and n.out do not fit at the same time: /x has a cap of 1")
+
+
+def test_the_bound_counts_the_seconds_of_limits() -> None:
+    """It is what the exhaustive search finds that counts them too, and above what is least without the limits."""
+    higher = impossible = 0
+    for seed in (0, 1, 2, 3, 6, 9, 47):
+        rng = Random(seed)
+        start, target = systems.tight(rng, 2)
+        refs = rng.sample([FunctionalityRef(role, "f") for role in sorted(start.nodes)], 2)
+        limits = tuple(Limit(ref, rng.choice((0.8, 1.0, 1.5, 2.5))) for ref in refs)
+        change = between((start, replace(target, constraints=limits)))
+        least, bound = Limited(change).optimum(), search_core(Levels(change), limits, Budget()).lower_bound
+        assert bound <= (float("inf") if least is None else least) + 1e-9
+        if least is None:
+            impossible += 1
+        else:
+            assert bound == pytest.approx(least)
+            higher += least > (Exhaustive(change).optimum() or 0.0)
+    assert min(higher, impossible) > 0
 
 
 def test_limit_of_no_time_is_proved_like_a_keep() -> None:

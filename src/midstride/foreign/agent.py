@@ -68,6 +68,7 @@ class ForeignAgent:
     ) -> None:
         self.node = ForeignNode(record, folder, gates)
         self._cuts: ForeignCuts | LifecycleCuts = ForeignCuts(self.node)
+        self._services = services
         self.lifecycle: LifecycleNode | None = None
         self._parameters: ForeignParameters | None = None
         if services is not None:
@@ -130,6 +131,8 @@ class ForeignAgent:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
         await self._server.close(0.0)
+        if self._services is not None:
+            self._services.close()
 
     async def _register(self) -> None:
         missing: list[str] = []

@@ -67,7 +67,7 @@ class NodeLifecycle:
         name = (_UP if up else _DOWN)[state]
         patience = self._timeouts[name]
         try:
-            succeeded = await self._services.transition(name, patience)
+            succeeded = await self._services.transition(name, state, patience)
         except NoAnswer:
             self.responsive = False
             message = f"{self.instance} has not answered `{name}` within {patience:g} s; it was {state} before"

@@ -15,11 +15,14 @@ class NoAnswer(BackendError):
 class NodeServices(Protocol):
     """The services that a node of ROS 2 has without code of its author. Times are in s; each raises NoAnswer."""
 
+    def close(self) -> None:
+        """Nothing is asked any more."""
+
     async def lifecycle_state(self, timeout: float) -> str:
         """The label of the state: `unconfigured`, `inactive`, `active`, `finalized`, or that of a transition."""
 
-    async def transition(self, name: str, timeout: float) -> bool:
-        """Have a lifecycle node make a transition, such as `configure`; whether it has succeeded."""
+    async def transition(self, name: str, state: str, timeout: float) -> bool:
+        """Have a lifecycle node in ``state`` make a transition, such as `configure`; whether it has succeeded."""
 
     async def parameters(self, timeout: float) -> dict[str, Any]:
         """The values of all parameters that have one."""

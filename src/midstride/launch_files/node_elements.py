@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import re
 import shlex
-from collections.abc import Iterator
-from typing import Final
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
 
 from midstride.lang.source import Span
 from midstride.launch_files.context import Context, ParameterFileName, Setting
@@ -37,18 +37,41 @@ class NodeElements:
         """Raises UnknownValue."""
         self.expect(entity, _NODE)
         program = self.text(entity, "exec", context)
-        command = [program]
-        if "pkg" in entity.attributes:
-            package = self.text(entity, "pkg", context)
-            command = ["ros2", "run", package, program]
-            if package not in context.packages:
-                self.findings.add("package", f"package `{package}` is not here", entity.span)
+        package = self.text(entity, "pkg", context) if "pkg" in entity.attributes else ""
+        if package and package not in context.packages:
+            self.findings.add("package", f"package `{package}` is not here", entity.span)
         if "name" in entity.attributes:
             name = self._name(self.text(entity, "name", context), entity)
         else:
             name = self._name(_stem(program), entity, stated=False)
         namespace = self.text(entity, "namespace", context) if "namespace" in entity.attributes else ""
-        self._note(entity, context, name, self.joined(context.namespace, namespace), _stem(program), command)
+        self._note(entity, context, name, self.joined(context.namespace, namespace), _stem(program), [program], package)
+
+    def python_node(self, found: Mapping[str, Any], span: Span, context: Context) -> None:
+        """A node of a launch file in Python, as its process has described it."""
+        package, program = found["package"], found["executable"]
+        if package and package not in context.packages:
+            self.findings.add("package", f"package `{package}` is not here", span)
+        if not (name := found["name"]):
+            name = _NOT_IN_NAMES.sub("_", _stem(program))
+            message = f"a node has no name here, so its program gives it one; it is started as `{name}`"
+            self.findings.add("name", message, span)
+        folder = os.path.dirname(span.source.path or span.source.name)
+        settings = [ParameterFileName(os.path.join(folder, path), text, span) for path, text in found["parameters"]]
+        self.system.nodes.append(
+            LaunchedNode(
+                name=name,
+                namespace=found["namespace"],
+                program=_stem(program),
+                command=(program, *found["arguments"]),
+                span=span,
+                remaps=(*context.remaps, *((old, new) for old, new in found["remaps"])),
+                settings=(*context.settings, *settings),
+                environment=dict(context.variables_set),
+                package=package,
+                gate="lifecycle" if found["lifecycle"] else "preload",
+            )
+        )
 
     def executable(self, entity: Entity, context: Context) -> None:
         """Any program. Raises UnknownValue."""
@@ -87,7 +110,14 @@ class NodeElements:
                 self.findings.add("composable", message, component.span)
 
     def _note(
-        self, entity: Entity, context: Context, name: str, namespace: str, program: str, command: list[str]
+        self,
+        entity: Entity,
+        context: Context,
+        name: str,
+        namespace: str,
+        program: str,
+        command: list[str],
+        package: str = "",
     ) -> None:
         prefix, args = (self._words(entity, each, context) for each in ("launch-prefix", "args"))
         self.system.nodes.append(
@@ -95,13 +125,16 @@ class NodeElements:
                 name=name,
                 namespace=namespace,
                 program=program,
-                command=(*prefix, *command, *args),
+                command=(*command, *args),
                 span=entity.span,
                 remaps=(*context.remaps, *self._remaps(entity, context)),
                 settings=(*context.settings, *self._settings(entity, context)),
                 environment=dict(self._environment(entity, context)),
                 ros_arguments=self._words(entity, "ros_args", context),
                 respawn=tuple(self._respawn(entity, context)),
+                package=package,
+                prefix=prefix,
+                gate="lifecycle" if entity.tag == "lifecycle_node" else "preload",
             )
         )
         for child in entity.children:

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 from midstride.lang.source import Span
 from midstride.launch_files.context import Setting
 
+_PACKAGE: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+
 
 @dataclass(frozen=True, slots=True)
 class LaunchedNode:
-    """A process with one node. ``namespace`` has no outer slashes; ``command`` is without ROS's arguments."""
+    """A process with one node. ``namespace`` has no outer slashes; ``command`` is without ROS's arguments.
+
+    The first word of ``command`` is an executable of ``package``, if there is one; ``prefix`` stands before it.
+    """
 
     name: str
     namespace: str
@@ -23,21 +31,25 @@ class LaunchedNode:
     environment: Mapping[str, str] = field(default_factory=dict)
     ros_arguments: tuple[str, ...] = ()
     respawn: tuple[str, ...] = ()
+    package: str = ""
+    prefix: tuple[str, ...] = ()
+    gate: str = "preload"
 
     @property
     def role(self) -> str:
         return f"{self.namespace}/{self.name}" if self.namespace else self.name
 
-    def words(self, more: Sequence[str] = ()) -> list[str]:
-        """The whole command, with ``more`` arguments for ROS."""
-        variables = [f"{name}={value}" for name, value in self.environment.items()]
+    def run(self, more: Sequence[str] = ()) -> tuple[str, str]:
+        """The whole command, with ``more`` arguments for ROS, and the package that it is looked up in, or ""."""
+        before = [*(f"{name}={value}" for name, value in self.environment.items())]
+        before = [*(["env", *before] if before else []), *self.prefix]
+        looked_up = _PACKAGE.fullmatch(self.package) and "/" not in self.command[0]
+        if self.package and (before or not looked_up):  # what is looked up is the first word
+            before += ["ros2", "run", self.package]
         remaps = [word for old, new in self.remaps for word in ("-r", f"{old}:={new}")]
         arguments = [*self.ros_arguments, *remaps, *more]
-        return [
-            *(["env", *variables] if variables else []),
-            *self.command,
-            *(["--ros-args", *arguments] if arguments else []),
-        ]
+        words = [*before, *self.command, *(["--ros-args", *arguments] if arguments else [])]
+        return shlex.join(words), "" if before else self.package
 
 
 @dataclass(slots=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Final
@@ -120,10 +119,12 @@ def _body(node: LaunchedNode, parameters: LaunchedParameters, findings: ImportFi
             values.append(f"{name} = {text}")
         else:  # not a name in the language, but one in ROS
             more += ["-p", f"{name}:={text}"]
-    command = quoted(shlex.join(node.words(more)))
+    run, package = node.run(more)
+    command = quoted(run)
     if command is None:
         findings.add("unsupported", f"the command of `{node.role}` cannot be written; it is `false`", node.span)
-    lines = [f"run {command or quoted('false')} gate preload"]
+    of_package = f" package {quoted(package)}" if package and command else ""
+    lines = [f"run {command or quoted('false')}{of_package} gate {node.gate}"]
     lines += [f"parameters {quoted(os.path.relpath(path, folder))}" for path in parameters.files]
     return [*lines, "parameters {", *values, "}"] if values else lines
 

@@ -122,6 +122,8 @@ class OutgoingCut(_Side):
 
     in_order: bool = False
     over = False
+    # When the new side was known to have taken over (steady, ns).
+    taken_at: int | None = field(default=None, init=False)
     # When the first message newer than T arrived (steady, ns): from then on a message-driven side should write.
     newer_at: int | None = field(default=None, init=False)
     # Since when its time grid seems to have stopped (steady, ns).
@@ -139,7 +141,15 @@ class OutgoingCut(_Side):
             runner.watch = self._on_input
 
     def passes(self, link: OutputLink) -> bool:
-        return not belongs_after(link.output.owner, self.at, self.host, clock=self.clock)
+        runner = link.output.owner
+        return not (belongs_after(runner, self.at, self.host, clock=self.clock) or self._outdated(runner))
+
+    def _outdated(self, runner: OutputOwner) -> bool:
+        """Whether the call of a time grid comes so late that its message must not be heard beside the new side's."""
+        rate = runner.rate
+        if rate is None or self.taken_at is None or self.host.steady() - self.taken_at < GRACE * 1e9:
+            return False
+        return self.now() - self.at > max(GRACE, 2 * rate.period) * 1e9
 
     def shows(self, link: OutputLink) -> GateState:
         return "open"

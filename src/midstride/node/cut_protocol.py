@@ -140,7 +140,8 @@ class CutOutTask(_CutTask):
             await self.cancel()
         if self.outcome in ("resumed", "cancelled"):
             return True
-        self._taken = True
+        if not self._taken:
+            self._taken, self.side.taken_at = True, self.host.steady()
         return False
 
     async def cancel(self) -> None:

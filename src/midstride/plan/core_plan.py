@@ -8,7 +8,7 @@ claimed of them never rests on the compiled core alone.
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import inf
 
@@ -18,22 +18,24 @@ from midstride.model.specification import Constraint, Keep, Limit
 from midstride.plan.constraints import ConstraintMonitor
 from midstride.plan.core import Op, parts
 from midstride.plan.core_losses import PartLosses, fullest
-from midstride.plan.core_search import PartSearch
+from midstride.plan.core_search import PartResult, PartSearch
 from midstride.plan.disruption import Levels
 from midstride.plan.plan_builder import PlanBuilder
 from midstride.plan.search_state import SearchState
 
 
 class Budget:
-    """How long the search may take: in seconds, or in states, where the result must not depend on the machine."""
+    """How long the search may take: in states, where the result must not depend on the machine, or in seconds."""
 
-    def __init__(self, states: float = 20_000, seconds: float = inf) -> None:
-        self._states, self._end = states, time.monotonic() + seconds
+    def __init__(
+        self, states: float = 20_000, seconds: float = inf, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._states, self._clock, self._end = states, clock, clock() + seconds
 
     def is_used_up(self) -> bool:
         """Counts one state more."""
         self._states -= 1
-        return self._states < 0 or time.monotonic() > self._end
+        return self._states < 0 or self._clock() > self._end
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +61,14 @@ def search_core(
     if not found:
         return CoreResult()
     full = fullest(change)
-    searches = [PartSearch(part, PartLosses(change, part, levels, full), keeps) for part in found]
-    results = [search.beam() for search in searches]
+    limits = {
+        each.functionality: each.seconds
+        for each in sorted((c for c in constraints if isinstance(c, Limit)), key=lambda limit: -limit.seconds)
+        if each.seconds and levels.find(each.functionality) is not None
+    }
+    searches = [PartSearch(part, PartLosses(change, part, levels, full), keeps, limits) for part in found]
+    # The beam does not count the seconds of limits, so under limits there is no way known at first.
+    results = [PartResult(0.0) if limits else search.beam() for search in searches]
     for index, search in enumerate(searches):
         results[index] = search.run(budget.is_used_up, results[index])
     bound = sum(result.lower_bound for result in results)
@@ -77,7 +85,7 @@ def search_core(
 def _keeps(levels: Levels, constraints: Iterable[Constraint]) -> dict[FunctionalityRef, int]:
     """How many levels below its baseline each functionality may be that is to be kept.
 
-    A ``limit`` of 0 s keeps it at the baseline. Others do not narrow the search.
+    A ``limit`` of 0 s keeps it at the baseline.
     """
     never = (each.functionality for each in constraints if isinstance(each, Limit) and not each.seconds)
     found = {ref: 0 for ref in never if levels.find(ref) is not None}

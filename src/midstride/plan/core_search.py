@@ -7,10 +7,10 @@ one state. The frontier gives a lower bound at any time; a beam search before it
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from math import inf
-from typing import Final
+from typing import Final, TypeAlias
 
 from midstride.model.component import FunctionalityRef
 from midstride.model.contract import satisfies
@@ -22,6 +22,8 @@ _EPSILON: Final = 1e-7
 _BEAM: Final = 40
 # Up to this many exchanges that can be made in a state, every set of them is looked at as one hand-over.
 _JOINT: Final = 5
+
+Node: TypeAlias = tuple[int, tuple[float, ...]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +39,20 @@ class PartResult:
 
 
 class PartSearch:
-    """``keeps``: for some functionalities of roles, how many levels below the baseline they may be."""
+    """``keeps``: for some functionalities of roles, how many levels below the baseline they may be.
 
-    def __init__(self, part: Part, losses: PartLosses, keeps: dict[FunctionalityRef, int]) -> None:
+    ``limits``: for some, how many seconds they may be below it during creations and removals.
+    """
+
+    def __init__(
+        self,
+        part: Part,
+        losses: PartLosses,
+        keeps: dict[FunctionalityRef, int],
+        limits: dict[FunctionalityRef, float] | None = None,
+    ) -> None:
         self.part, self.losses, self.keeps = part, losses, keeps
+        self.limits = tuple((limits or {}).items())
         self.bounds = RoleBounds(part, losses)
         ops = part.ops
         self._creates = [bit for bit, op in enumerate(ops) if op.kind == "create"]
@@ -162,11 +174,11 @@ class PartSearch:
         """A way through the part, not always the cheapest: the most promising states with each number of actions."""
         layers: list[dict[int, tuple[float, int]]] = [{} for _ in range(len(self.part.ops) + 1)]
         layers[0][0] = (0.0, -1)
-        best, end, parents = inf, -1, dict[int, int]()
+        best, end, parents = inf, -1, dict[Node, Node | None]()
         for layer in layers:
             ranked = heapq.nsmallest(width, layer.items(), key=lambda item: item[1][0] + self.bounds.of(item[0]))
             for state, (cost, parent) in ranked:
-                parents[state] = parent
+                parents[state, ()] = None if parent < 0 else (parent, ())
                 if state & self._goal == self._goal:
                     if cost < best:
                         best, end = cost, state
@@ -175,42 +187,61 @@ class PartSearch:
                     following = layers[after.bit_count()]
                     if cost + more < following.get(after, (best, 0))[0]:
                         following[after] = (cost + more, state)
-        return PartResult(self.bounds.of(0), best, _moves(parents, end) if end >= 0 else ())
+        return PartResult(self.bounds.of(0), best, _moves(parents, (end, ())) if end >= 0 else ())
 
     def run(self, stop: Callable[[], bool], known: PartResult) -> PartResult:
         """A*, until it is proved which way is the cheapest or ``stop`` says so. ``known`` is the best way known."""
-        costs = {0: 0.0}
-        parents = {0: -1}
+        start: Node = (0, (0.0,) * len(self.limits))
+        costs = {start: 0.0}
+        parents: dict[Node, Node | None] = {start: None}
         estimate = self.bounds.of(0)
-        queue = [(estimate, 0, 0.0, 0)]
+        queue = [(estimate, 0, 0.0, start)]
         try:
             while queue:
-                estimate, _, cost, state = queue[0]
+                estimate, _, cost, node = queue[0]
                 if estimate >= known.cost - _EPSILON:
                     break
                 if stop():
                     raise KeyboardInterrupt
                 heapq.heappop(queue)
-                if cost > costs[state]:
+                if cost > costs[node]:
                     continue  # reached more cheaply since
+                state, spent = node
                 if state & self._goal == self._goal:
-                    return PartResult(cost, cost, _moves(parents, state))
+                    return PartResult(cost, cost, _moves(parents, node))
                 for after, more in self.moves(state):
+                    following = after, self._spent(spent, state, after)
                     total = cost + more
-                    if total < costs.get(after, inf) - 1e-12:
+                    if total < costs.get(following, inf) - 1e-12 and self._is_within(following[1]):
                         bound = total + self.bounds.of(after)
                         if bound < known.cost - _EPSILON:
-                            costs[after], parents[after] = total, state
-                            heapq.heappush(queue, (bound, -after.bit_count(), total, after))
+                            costs[following], parents[following] = total, node
+                            heapq.heappush(queue, (bound, -after.bit_count(), total, following))
         except KeyboardInterrupt:
             # The least estimate that has been looked at is a lower bound whenever the search ends.
             return PartResult(estimate, known.cost, known.moves)
         return PartResult(known.cost, known.cost, known.moves)
 
+    def _spent(self, spent: tuple[float, ...], before: int, after: int) -> tuple[float, ...]:
+        """The seconds below the baseline that the limits count, after one more step."""
+        if not spent:
+            return spent
+        taken = sum(s for bit, s in enumerate(self.part.seconds) if (after & ~before) >> bit & 1)
+        if not taken:
+            return spent
+        lost = {ref for state in (before, after) for ref, _ in self.losses.losses(state)}
+        return tuple(
+            round(so_far + taken * (ref in lost), 9) for so_far, (ref, _) in zip(spent, self.limits, strict=True)
+        )
 
-def _moves(parents: dict[int, int], end: int) -> tuple[int, ...]:
+    def _is_within(self, spent: tuple[float, ...]) -> bool:
+        return all(s <= most + _EPSILON for s, (_, most) in zip(spent, self.limits, strict=True))
+
+
+def _moves(parents: Mapping[Node, Node | None], end: Node) -> tuple[int, ...]:
     found = []
-    while parents[end] >= 0:
-        found.append(end & ~parents[end])
-        end = parents[end]
+    node: Node | None = end
+    while node is not None and (before := parents[node]) is not None:
+        found.append(node[0] & ~before[0])
+        node = before
     return tuple(reversed(found))

@@ -52,15 +52,15 @@ class Candidate:
         return self.key[:3] == (False, 0.0, 0)
 
 
-def minimal(change: Change, within: float | None = None) -> Plan:
-    """The best plan found, with the lower bound proved ``within`` so many seconds (None: in a fixed number of states).
+def minimal(change: Change, budget: Budget | None = None) -> Plan:
+    """The best plan found, with the lower bound proved within ``budget`` (None: in a fixed number of states).
 
     An interrupt (Ctrl-C) ends the search for the proof, and keeps what was found. Raises PlanRefused, with the
     constraints in conflict, where no plan was found that meets all of them.
     """
     levels = Levels(change)
     constraints = in_force(change)
-    found, bound = _best(levels, constraints, Budget() if within is None else Budget(inf, within))
+    found, bound = _best(levels, constraints, budget or Budget())
     if found is None or found.breaches:
         broken = () if found is None else found.breaches
         relevant = _relevant(change, found, constraints)
@@ -100,13 +100,14 @@ def _limits(levels: Levels, constraints: Sequence[Constraint]) -> list[str]:
 
 
 def _along(core: CoreResult, levels: Levels, constraints: Sequence[Constraint]) -> Candidate | None:
-    """The best plan along the core's moves."""
+    """The best plan along the core's moves, with hand-overs unless these lose more."""
     if not core.moves:
         return None
     orders = [constraint for constraint in constraints if isinstance(constraint, Order)]
     state = SearchState.at_start(PlanBuilder.at_start(levels), orders)
     candidates = (_candidate(levels, constraints, builder) for builder in plans_along(state, core.moves))
-    return min(candidates, key=lambda candidate: candidate.key, default=None)
+    # The first of those that lose as little: without a hand-over, old and new are heard at once, however quick it is.
+    return min(candidates, key=lambda candidate: candidate.key[:3], default=None)
 
 
 def _no_room(change: Change, resources: Sequence[str]) -> Iterator[str]:

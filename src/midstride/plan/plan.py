@@ -44,9 +44,14 @@ class Plan:
 
     @classmethod
     def of(cls, strategy: str, steps: Sequence[Step], levels: Levels, lower_bound: float = 0.0) -> Plan:
-        """The plan that consists of ``steps``, with its costs; no plan has less disruption than ``lower_bound``."""
+        """The plan that consists of ``steps``, with its costs; no plan has less disruption than ``lower_bound``.
+
+        A bound above the plan's own disruption refutes itself: then nothing is claimed.
+        """
         *_, (_, meter) = follow(levels, steps)
         # Sums of floats in another order may differ by less than any plan does.
+        if lower_bound > meter.disruption + _EPSILON:
+            lower_bound = 0.0
         is_minimal = meter.disruption - lower_bound < _EPSILON
         return cls(
             strategy=strategy,

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from math import inf
 from typing import Final, TypeAlias
 
 from immutables import Map
 
 from midstride.plan.change import Change
+from midstride.plan.core_plan import Budget
 from midstride.plan.minimal import minimal
 from midstride.plan.paper import paper
 from midstride.plan.plan import Plan
@@ -23,6 +25,11 @@ STRATEGIES: Final[Mapping[str, Planner]] = Map({"minimal": minimal, "paper": pap
 
 
 def planner(name: str = "minimal", within: float | None = None) -> Planner:
-    """The planner of that name; ``within`` is for ``minimal`` alone. Raises PlanRefused for an unknown one."""
+    """The planner of that name. Raises PlanRefused for an unknown one.
+
+    ``within`` is for ``minimal`` alone: from now on, how many seconds it may search for the proof.
+    """
     require("strategy", name, STRATEGIES)
-    return partial(minimal, within=within) if name == "minimal" and within is not None else STRATEGIES[name]
+    if name == "minimal" and within is not None:
+        return partial(minimal, budget=Budget(inf, within))
+    return STRATEGIES[name]

@@ -115,9 +115,9 @@ class SilenceMonitor:
         for instance in self._reports.keys() - configuration.instances.keys():
             self._forget(instance)
         found = {fault.words: fault for fault in self.faults(configuration)}
-        for words in found.keys() - self._known.keys():
+        for words in sorted(found.keys() - self._known.keys()):
             self.events.add("silence", words)
-        for words in self._known.keys() - found.keys():
+        for words in sorted(self._known.keys() - found.keys()):
             if (fault := self._known[words]).instance in configuration.instances:
                 self.events.add("note", _ENDED[fault.kind].format(fault))
         self._known = found

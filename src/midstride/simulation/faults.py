@@ -47,6 +47,8 @@ LATE: Final[frozenset[str]] = frozenset({"freeze", "hang", "clock jump"})
 OF_THE_MANAGER: Final[frozenset[str]] = frozenset(
     {"manager killed", "manager killed at a write", "torn write", "full disk", "manager superseded"}
 )
+# Faults after which a publisher still learns in time that it was replaced.
+PROMPT: Final = OF_THE_MANAGER | {"hang", "slow start", "failed start", "slow rate", "silence", "exception"}
 _REQUEST_FAULTS: Final[dict[FaultKind, RequestFault]] = {
     "lost request": "lost_request",
     "lost reply": "lost_reply",
@@ -59,6 +61,9 @@ _REQUEST_FAULTS: Final[dict[FaultKind, RequestFault]] = {
 }
 # How many requests a change makes, about: a fault strikes at one of them.
 REQUESTS: Final = 40
+# The requests of a hand-over at which a fault strikes on purpose: between any two of them, another side knows more.
+# Two of one kind get lost at most: where the new side's report is lost for longer than the old one waits, both publish.
+CRITICAL: Final = ("meet", "cut_out", "cut_in", "await_cut", "taken", "cancel_cut")
 # How many requests a step makes at most, where that is more than three.
 REQUESTS_OF: Final = {"handover": 18, "create": 6}
 
@@ -66,6 +71,8 @@ REQUESTS_OF: Final = {"handover": 18, "create": 6}
 @dataclass(frozen=True, slots=True)
 class Fault:
     """``step``: it strikes ``after`` requests after the first step of that kind, else after the change began.
+
+    ``op``: at the next request of that kind, and if ``involved`` at the instance that it is for.
 
     ``involved``: at an instance of a role that the change names, else at any. ``seconds`` is how long it lasts, or how
     much is delayed; ``times`` how many requests or messages it affects.
@@ -77,8 +84,11 @@ class Fault:
     involved: bool
     seconds: float
     times: int
+    op: str | None = None
 
     def __str__(self) -> str:
+        if self.op is not None:
+            return f"{self.kind} at `{self.op}`"
         where = "of the change" if self.step is None else f"from the first {self.step} on"
         return f"{self.kind} at request {self.after} {where}"
 
@@ -90,14 +100,17 @@ def draw(random: random.Random, steps: Sequence[str]) -> list[Fault]:
 
 
 def _draw(random: random.Random, steps: Sequence[str], kinds: Sequence[str]) -> Fault:
-    step = random.choice(steps) if steps and random.random() < 0.75 else None
+    op = random.choice(CRITICAL) if "handover" in steps and random.random() < 0.25 else None
+    step = "handover" if op is not None else random.choice(steps) if steps and random.random() < 0.75 else None
+    after = 0 if op is not None else random.randrange(REQUESTS if step is None else REQUESTS_OF.get(step, 3))
     return Fault(
         kind=cast("FaultKind", random.choice(kinds)),
         step=step,
-        after=random.randrange(REQUESTS if step is None else REQUESTS_OF.get(step, 3)),
+        after=after,
         involved=random.random() < 0.6,
         seconds=random.choice((0.005, 0.03, 0.1, 0.3, 1.0, 3.0, 8.0)),
-        times=random.choice((1, 1, 2, 3)),
+        times=random.choice((1, 1, 2, 3) if op is None else (1, 2)),
+        op=op,
     )
 
 
@@ -144,7 +157,7 @@ def strike(fault: Fault, platform: Platform, names: list[str], random: random.Ra
             return topic
         case kind:
             faults.fail_next(
-                target.instance, None, _REQUEST_FAULTS[cast("FaultKind", kind)], fault.times, 0, fault.seconds
+                target.instance, fault.op, _REQUEST_FAULTS[cast("FaultKind", kind)], fault.times, 0, fault.seconds
             )
     return target.instance
 

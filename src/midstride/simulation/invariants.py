@@ -49,18 +49,19 @@ class Invariants:
     def begin(
         self,
         reaction: Callable[[], float],
-        punctual: Callable[[], bool],
+        lateness: Callable[[], float],
         uninterrupted: Callable[[], bool],
         violated: Callable[[str], None],
     ) -> None:
         """A new seed begins.
 
         ``reaction()``: how long the manager may take to react now (s), infinite while it cannot.
-        ``punctual()``: whether no fault has made a call of a component late.
+        ``lateness()``: how long after a publisher was replaced its last message may be heard (s), because of a fault
+        that makes calls late; infinite where it may not know either that it was replaced.
         ``uninterrupted()``: whether no plan and no fault has a reason to make a topic silent.
         ``violated`` is called once for each violation, with words.
         """
-        self.reaction, self.punctual, self.uninterrupted, self.violated = reaction, punctual, uninterrupted, violated
+        self.reaction, self.lateness, self.uninterrupted, self.violated = reaction, lateness, uninterrupted, violated
         self.heard.clear()
         self._reported.clear()
 
@@ -93,12 +94,14 @@ class Invariants:
         self._publishers[key] = owner.instance, now
         if before == owner.instance:
             return
-        if now - at < self.oracle.period(writer.topic) * SAME_SLOT and self.punctual():
+        lateness = self.lateness()
+        if now - at < self.oracle.period(writer.topic) * SAME_SLOT and not lateness:
             self._violation(f"{before} and {owner.instance} both write one slot of {writer.topic}")
-        # A call that a fault has made late still writes what belongs before the cut, and so adds two.
-        most = EXCHANGES if self.punctual() else EXCHANGES + 2
         times = self._exchanged.setdefault(key, deque(maxlen=EXCHANGES + 2))
         times.append(now)
+        # A call that a fault has made late may still write what belongs before the cut, and so add two.
+        late = len(times) >= EXCHANGES and times[-2] - times[-EXCHANGES] < lateness
+        most = EXCHANGES + 2 if late else EXCHANGES
         if len(times) >= most and now - times[-most] < EXCHANGES_WITHIN:
             self._violation(f"{before} and {owner.instance} are both heard on {writer.topic}")
 

@@ -15,11 +15,12 @@ from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Event
 from midstride.simulation.convergence import closed_outputs, differences, uncaught
-from midstride.simulation.faults import LATE, OF_THE_MANAGER, Fault, draw, strike
+from midstride.simulation.faults import LATE, OF_THE_MANAGER, PROMPT, Fault, draw, strike
 from midstride.simulation.lives import Life, ManagerKilled
 from midstride.simulation.scenario import Scenario
 from midstride.simulation.stand_in import StandIn
 from midstride.simulation.system import System
+from midstride.wire.frames import Reply
 
 # How long (s) a change may take that faults strike, and a system to converge once they are over.
 LONGEST_CHANGE: Final = 600.0
@@ -27,6 +28,9 @@ LONGEST_CHANGE: Final = 600.0
 # where a component has refused what it was asked: it is asked again.
 REACTION: Final = 0.25
 REACTION_IF_REFUSED: Final = 2.0
+# How long after a publisher was replaced a call of its may write that hung meanwhile (s): two periods of the slowest
+# topic, and the time of a few messages.
+LATE_WRITE: Final = 0.22
 # How long to wait after the last command, for reports and messages to arrive (s).
 SETTLING: Final = 0.4
 # Where a write kills the manager: at any, or at one that records what has just been started or removed, or is done.
@@ -82,8 +86,9 @@ class Simulation:
         self._loop.random.seed(self._random.getrandbits(32))
         self._platform.reseed(self._random.getrandbits(32))
         system.on_event, system.on_exit = self._on_manager_event, self._on_exit
-        system.invariants.begin(self._reaction, self._punctual, self._uninterrupted, self._violated)
+        system.invariants.begin(self._reaction, self._lateness, self._uninterrupted, self._violated)
         self._platform.control.before_request = self._before_request
+        self._platform.control.on_carried_out_twice = self._on_carried_out_twice
         self._step = "none"
         self._since: dict[str, int] = {}  # requests since the change began, and since the first step of each kind
         self._waiting: list[Fault] = []
@@ -251,8 +256,10 @@ class Simulation:
             return math.inf
         return REACTION_IF_REFUSED if self._has_struck("refused request") else REACTION
 
-    def _punctual(self) -> bool:
-        return not self._has_struck(*LATE)
+    def _lateness(self) -> float:
+        if not self._has_struck(*LATE):
+            return 0.0
+        return LATE_WRITE if {each.fault for each in self._struck} <= PROMPT else math.inf
 
     def _uninterrupted(self) -> bool:
         """Whether outputs are handed over, and at most the manager has failed."""
@@ -314,11 +321,15 @@ class Simulation:
         for key in self._since:
             self._since[key] += 1
         for fault in list(self._waiting):
-            if self._since.get(fault.step or "change", -1) >= fault.after:
+            if self._since.get(fault.step or "change", -1) >= fault.after and fault.op in (None, op):
                 self._waiting.remove(fault)
-                self._strike(fault)
+                self._strike(fault, instance)
 
-    def _strike(self, fault: Fault) -> None:
+    def _on_carried_out_twice(self, instance: str, first: Reply, second: Reply) -> None:
+        self._violated(f"{instance} answers a request at revision {first.revision}, and repeated at {second.revision}")
+
+    def _strike(self, fault: Fault, instance: str) -> None:
+        """At a request to ``instance``."""
         where: str | None = "the manager"
         match fault.kind:
             case "manager killed":
@@ -333,12 +344,14 @@ class Simulation:
             case "manager superseded":
                 self._supersede()
             case _:
-                where = strike(fault, self._platform, self._targets(fault), self._random)
+                where = strike(fault, self._platform, self._targets(fault, instance), self._random)
         if where is not None:
             self._note("fault", f"{fault.kind} ({where}, {fault.seconds:g} s, {fault.times} times)")
             self._struck.append(Struck(fault.kind, self._step))
 
-    def _targets(self, fault: Fault) -> list[str]:
+    def _targets(self, fault: Fault, instance: str) -> list[str]:
+        if fault.op is not None and fault.involved:
+            return [instance]
         everyone = [process.instance for process in self._platform.stand_ins()]
         roles = {role for request in self._scenario.changes for role in request.roles()}
         involved = [process.instance for process in self._platform.stand_ins() if process.role in roles]

@@ -14,7 +14,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from midstride.foreign.services import NoAnswer
 
 # How often it looks for a service, or for an answer (s).
-INTERVAL: Final = 0.005
+INTERVAL: Final = 0.002
 # After how long without an answer a request is sent again (s): discovery may have shown a server whose process had just
 # ended, or the new one before it could answer.
 AGAIN: Final = 1.0
@@ -42,15 +42,14 @@ class RosNodeServices:
     async def lifecycle_state(self, timeout: float) -> str:
         return str((await self._call(GetState, "get_state", timeout)).current_state.label)
 
-    async def transition(self, name: str, timeout: float) -> bool:
+    async def transition(self, name: str, state: str, timeout: float) -> bool:
         request = ChangeState.Request()
         request.transition.id = _TRANSITIONS[name]
-        before = await self.lifecycle_state(timeout)
 
         async def lost() -> bool:
             """Not if the node is busy with it."""
             try:
-                return await self.lifecycle_state(AGAIN) == before
+                return await self.lifecycle_state(AGAIN) == state
             except NoAnswer:
                 return False
 

@@ -30,6 +30,8 @@ class ClientEnd:
         self._instance = instance
         self._end = end
         self._faulty_replies: dict[str, FailingCall] = {}  # by the id of the request
+        # The first reply to each request that was repeated, once there is one.
+        self._repeated: dict[str, Reply | None] = {}
         self.close = end.close
 
     async def send(self, frame: bytes) -> None:
@@ -52,6 +54,8 @@ class ClientEnd:
                     assert fault is not None
                     await asyncio.sleep(fault.seconds)
                 case "repeated_request":
+                    if frames.decode_command(request).kind == "changing":
+                        self._repeated[request.id] = None
                     await self._end.send(frame)
                 case "lost_reply" | "delayed_reply" | "repeated_reply":
                     assert fault is not None
@@ -60,13 +64,19 @@ class ClientEnd:
 
     async def receive(self) -> bytes | None:
         while (line := await self._end.receive()) is not None:
-            if not self._faulty_replies and self._control.rewrite_state is None:
+            if not self._faulty_replies and not self._repeated and self._control.rewrite_state is None:
                 return line
             match frames.decode_from_component(line):
                 case frames.StateChanged(state=state) if self._control.rewrite_state is not None:
                     if (rewritten := self._control.rewrite_state(state)) is None:
                         continue
                     line = frames.encode(frames.StateChanged(state=rewritten))
+                case Reply(id=id) as reply if id in self._repeated:
+                    first = self._repeated.pop(id)
+                    if first is None:
+                        self._repeated[id] = reply
+                    elif first != reply:
+                        self._control.on_carried_out_twice(self._instance, first, reply)
                 case Reply(id=id) if id in self._faulty_replies:
                     fault = self._faulty_replies.pop(id)
                     if fault.how != "lost_reply":
@@ -119,6 +129,8 @@ class SimulatedControl:
         self.before_request: Callable[[str, str], Awaitable[None]] | None = None
         # What becomes of a state that a component reports; None: it gets lost.
         self.rewrite_state: Callable[[ComponentState], ComponentState | None] | None = None
+        # Called with the instance and both replies where a request that was repeated has another reply than before.
+        self.on_carried_out_twice: Callable[[str, Reply, Reply], None] = lambda instance, first, second: None
         self._clock = clock
         self._latency = latency
         self._pipes = PipeNetwork()
