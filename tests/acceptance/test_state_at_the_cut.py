@@ -91,6 +91,9 @@ async def replaced(backend: str, folder: Path, recorder: str, replacements: int)
                 if outcome.outcome != "done":
                     assert outcome.outcome == "rolled_back", outcome.because
                     given_up.append(f"{number}: {outcome.because}")
+                # A process that hangs cannot export its state: then numbers are missing, and this says why.
+                given_up += [f"{number}: fenced: {each.words}" for each in outcome.fenced]
+                given_up += [f"{number}: {words}" for words in outcome.own_state.values()]
             heard = await lines(path, len(path.read_text().splitlines()) + 20)
     finally:
         await manager.down()

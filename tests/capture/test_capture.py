@@ -220,7 +220,7 @@ namespace right {
 def test_names_of_ports_are_words_that_the_language_leaves_free() -> None:
     graph = SimulatedGraph()
     for topic in ("/mode", "/a/scan", "/b/scan", "/input", "/x/3d"):
-        graph.publisher("/node1", topic, STRING)
+        graph.publisher("/system/node1", topic, STRING)
     assert load_text(draft("s", graph.observed())) == []
 
 

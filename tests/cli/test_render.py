@@ -47,6 +47,11 @@ def test_a_plan_takes_as_long_as_its_steps_one_after_another() -> None:
     )
 
 
+def test_a_plan_shows_the_spread_of_what_was_measured_where_it_is_wide() -> None:
+    assert "takes about 1.38 s (1.10 s to 2.50 s); " in render.cost(plan(between=(1.1, 2.5)))
+    assert "takes about 1.38 s; " in render.cost(plan(between=(1.36, 1.41)))
+
+
 def test_what_stays_lower_is_reported() -> None:
     """`midstride remove` of what the brake relies on: it was meant to fall, and it has fallen."""
     assert shown(render.outcome(done())) == ["Done in 270 ms.", "Nothing fell below its level."]

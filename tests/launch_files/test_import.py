@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
 
 from midstride.errors import SpecificationError
 from midstride.lang.files import INCLUDE_PATH
+from midstride.launch_files import interpreter, python_files
+from midstride.launch_files.findings import UnknownValue
+from midstride.launch_files.importing import import_launch_file
 from tests.launch_files.support import commands, imported, kinds, of_xml, specification
 
 XML = """<launch>
@@ -304,3 +308,76 @@ def test_what_only_ros_can_name_is_passed_in_the_command(tmp_path: Path) -> None
 def test_a_lifecycle_node_has_its_gate(tmp_path: Path) -> None:
     found = of_xml(tmp_path, '<lifecycle_node pkg="nav" exec="map" name="map" namespace=""/>')
     assert 'run "map" package "nav" gate lifecycle' in found.text and kinds(found) == ["package"]
+
+
+def test_a_launch_file_in_python_is_a_program_and_not_carried_out_unasked(tmp_path: Path) -> None:
+    file = tmp_path / "robot.launch.py"
+    file.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\n")
+    found = of_xml(tmp_path, f'<include file="{file}"/>')
+    assert kinds(found) == ["python"] and "--run-python" in str(next(iter(found.findings)))
+    with pytest.raises(SpecificationError, match="--run-python"):
+        imported(file)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_nodes_of_a_launch_file_in_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What its process describes; that process is checked where `launch` is (test_python_launch.py)."""
+    described = {
+        "nodes": [
+            {
+                "name": "a",
+                "namespace": "top/g",
+                "package": "demo",
+                "executable": "a",
+                "arguments": ["--x", "7"],
+                "remaps": [["in", "/out"]],
+                "parameters": [["a.yaml", None], ["/launch_params_1", "/**:\n  ros__parameters:\n    rate: 50.0\n"]],
+                "lifecycle": True,
+            }
+        ],
+        "left": [["unsupported", "`TimerAction` in Python is left out"]],
+    }
+    given = []
+
+    def carried_out(path: str, variables: object, namespace: str, environment: object) -> object:
+        given.append((Path(path).name, variables, namespace))
+        return described
+
+    monkeypatch.setattr(interpreter, "carried_out", carried_out)
+    (tmp_path / "b.launch.py").write_text("")
+    (tmp_path / "a.yaml").write_text("/**:\n  ros__parameters:\n    gain: 2\n")
+    (tmp_path / "a.launch.xml").write_text(
+        '<launch><arg name="n"/><let name="k" value="1"/><push-ros-namespace namespace="top"/>'
+        '<include file="b.launch.py"/></launch>'
+    )
+    found = import_launch_file(tmp_path / "a.launch.xml", {}, {}, tmp_path, run_python=True)
+    assert given == [("b.launch.py", {"k": "1"}, "top")]
+    assert kinds(found) == ["argument", "unsupported", "package"]
+    assert 'run "a --x 7 --ros-args -r in:=/out" package "demo" gate lifecycle' in found.text
+    assert "rate = 50.0" in found.text and 'parameters "a.yaml"' in found.text and "namespace top/g" in found.text
+
+
+@pytest.mark.parametrize(
+    ("script", "why"),
+    [
+        ("import sys; sys.exit(3)", "cannot be imported"),
+        ("raise RuntimeError('no luck')", "it failed: RuntimeError: no luck"),
+        ("import sys; print(1); sys.exit(1)", "it failed: exit status 1"),
+    ],
+)
+def test_a_launch_file_in_python_that_cannot_be_carried_out(tmp_path: Path, script: str, why: str) -> None:
+    with pytest.raises(UnknownValue, match=why):
+        python_files.carried_out("a.launch.py", {}, "", {}, runner=(sys.executable, "-c", script))
+
+
+def test_names_that_are_words_of_the_language(tmp_path: Path) -> None:
+    """A namespace keeps its name, as a path; parameters do anyway."""
+    found = of_xml(
+        tmp_path,
+        """<node exec="./a" name="a" namespace="system">
+          <param name="mode" value="1"/><param name="a.topic" value="2"/>
+        </node>
+        <node exec="./b" name="b" namespace="node/input"/>""",
+    )
+    assert kinds(found) == [] and set(commands(found, tmp_path)) == {"system/a", "node/input/b"}
+    assert "mode = 1" in found.text and "a.topic = 2" in found.text

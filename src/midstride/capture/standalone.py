@@ -7,6 +7,7 @@ import re
 from midstride.capture.observed import ObservedGraph
 from midstride.capture.proposal import component_text, node_block, ports_of, topic_lines
 from midstride.lang.printer import format_text
+from midstride.lang.token_stream import RESERVED
 
 
 def draft(name: str, graph: ObservedGraph, rates: bool = False) -> str:
@@ -29,7 +30,8 @@ def draft(name: str, graph: ObservedGraph, rates: bool = False) -> str:
         namespace, _, own = node.rpartition("/")
         nodes.setdefault(namespace.strip("/"), []).append(f"node {own} : {component} {node_block(found)}")
     for namespace, statements in sorted(nodes.items()):
-        lines += [f"namespace {namespace} {{", *statements, "}", ""] if namespace else [*statements, ""]
+        word = "/" if namespace in RESERVED else ""  # as a path, it is a name
+        lines += [f"namespace {word}{namespace} {{", *statements, "}", ""] if namespace else [*statements, ""]
     formatted = format_text("\n".join(lines))
     assert formatted.text is not None, [str(each) for each in formatted.diagnostics]
     return formatted.text

@@ -18,6 +18,8 @@ Document = Mapping[str, Any]
 
 UNKNOWN: Final = "unknown"
 _COUNTS: Final = ("missed", "lost", "duplicates")
+# Measured durations that differ by less (s) are shown as one.
+SPREAD: Final = 0.1
 MEASUREMENTS: Final = ("longest gap", "in periods", *_COUNTS)
 _STYLES: Final = {
     "step_failed": "red",
@@ -100,10 +102,10 @@ def plan(document: Document, title: str) -> RenderableType:
 
 
 def _about(document: Document) -> str:
-    """How long a step or a plan takes, and the shortest and the longest that was measured."""
+    """How long a step or a plan takes, and the shortest and the longest that was measured where they differ much."""
     expected = seconds(document.get("seconds"))
-    between = document.get("between")
-    return expected if between is None else f"{expected} ({' to '.join(map(seconds, between))})"
+    shortest, longest = document.get("between") or (0.0, 0.0)
+    return expected if longest - shortest < SPREAD else f"{expected} ({seconds(shortest)} to {seconds(longest)})"
 
 
 def _runtime_values(document: Document) -> Iterable[Text]:

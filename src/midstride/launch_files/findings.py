@@ -14,7 +14,7 @@ KINDS: Final = {
     "argument": "an argument has no value, or one that is not among its choices",
     "package": "a package is not here",
     "include": "a launch file is not here, or may not be read; what it starts is left out",
-    "python": "a launch file in Python is left out",
+    "python": "a launch file in Python is not carried out, or failed; what it starts is left out",
     "condition": "a condition has no known value; what it guards is left out",
     "substitution": "a substitution has no known value; what needs it is left out",
     "composable": "a component in a container is left out: it shares its process with others",

@@ -29,13 +29,16 @@ class Imported:
 
 
 def import_launch_file(
-    path: Path, arguments: Mapping[str, str], environment: Mapping[str, str], folder: Path
+    path: Path, arguments: Mapping[str, str], environment: Mapping[str, str], folder: Path, run_python: bool = False
 ) -> Imported:
-    """The specification, which is to be in ``folder``. Raises SpecificationError if ``path`` is no launch file."""
+    """The specification, which is to be in ``folder``. Raises SpecificationError if ``path`` is no launch file.
+
+    With ``run_python``, launch files in Python are carried out: they are programs.
+    """
     absolute = os.path.abspath(path)
     packages = Packages(environment, [os.path.abspath(each) for each in include_folders()])
     files, findings = ReadableFiles(Path(absolute), packages.roots()), ImportFindings()
-    interpreter = Interpreter(files, findings, arguments)
+    interpreter = Interpreter(files, findings, arguments, run_python)
     context = Context(packages, environment, absolute, variables=dict(arguments))
     try:
         interpreter.file(absolute, context)

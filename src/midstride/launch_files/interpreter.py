@@ -6,11 +6,13 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
+from midstride.lang.source import Span
 from midstride.launch_files.context import Context, ParameterFileName
 from midstride.launch_files.entity import ENDINGS, Entity, NotALaunchFile, read_entity
 from midstride.launch_files.files import ReadableFiles
 from midstride.launch_files.findings import ImportFindings, UnknownValue
 from midstride.launch_files.node_elements import NodeElements
+from midstride.launch_files.python_files import carried_out
 from midstride.launch_files.substitutions import substituted, truth
 from midstride.launch_files.values import value_of
 
@@ -23,9 +25,12 @@ _IGNORED: Final = frozenset({"log", "set_ros_log_dir"})
 class Interpreter(NodeElements):
     """Notes in ``system`` what the launch files start, and in ``findings`` what was left out or assumed."""
 
-    def __init__(self, files: ReadableFiles, findings: ImportFindings, arguments: Mapping[str, str]) -> None:
+    def __init__(
+        self, files: ReadableFiles, findings: ImportFindings, arguments: Mapping[str, str], run_python: bool = False
+    ) -> None:
         super().__init__(files, findings)
         self._given = dict(arguments)
+        self._run_python = run_python
         self._depth = 0
         self._elements: Final[dict[str, tuple[str, Callable[[Entity, Context], None]]]] = {
             "arg": ("name default", self._arg),
@@ -52,6 +57,9 @@ class Interpreter(NodeElements):
 
     def file(self, path: str, context: Context) -> None:
         """Carry out the launch file at an absolute path. Raises UnknownValue if it cannot be read."""
+        if path.endswith(".py"):
+            self._python(path, context)
+            return
         source = self.files.source(path, *ENDINGS)
         try:
             root = read_entity(source)
@@ -63,6 +71,21 @@ class Interpreter(NodeElements):
             self._children(root.children, context)
         finally:
             context.file = outer
+
+    def _python(self, path: str, context: Context) -> None:
+        """Note the nodes of a launch file in Python. Raises UnknownValue."""
+        span = Span(self.files.source(path, ".py"), 0, 0)
+        if not self._run_python:
+            message = "it is in Python, so a program; `--run-python` carries it out, where ROS's `launch` is"
+            raise UnknownValue(message, "python")
+        known = {name: value for name, value in context.variables.items() if isinstance(value, str)}
+        found = carried_out(path, known, context.namespace, context.environment)
+        self.system.files += 1
+        self._given.clear()  # which of them it declares is not known
+        for kind, message in found["left"]:
+            self.findings.add(kind, message, span)
+        for node in found["nodes"]:
+            self.python_node(node, span, context)
 
     def undeclared(self) -> list[str]:
         """The given arguments that no launch file declares."""
@@ -162,9 +185,6 @@ class Interpreter(NodeElements):
         path = self.path(entity, "file", context)
         name = os.path.basename(path)
         given = [(self.text(each, "name", context), each) for each in entity.named("arg")]
-        if path.endswith(".py"):
-            self.findings.add("python", f"`{name}` is a launch file in Python, which is left out", entity.span)
-            return
         if self._depth >= MAX_INCLUDES or self.system.files >= MAX_INCLUSIONS:
             raise UnknownValue(f"`{name}`: launch files include too many others", "include")
         for argument, each in given:  # as in ROS, they stay set after the include

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import re
 import shlex
-from collections.abc import Iterator
-from typing import Final
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
 
 from midstride.lang.source import Span
 from midstride.launch_files.context import Context, ParameterFileName, Setting
@@ -46,6 +46,32 @@ class NodeElements:
             name = self._name(_stem(program), entity, stated=False)
         namespace = self.text(entity, "namespace", context) if "namespace" in entity.attributes else ""
         self._note(entity, context, name, self.joined(context.namespace, namespace), _stem(program), [program], package)
+
+    def python_node(self, found: Mapping[str, Any], span: Span, context: Context) -> None:
+        """A node of a launch file in Python, as its process has described it."""
+        package, program = found["package"], found["executable"]
+        if package and package not in context.packages:
+            self.findings.add("package", f"package `{package}` is not here", span)
+        if not (name := found["name"]):
+            name = _NOT_IN_NAMES.sub("_", _stem(program))
+            message = f"a node has no name here, so its program gives it one; it is started as `{name}`"
+            self.findings.add("name", message, span)
+        folder = os.path.dirname(span.source.path or span.source.name)
+        settings = [ParameterFileName(os.path.join(folder, path), text, span) for path, text in found["parameters"]]
+        self.system.nodes.append(
+            LaunchedNode(
+                name=name,
+                namespace=found["namespace"],
+                program=_stem(program),
+                command=(program, *found["arguments"]),
+                span=span,
+                remaps=(*context.remaps, *((old, new) for old, new in found["remaps"])),
+                settings=(*context.settings, *settings),
+                environment=dict(context.variables_set),
+                package=package,
+                gate="lifecycle" if found["lifecycle"] else "preload",
+            )
+        )
 
     def executable(self, entity: Entity, context: Context) -> None:
         """Any program. Raises UnknownValue."""

@@ -50,10 +50,6 @@ def substituted(text: str, context: Context) -> str:
     return _value(parse(text), context)
 
 
-def has_substitution(text: str) -> bool:
-    return "$(" in text
-
-
 def parse(text: str) -> Template:
     """Raises UnknownValue for what is not of the grammar."""
     return _Parser(text).template() if text else ()

@@ -42,7 +42,8 @@ def specification(
             lines += [f"# {place}", f"component {component} {{", *bodies[node.role], "}", ""]
     for namespace in dict.fromkeys(node.namespace for node in sorted(nodes, key=lambda node: node.namespace != "")):
         if namespace:
-            lines.append(f"namespace {namespace} {{")
+            word = "/" if namespace in RESERVED else ""  # as a path, it is a name
+            lines.append(f"namespace {word}{namespace} {{")
         for node in nodes:
             if node.namespace == namespace:
                 respawn = " {\n" + "\n".join(node.respawn) + "\n}" if node.respawn else ""

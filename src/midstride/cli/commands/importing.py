@@ -17,8 +17,9 @@ from midstride.launch_files.importing import Imported, import_launch_file
 @click.argument("file", type=click.Path(path_type=Path), metavar="FILE")
 @click.argument("arguments", nargs=-1, metavar="[NAME:=VALUE]...")
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.stride")
+@click.option("--run-python", is_flag=True, help="Carry out launch files in Python (programs) by ROS's own `launch`.")
 @json_option
-def import_command(file: Path, arguments: tuple[str, ...], output: Path | None) -> int:
+def import_command(file: Path, arguments: tuple[str, ...], output: Path | None, run_python: bool) -> int:
     """Write a specification of what a launch file in XML or YAML starts, without ROS.
 
     What cannot be taken over is listed with its place. Packages are looked up in AMENT_PREFIX_PATH, and in source
@@ -28,7 +29,7 @@ def import_command(file: Path, arguments: tuple[str, ...], output: Path | None) 
     if output is not None and output.exists():
         raise MidstrideError(f"{output} exists; remove it, or choose another file")
     folder = output.parent if output is not None else Path()
-    imported = import_launch_file(file, _arguments(arguments), os.environ, folder)
+    imported = import_launch_file(file, _arguments(arguments), os.environ, folder, run_python)
     if output is not None:
         try:
             output.write_text(imported.text, encoding="utf-8")
