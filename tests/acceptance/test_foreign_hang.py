@@ -32,7 +32,7 @@ from std_msgs.msg import String
 comp = Component("Guard")
 scan = comp.create_input("scan", String, rate=20)
 watch = comp.create_functionality("watch", inputs=[scan])
-watch.set_normal_mode(lambda message: None, assumes=[scan])
+watch.set_normal_mode(lambda message: None, inputs=[scan])
 watch.set_degraded_mode(lambda: None)
 comp.start()
 """

@@ -33,7 +33,8 @@ class ReadableFiles:
             raise UnknownValue(f"its name does not end in {' or '.join(endings)}", "include")
         if not self.may_read(path):
             raise UnknownValue(
-                "it is not below the folder of the launch file; name its folder with `--include-path`", "include"
+                "it is not below the folder of the launch file; allow its folder by `midstride --include-path DIR import`",
+                "include",
             )
         if path not in self._read:
             if len(self._read) >= MAX_FILES or self._total > MAX_TOTAL:
