@@ -89,7 +89,10 @@ def test_a_manager_is_known_whether_it_answers_or_not() -> None:
     assert workspace.manager() is None
     with workspace.lock():
         assert workspace.manager() is None  # held, but by no manager
-    with subprocess.Popen([sys.executable, "-S", "-c", "input()", "_manager"], stdin=subprocess.PIPE) as process:
+    command = [sys.executable, "-S", "-c", "print(1, flush=True); input()", "_manager"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.readline()  # the kernel may show no command line yet when Popen returns
         with workspace.lock():
             (workspace.path / "lock").write_text(str(process.pid))
             assert workspace.manager() == process.pid

@@ -47,6 +47,10 @@ class Candidate:
     breaches: tuple[Breach, ...]
 
     @property
+    def makespan(self) -> float:
+        return self.key[3]
+
+    @property
     def is_free(self) -> bool:
         """Whether nothing is lost, nothing falls and no constraint is broken."""
         return self.key[:3] == (False, 0.0, 0)
@@ -73,7 +77,7 @@ def minimal(change: Change, budget: Budget | None = None) -> Plan:
             conflicting = conflict(relevant, can_meet)
             raise refusal(conflicting, broken, _limits(levels, conflicting))
         raise PlanRefused("no order of the steps was found that respects all caps and capacities")
-    return Plan.of("minimal", found.steps, levels, bound)
+    return Plan.of("minimal", found.steps, levels, bound, found.makespan)
 
 
 def _best(levels: Levels, constraints: Sequence[Constraint], budget: Budget) -> tuple[Candidate | None, float]:

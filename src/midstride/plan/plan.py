@@ -43,10 +43,18 @@ class Plan:
     remarks: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, strategy: str, steps: Sequence[Step], levels: Levels, lower_bound: float = 0.0) -> Plan:
+    def of(
+        cls,
+        strategy: str,
+        steps: Sequence[Step],
+        levels: Levels,
+        lower_bound: float = 0.0,
+        critical_path: float | None = None,
+    ) -> Plan:
         """The plan that consists of ``steps``, with its costs; no plan has less disruption than ``lower_bound``.
 
-        A bound above the plan's own disruption refutes itself: then nothing is claimed.
+        A bound above the plan's own disruption refutes itself: then nothing is claimed. ``critical_path`` (s) is the
+        makespan where it is known already.
         """
         *_, (_, meter) = follow(levels, steps)
         # Sums of floats in another order may differ by less than any plan does.
@@ -60,7 +68,7 @@ class Plan:
             disruption=meter.disruption,
             lower_bound=meter.disruption if is_minimal else round(lower_bound, DIGITS),
             proved_minimal=is_minimal,
-            makespan=makespan(steps, levels),
+            makespan=makespan(steps, levels) if critical_path is None else critical_path,
             seconds=round(sum(step.seconds for step in steps), DIGITS),
             fallen=tuple(sorted(meter.fallen)),
         )
