@@ -2,7 +2,8 @@
 
 No code of the planners is used, only the plan itself: the model's own actions check each step's precondition, the end
 is compared with the configuration in which the target starts, and the costs are computed again, slowly and straight
-from the definition. The result is data.
+from the definition. The lower bound is checked where the change is small enough (:mod:`midstride.plan.bound_check`).
+The result is data.
 """
 
 from __future__ import annotations
@@ -17,10 +18,13 @@ from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import violations
 from midstride.model.specification import Keep, Limit, Order, Specification, initial
+from midstride.plan.bound_check import BoundCheck, check_bound
 from midstride.plan.constraints import in_force
 from midstride.plan.plan import Plan
 
 _EPSILON: Final = 1e-6
+
+_NOT_CHECKED: Final = BoundCheck("not checked", "the plan does not hold")
 
 Levels = dict[FunctionalityRef, int]
 
@@ -38,11 +42,12 @@ class ReplayFinding:
 
 @dataclass(frozen=True, slots=True)
 class ReplayResult:
-    """The result of the replay of ``steps`` steps."""
+    """The result of the replay of ``steps`` steps. ``bound`` says whether the lower bound was checked, and why not."""
 
     outcome: Literal["holds", "violated"]
     findings: tuple[ReplayFinding, ...]
     steps: int
+    bound: BoundCheck = _NOT_CHECKED
 
     @property
     def holds(self) -> bool:
@@ -50,7 +55,8 @@ class ReplayResult:
 
     def __str__(self) -> str:
         if self.holds:
-            return f"the plan holds: {self.steps} steps replayed"
+            bound = f"; its lower bound was not checked: {self.bound.because}" if self.bound.because else ""
+            return f"the plan holds: {self.steps} steps replayed{bound}"
         return "the plan does not hold: " + "; ".join(str(finding) for finding in self.findings)
 
 
@@ -70,7 +76,12 @@ def replay(plan: Plan) -> ReplayResult:
         ledger.enter(step.action, step.seconds, before, configuration)
     findings += [ReplayFinding(None, because) for because in _end(plan, configuration)]
     findings += [ReplayFinding(None, because) for because in ledger.differences()]
-    return ReplayResult("violated" if findings else "holds", tuple(findings), len(plan.steps))
+    if findings:
+        return ReplayResult("violated", tuple(findings), len(plan.steps))
+    bound = check_bound(plan, ledger.loss)
+    if bound.outcome == "violated":
+        findings.append(ReplayFinding(None, f"its lower bound, {plan.lower_bound:g}, is too high: {bound.because}"))
+    return ReplayResult("violated" if findings else "holds", tuple(findings), len(plan.steps), bound)
 
 
 def _misfits(plan: Plan, configuration: Configuration, action: Action) -> Iterator[str]:
@@ -202,6 +213,11 @@ class _Ledger:
 
     def _weight(self, ref: FunctionalityRef) -> float:
         return self.target.component_of(ref.instance).functionalities[ref.functionality].weight
+
+    def loss(self, configuration: Configuration) -> float:
+        """The weighted sum of the levels below the baseline."""
+        levels = self._now(configuration)
+        return sum(self._below(ref, levels) * self._weight(ref) for ref in levels)
 
     def enter(self, action: Action, seconds: float, start: Configuration, after: Configuration) -> None:
         before, self.levels = self.levels, self._now(after)

@@ -1,0 +1,196 @@
+"""Checks the lower bound that a plan claims, without the planner's code (docs/semantics.md section 6).
+
+The states are sets of structural differences that are done. By F3, what adds structure and needs neither time nor a
+slot is done at once, and what takes it away only when something waits for it. If nothing is lost at first, an instance
+that everything else leaves room for comes first and goes last. All other orders are searched, cheapest first, up to
+the claimed bound. The user's constraints are left out, so the search is for a plan that may break them.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import count
+from typing import Final, Literal, TypeAlias
+
+from midstride.model.action import Create, Remove
+from midstride.model.best import best
+from midstride.model.component import PortRef
+from midstride.model.configuration import Configuration, to_fraction
+from midstride.model.rules import publishers_count
+from midstride.plan.change import Change
+from midstride.plan.constraints import in_force
+from midstride.plan.plan import Plan
+
+# How many functionalities are evaluated in all, once for each state. About a second.
+WORK: Final = 40_000
+_EPSILON: Final = 1e-6
+
+# "create" with a role, "remove" with an instance, "attach" and "detach" with a port and a connector.
+Op: TypeAlias = tuple[str, str, PortRef | None, str]
+State: TypeAlias = frozenset[Op]
+
+
+@dataclass(frozen=True, slots=True)
+class BoundCheck:
+    """Whether no plan loses less than the claimed bound; ``because`` says why it is violated or was not checked."""
+
+    outcome: Literal["holds", "violated", "not checked"]
+    because: str = ""
+
+
+def check_bound(plan: Plan, loss: Callable[[Configuration], float], work: int = WORK) -> BoundCheck:
+    """The result for a plan whose steps are valid; ``loss`` is the weighted sum of the levels below the baseline.
+
+    ``work`` limits how many functionalities are evaluated.
+    """
+    if plan.lower_bound <= _EPSILON:
+        return BoundCheck("holds")
+    seconds, change = _seconds(plan), plan.change
+    if seconds.keys() != {*(_create(each.role) for each in change.coming), *map(_remove, change.leaving)}:
+        return BoundCheck("not checked", "the plan creates or removes other instances than the change needs")
+    try:
+        least = _Search(change, seconds, loss, work).cheapest_below(plan.lower_bound - _EPSILON)
+    except _TooLarge:
+        return BoundCheck("not checked", "the change is too large")
+    if least is None:
+        return BoundCheck("holds")
+    if in_force(change):
+        return BoundCheck("not checked", "it is higher than without the constraints")
+    return BoundCheck("violated", f"a plan with a disruption of {least:g} exists")
+
+
+def _seconds(plan: Plan) -> dict[Op, float]:
+    """How long (s) each creation and removal of the plan takes."""
+    found: dict[Op, float] = {}
+    for step in plan.steps:
+        if isinstance(step.action, Create):
+            found[_create(step.action.instance.role)] = step.seconds
+        elif isinstance(step.action, Remove):
+            found[_remove(step.action.instance)] = step.seconds
+    return found
+
+
+def _create(role: str) -> Op:
+    return "create", role, None, ""
+
+
+def _remove(name: str) -> Op:
+    return "remove", name, None, ""
+
+
+def _pair(kind: str, port: PortRef, connector: str) -> Op:
+    return kind, "", port, connector
+
+
+class _TooLarge(Exception):
+    """More functionalities than may be evaluated."""
+
+
+class _Search:
+    def __init__(
+        self, change: Change, seconds: dict[Op, float], loss: Callable[[Configuration], float], work: int
+    ) -> None:
+        self.change, self.seconds, self._loss, self._work = change, seconds, loss, work
+        self._known: dict[State, tuple[Configuration, float]] = {}
+        self.creates = {_create(instance.role): instance for instance in change.coming}
+        self.removes = {_remove(name): name for name in change.leaving}
+        self.attaches = {_pair("attach", *pair): pair for pair in change.attached if self._is_capped(*pair)}
+        self.detaches = {_pair("detach", *pair): pair for pair in change.detached if self._is_capped(*pair)}
+        self.first: State = frozenset()
+        self.goal: State = frozenset([*self.creates, *self.removes, *self.attaches])
+        if not self._state(self.first)[1]:
+            scarce = self._scarce()
+            self.first = frozenset(
+                op for op, instance in self.creates.items() if scarce.isdisjoint(instance.component.resource_usage)
+            )
+            self.goal -= {
+                op for op, name in self.removes.items() if scarce.isdisjoint(change.component_of(name).resource_usage)
+            }
+
+    def _is_capped(self, port: PortRef, connector: str) -> bool:
+        """Whether an output is on a topic with a cap, with its old or its new contract."""
+        declared = self.change.start.context.connectors
+        topic = declared[connector].topic
+        names = (connector, topic, self.change.identities.get(topic, topic))
+        capped = any(name in declared and declared[name].max_publishers is not None for name in names)
+        return capped and self.change.is_output(port)
+
+    def _scarce(self) -> set[str]:
+        """The resources that do not suffice for everything that runs and everything that comes."""
+        held, context = dict(self.change.start.held), self.change.start.context
+        for instance in self.creates.values():
+            for resource, amount in instance.component.resource_usage.items():
+                held[resource] = held.get(resource, Fraction()) + to_fraction(amount)
+        return {resource for resource, amount in held.items() if amount > to_fraction(context.capacity(resource))}
+
+    def _state(self, state: State) -> tuple[Configuration, float]:
+        """The largest structure in which exactly these differences are made, and what is lost in it."""
+        if state not in self._known:
+            configuration = self.change.start
+            for op, instance in self.creates.items():
+                if op in state:
+                    configuration = configuration.with_instance(instance)
+            for port, connector in self.change.attached:
+                op = _pair("attach", port, connector)
+                if op in state or (op not in self.attaches and port.instance in configuration.instances):
+                    configuration = configuration.with_attachment(port, connector)
+            for port, connector in self.change.detached:
+                if _pair("detach", port, connector) in state or _remove(port.instance) in state:
+                    configuration = configuration.without_attachment(port, connector)
+            for op, name in self.removes.items():
+                if op in state:
+                    configuration = configuration.without_instance(name)
+            self._work -= len(configuration.modes)
+            if self._work < 0:
+                raise _TooLarge
+            self._known[state] = configuration, self._loss(best(configuration))
+        return self._known[state]
+
+    def cheapest_below(self, limit: float) -> float | None:
+        """The least disruption of a way to the goal; None if that is not below ``limit``. Raises _TooLarge."""
+        queue: list[tuple[float, int, State]] = [(0.0, 0, self.first)]
+        costs, number = {self.first: 0.0}, count(1)
+        while queue:
+            cost, _, state = heapq.heappop(queue)
+            if cost > costs[state]:
+                continue
+            if self.goal <= state:
+                return cost
+            for after, more in self._following(state):
+                if cost + more < min(costs.get(after, limit), limit):
+                    costs[after] = cost + more
+                    heapq.heappush(queue, (cost + more, next(number), after))
+        return None
+
+    def _following(self, state: State) -> Iterator[tuple[State, float]]:
+        """The states after one more difference, each with what that costs."""
+        configuration, now = self._state(state)
+        for op, instance in self.creates.items():
+            if op not in state and self._fits(configuration, instance.component.resource_usage):
+                yield state | {op}, self.seconds[op] * now
+        for op in self.removes:
+            if op not in state:
+                yield state | {op}, self.seconds[op] * max(now, self._state(state | {op})[1])
+        for op, (port, connector) in self.attaches.items():
+            if op not in state and port.instance in configuration.instances and self._slot(configuration, connector):
+                yield state | {op}, 0.0
+        for op, (port, _) in self.detaches.items():
+            if op not in state and port.instance in configuration.instances:
+                yield state | {op}, 0.0
+
+    @staticmethod
+    def _fits(configuration: Configuration, usage: Mapping[str, float]) -> bool:
+        context = configuration.context
+        return all(
+            configuration.held.get(resource, Fraction()) + to_fraction(amount)
+            <= to_fraction(context.capacity(resource))
+            for resource, amount in usage.items()
+        )
+
+    def _slot(self, configuration: Configuration, connector: str) -> bool:
+        cap, sibling = configuration.context.connectors[connector].max_publishers, self.change.sibling(connector)
+        beside = 0 if sibling is None else len(configuration.publishers_on(sibling))
+        return cap is None or publishers_count(configuration, connector) + beside < cap
