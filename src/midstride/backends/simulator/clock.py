@@ -28,7 +28,7 @@ class SimulatedClock:
         self._zero = 0.0
         self.driven = False
         self.history = ClockHistory()
-        self.timers: set[SimulatedTimer] = set()
+        self.timers: dict[SimulatedTimer, None] = {}  # in order: that of a set differs from run to run
         # Where `/clock` drives it: what it read at a moment of the steady clock (ns), and its speed since.
         self._since = self._base = 0
         self._speed = 1.0
@@ -112,7 +112,7 @@ class SimulatedTimer:
         self._cancelled = False
         self._handle: asyncio.TimerHandle | None = None
         self._due = clock.ros_now() if epoch is None else self._next(epoch, clock.ros_now())
-        clock.timers.add(self)
+        clock.timers[self] = None
         self._arm()
 
     def regrid(self, epoch: int) -> None:
@@ -121,7 +121,7 @@ class SimulatedTimer:
 
     def cancel(self) -> None:
         self._cancelled = True
-        self._clock.timers.discard(self)
+        self._clock.timers.pop(self, None)
         if self._handle is not None:
             self._handle.cancel()
 
