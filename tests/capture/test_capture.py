@@ -140,6 +140,18 @@ def test_without_rates_they_are_comments(tmp_path: Path) -> None:
     assert guarantee.rate is None and "proposed: @ " in text
 
 
+def test_with_rates_topics_state_what_all_of_their_publishers_offer(tmp_path: Path) -> None:
+    graph = SimulatedGraph()
+    graph.publisher("/fast", "/chat", STRING, rate=50.0)
+    graph.publisher("/slow", "/chat", STRING, rate=10.0)
+    graph.publisher("/slow", "/both", STRING, SENSOR, rate=10.0)
+    graph.publisher("/once", "/both", STRING, SENSOR)
+    system = checked(draft("s", graph.observed(), rates=True), tmp_path)
+    offered = {connector.topic: connector.guarantee for connector in system.connectors.values()}
+    assert offered["/chat"].rate == system.components["Slow"].functionalities["main"].modes[0].guarantees["chat"].rate
+    assert offered["/both"].rate is None
+
+
 FILE = """system chat  # ours
 
 # The one that talks.

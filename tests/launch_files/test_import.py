@@ -381,3 +381,12 @@ def test_names_that_are_words_of_the_language(tmp_path: Path) -> None:
     )
     assert kinds(found) == [] and set(commands(found, tmp_path)) == {"system/a", "node/input/b"}
     assert "mode = 1" in found.text and "a.topic = 2" in found.text
+
+
+@pytest.mark.parametrize(
+    ("command", "shown", "name"),
+    [("python3 -u talker.py --loud", "python3 -u talker.py", "talker"), ("./bin/talker x", "./bin/talker", "talker")],
+)
+def test_a_program_is_named_with_its_script(tmp_path: Path, command: str, shown: str, name: str) -> None:
+    (finding,) = of_xml(tmp_path, f'<executable cmd="{command}"/>').findings
+    assert f"`{shown}` is started as the node `{name}`" in finding.message

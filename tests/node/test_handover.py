@@ -428,3 +428,60 @@ def test_during_a_cut_the_gates_are_the_cuts(tmp_path: Path) -> None:
         await lab.change("new", "gate", port="out", topic=TOPIC, gate="closed")
 
     in_lab(tmp_path, main)
+
+
+def test_a_cut_that_resumes_late_leaves_the_next_cut_alone(tmp_path: Path) -> None:
+    """The gate was opened by a command meanwhile, and a second hand-over agreed."""
+
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
+        first = await next_slot(lab, 0.1)
+        await lab.change("old", "cut_out", cut="first", swaps=SWAPS, at=first, resume_after=1.0)
+        await lab.sleep(0.3)
+        await lab.change("old", "gate", port="out", topic=TOPIC, gate="open")
+        await lab.sleep(0.6)
+        at = await next_slot(lab, 0.3)
+        assert at > first + 10**9, "the first one resumes before the second one"
+        await cut_at(lab, at)
+        assert await outcomes(lab) == ("done", "done")
+        await lab.sleep(0.3)
+        words = sides(await lab.received("sink"))
+        assert words == sorted(words, reverse=True) and {"old", "new"} == set(words)
+
+    in_lab(tmp_path, main)
+
+
+async def settle(lab: Lab) -> None:
+    await lab.read("new", "settle_cuts", new=True)
+    await lab.read("old", "settle_cuts", new=False)
+
+
+def test_the_next_manager_settles_a_cut_that_nothing_has_passed(tmp_path: Path) -> None:
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
+        await cut_at(lab, await next_slot(lab, 0.5))
+        for name, other in (("new", False), ("old", True)):
+            await lab.read(name, "settle_cuts", new=other)  # not its side
+        assert await outcomes(lab, timeout=0.0) == ("waiting", "waiting")
+        await settle(lab)
+        assert await outcomes(lab, timeout=0.0) == ("cancelled", "cancelled")
+        await lab.sleep(1.0)
+        assert set(sides(await lab.received("sink"))) == {"old"}
+
+    in_lab(tmp_path, main)
+
+
+def test_the_next_manager_waits_for_a_cut_whose_new_side_has_written(tmp_path: Path) -> None:
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
+        simulator.faults.fail_next("old", "taken", "delayed_request", 1, 0, 0.2)
+        await cut_at(lab, await next_slot(lab, 0.1))
+        await lab.eventually("the new side has written", lambda: written(lab))
+        await settle(lab)
+        assert await outcomes(lab, timeout=0.0) == ("done", "done")
+
+    in_lab(tmp_path, main)
+
+
+async def written(lab: Lab) -> bool:
+    return "new" in sides(await lab.received("sink"))

@@ -398,6 +398,20 @@ def test_what_the_next_manager_finds_follows_the_steps(tmp_path: Path) -> None:
     bench(talking(), tmp_path, body)
 
 
+def test_what_a_roll_back_could_not_start_again_is_not_saved(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.startable(SECOND)
+        await b.executor.run([Create(SECOND)])
+        b.backend.instances.clear()  # it does not register any more
+        with pytest.raises(
+            StepFailed, match=r"the roll-back failed: create second \(Talker\): second did not register"
+        ):
+            await b.executor.run([Remove("second"), Remove("talker")])  # which is attached, so it fails
+        assert b.backend.running == {"talker", "listener"} and b.saved() == []
+
+    bench(talking(), tmp_path, body)
+
+
 # -- lowering ------------------------------------------------------------------------------------------
 
 

@@ -13,6 +13,7 @@ from midstride.errors import StartFailed
 from midstride.model.configuration import Configuration
 from midstride.runtime.backend import Exited
 from midstride.runtime.component_client import Disconnected
+from midstride.runtime.reconciler import REFUSED_INTERVAL
 from midstride.testing.clock import run
 from midstride.wire.commands import ModesCommand
 from tests.model import build
@@ -251,6 +252,21 @@ def test_a_component_in_a_better_mode_than_it_should_be_is_left_alone(tmp_path: 
         assert r.system.revision == 0 and r.client.sent == []
 
     reconciling(talking().with_modes(DEGRADED_LISTENER), tmp_path, body)
+
+
+def test_a_better_mode_that_lacks_its_support_is_left_again(tmp_path: Path) -> None:
+    """A command of a step that was taken back has been carried out after all, once the component went on."""
+    configuration = talking().with_modes(DEGRADED_LISTENER).without_instance("talker")
+
+    async def body(r: ReconcilingBench) -> None:
+        await asyncio.sleep(REFUSED_INTERVAL)  # until then, a report may be older than a degradation
+        r.client.report(reported(r.configuration.instances["listener"], talking()))
+        await moment()
+        assert [command.modes for command in r.client.of(ModesCommand, "listener")] == [{"work": "degraded"}]
+        assert r.system.configuration == configuration
+        assert r.words("note") == ["listener.work is in mode normal, by its own report"]
+
+    reconciling(configuration, tmp_path, body)
 
 
 # -- commands ------------------------------------------------------------------------------------------

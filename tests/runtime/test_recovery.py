@@ -16,7 +16,7 @@ from midstride.model.specification import Node, Specification
 from midstride.runtime.backend import Handle
 from midstride.runtime.recovery import recover
 from midstride.runtime.state_store import SavedInstance
-from midstride.wire.commands import AnswerCommand, GateCommand, ObserveCommand, RecordCommand
+from midstride.wire.commands import AnswerCommand, GateCommand, ObserveCommand, RecordCommand, SettleCutsCommand
 from tests.model import build
 from tests.model.build import work
 from tests.runtime.scripted import REFUSED, TALKER, TIMEOUT, UNREACHABLE, Bench, bench, instance, reported, talking
@@ -117,6 +117,25 @@ def test_recordings_of_an_earlier_manager_end(tmp_path: Path) -> None:
 
 
 # -- half-done changes ---------------------------------------------------------------------------------
+
+
+def test_cuts_under_way_are_settled_before_one_of_two_instances_is_ended(tmp_path: Path) -> None:
+    """The new sides first, so that only one of both writes; what they show after that counts."""
+
+    async def body(b: Bench) -> None:
+        gates: tuple[dict[str, Literal["open", "closed"]], ...] = ({"out /chatter": "closed"}, {"out /chatter": "open"})
+        for name, order in (("talker", gates), ("talker_2", gates[::-1])):
+            states = (reported(b.configuration.instances[name], b.configuration, gates=each) for each in order)
+            b.client.reply(name, ObserveCommand, *states)
+        b.client.reply("talker", SettleCutsCommand, REFUSED)  # a node without Midstride's API
+        assert await recovered(b) == RUNNING
+        settled = [
+            (sent.instance, sent.command.new) for sent in b.client.sent if isinstance(sent.command, SettleCutsCommand)
+        ]
+        assert settled == [(name, new) for new in (True, False) for name in ("listener", "talker", "talker_2")]
+        assert [name for name, _ in b.backend.ended] == ["talker_2"]
+
+    bench(TWICE, tmp_path, body)
 
 
 @pytest.mark.parametrize(("published", "other"), [("talker", "talker_2"), ("talker_2", "talker")])

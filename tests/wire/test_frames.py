@@ -67,6 +67,7 @@ from midstride.wire.commands import (
     SeatCommand,
     SeatPort,
     SetParametersCommand,
+    SettleCutsCommand,
     StateOffer,
     StateTransfer,
     StopCommand,
@@ -227,6 +228,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (StopCommand(timeout=1.5), Done()),
     (CutTakenCommand(cut="c", failed=True, timeout=1.5), Relieved(resumed=True)),
     (YieldCommand(timeout=1.5), Yielded(handled=["1 2", "1 3"])),
+    (SettleCutsCommand(new=True, timeout=1.5), Done()),
     (OfferStateCommand(changes=True, timeout=1.5), StateOffer(exports="nothing")),
     (
         FetchStateCommand(transfer="t", timeout=1.5),

@@ -79,8 +79,9 @@ class _Inserter:
         for node, full, _ in found:
             self._attach(node, ports[full])
             result.added.append(full)
-        topics = sorted({port.endpoint.topic for each in ports.values() for port in each} - self._declared_topics())
-        self._declare(topic_lines(self.graph, topics))
+        found_ports = [port for each in ports.values() for port in each]
+        topics = sorted({port.endpoint.topic for port in found_ports} - self._declared_topics())
+        self._declare(topic_lines(self.graph, topics, found_ports if self.rates else ()))
         result.text = self._text()
         return result
 

@@ -49,15 +49,16 @@ class ProposedPort:
         return f"{self.name} {'->' if self.endpoint.output else '<-'} {self.endpoint.topic}"
 
 
-def contract_text(type_: str, qos: QoS) -> str:
-    """A contract. What is ROS 2's default in a profile is left out."""
+def contract_text(type_: str, qos: QoS, rate: float | None = None) -> str:
+    """A contract; ``rate`` in Hz. What is ROS 2's default in a profile is left out."""
     plain = replace(
         qos,
         reliability=qos.reliability if not qos.is_reliable else None,
         durability=qos.durability if qos.is_transient_local else None,
         liveliness=qos.liveliness if qos.liveliness == "manual_by_topic" else None,
     )
-    return type_ if plain == DEFAULT_QOS else f"{type_} {plain}"
+    words = [type_, "" if rate is None else f"@ {rate:g} Hz", "" if plain == DEFAULT_QOS else str(plain)]
+    return " ".join(filter(None, words))
 
 
 def ports_of(graph: ObservedGraph, node: str, remaps: Mapping[str, str]) -> list[ProposedPort]:
@@ -132,14 +133,21 @@ def component_text(ports: Iterable[ProposedPort], heard: set[str], rates: bool, 
         known = port.endpoint.topic in heard
         lines.append(f"assume {port.name}" if known else f"# no node here publishes what `{port.name}` receives")
     for port in outputs:
-        bound = f" @ {port.rate.bound:g} Hz" if rates and port.rate is not None else ""
-        type_, _, qos = port.contract.partition(" ")
-        lines.append(f"guarantee {port.name} : {' '.join(filter(None, (type_ + bound, qos)))}  # {port.note}")
+        bound = port.rate.bound if rates and port.rate is not None else None
+        contract = contract_text(port.endpoint.type, port.endpoint.qos, bound)
+        lines.append(f"guarantee {port.name} : {contract}  # {port.note}")
     return [*lines, "}", "mode degraded { }", "}"]
 
 
-def topic_lines(graph: ObservedGraph, topics: Iterable[str]) -> list[str]:
-    """The declarations of topics, each with what all of its publishers offer."""
+def topic_lines(graph: ObservedGraph, topics: Iterable[str], rated: Iterable[ProposedPort] = ()) -> list[str]:
+    """The declarations of topics, each with what all of its publishers offer.
+
+    The rate is the lowest bound of the ``rated`` ports, if these are all of its publishers.
+    """
+    bounds: dict[str, list[float]] = {}
+    for port in rated:
+        if port.rate is not None:
+            bounds.setdefault(port.endpoint.topic, []).append(port.rate.bound)
     lines = []
     for topic in topics:
         endpoints = [each for each in graph.endpoints.values() if each.topic == topic]
@@ -148,7 +156,9 @@ def topic_lines(graph: ObservedGraph, topics: Iterable[str]) -> list[str]:
         profile = (
             _weakest([each.qos for each in publishers]) if publishers else _needed([each.qos for each in endpoints])
         )
-        lines.append(f"topic {topic} : {contract_text(types[0], profile)}")
+        known = bounds.get(topic, [])
+        rate = min(known) if known and len(known) == len(publishers) else None
+        lines.append(f"topic {topic} : {contract_text(types[0], profile, rate)}")
     return lines
 
 

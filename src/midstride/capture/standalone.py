@@ -13,14 +13,15 @@ from midstride.lang.token_stream import RESERVED
 def draft(name: str, graph: ObservedGraph, rates: bool = False) -> str:
     """The text of the system ``name``, with every node of the graph."""
     ports = {node: ports_of(graph, node, {}) for node in graph.nodes()}
-    topics = sorted({port.endpoint.topic for each in ports.values() for port in each})
+    found_ports = [port for each in ports.values() for port in each]
+    topics = sorted({port.endpoint.topic for port in found_ports})
     heard = {port.endpoint.topic for each in ports.values() for port in each if port.endpoint.output}
     lines = [
         f"# Captured for {graph.seconds:g} s. What starts a node is not in the graph: add it to each component,",
         '# as `run "…" gate preload` for a program that does not use Midstride\'s API.',
         f"system {name}",
         "",
-        *topic_lines(graph, topics),
+        *topic_lines(graph, topics, found_ports if rates else ()),
         "",
     ]
     nodes: dict[str, list[str]] = {}

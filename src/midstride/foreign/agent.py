@@ -23,6 +23,7 @@ from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.node import TICK, ForeignNode, without_ports
 from midstride.foreign.parameters import ForeignParameters
 from midstride.foreign.record import ForeignRecord
+from midstride.foreign.reflex import broken_assumptions
 from midstride.foreign.services import NoAnswer, NodeServices
 from midstride.node.baton import BatonStep
 from midstride.node.rate_watch import RateWatch
@@ -123,7 +124,13 @@ class ForeignAgent:
         loop = asyncio.get_running_loop()
         self._tasks = [
             loop.create_task(each)
-            for each in (self._register(), self._heartbeat(), self._watch_lifecycle(), self._watch_graph())
+            for each in (
+                self._register(),
+                self._heartbeat(),
+                self._watch_lifecycle(),
+                self._watch_graph(),
+                self._watch_inputs(),
+            )
         ]
 
     async def close(self) -> None:
@@ -196,6 +203,22 @@ class ForeignAgent:
                     await self._parameters.read()
                 if left:
                     self.node.change_record(revision=self.node.record.revision + 1)
+                    self._report()
+
+    async def _watch_inputs(self) -> None:
+        """Degrade what relies on a publisher that has fallen silent; the manager restores it once that is back."""
+        await self._registered.wait()
+        while self.node.gates is not None:
+            await asyncio.sleep(HEARTBEAT)
+            async with self._lock:
+                for name, (mode, because) in broken_assumptions(self.node).items():
+                    try:
+                        await self._modes(commands.ModesCommand(modes={name: mode}, because=because))
+                    except CommandRefused as error:  # its gates are closed without its help
+                        last = self.node.component.functionalities[name].modes[-1].name
+                        self.node.enter_modes({name: last}, f"{because}; {error}")
+                    fallen = {**self.node.record.fallen, name: because}
+                    self.node.change_record(fallen=fallen, revision=self.node.record.revision + 1)
                     self._report()
 
     # -- requests --------------------------------------------------------------------------------------

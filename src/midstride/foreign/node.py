@@ -107,17 +107,26 @@ class ForeignNode:
             if found is None or mode not in [each.name for each in found.modes]:
                 raise CommandRefused(f"{self.record.instance} has no functionality {name} with a mode {mode!r}")
 
+    def seconds_in_mode(self, functionality: str) -> float:
+        return time.monotonic() - self._since[functionality]
+
     def enter_modes(self, modes: Mapping[str, str], because: str) -> None:
-        self.change_record(modes={**self.record.modes, **modes})
+        fallen = {name: why for name, why in self.record.fallen.items() if name not in modes}
+        self.change_record(modes={**self.record.modes, **modes}, fallen=fallen)
         for name in modes:
             self._since[name], self._because[name] = time.monotonic(), because
             for port in self.component.functionalities[name].outputs:
                 self.adjust(port)
 
     def state(self) -> ComponentState:
-        record, now = self.record, time.monotonic()
+        record = self.record
         functionalities = {
-            name: FunctionalityState(mode=mode, since=now - self._since[name], because=self._because[name])
+            name: FunctionalityState(
+                mode=mode,
+                since=self.seconds_in_mode(name),
+                because=record.fallen.get(name, self._because[name]),
+                reflex=name in record.fallen,
+            )
             for name, mode in record.modes.items()
         }
         return ComponentState(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import mmap
 import os
+import time
 from collections.abc import Sequence
 from ctypes import c_char, c_int, c_int64, c_uint32, c_uint64
 from enum import IntFlag
@@ -164,6 +165,17 @@ class Page:
         return BatonWord.of(
             self._library.midstride_take_step(ctypes.byref(entry), step, node + 1, successor + 1, at_once)
         )
+
+    def silence(self, topic: str) -> float | None:
+        """For how long no node that may publish on ``topic`` has written (s); None where none may, or has ever."""
+        name, last = topic.encode(), 0
+        for index, node in enumerate(self.layout.nodes):
+            for port in node.ports if node.used else ():
+                if (port.direction, port.gate, port.topic) == (OUTPUT, OPEN, name) and (
+                    not port.baton or self.word(port.baton).holder == index + 1
+                ):
+                    last = max(last, port.tried)
+        return max(0, time.monotonic_ns() - last) / 1e9 if last else None
 
     def is_dead(self, index: int) -> bool:
         """Whether the process that has joined as this node has ended."""

@@ -19,8 +19,9 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
 
     ``topics``: by port, the full name that its process uses, after remapping. ``links``: by port, the gate of its
     attachment, of those that are attached. ``outputs``: those that the specification attaches. ``modes``: by
-    functionality. ``stated``: the parameters of the specification; ``taken_over``: those that were set while its
-    predecessor ran; ``started_with``: all that it had at first, once known, except what is only taken over.
+    functionality; ``fallen``: why the reflex has entered these, where it has. ``stated``: the parameters of the
+    specification; ``taken_over``: those that were set while its predecessor ran; ``started_with``: all that it had at
+    first, once known, except what is only taken over.
     ``revision`` counts its changes.
     """
 
@@ -34,6 +35,7 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     index: int | None
     topics: dict[str, str]
     modes: dict[str, str]
+    fallen: dict[str, str] = {}
     links: dict[str, GateState] = {}
     outputs: list[str] = []
     stated: dict[str, Any] = {}

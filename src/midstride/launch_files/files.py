@@ -32,9 +32,8 @@ class ReadableFiles:
         if endings and not path.endswith(endings):
             raise UnknownValue(f"its name does not end in {' or '.join(endings)}", "include")
         if not self.may_read(path):
-            raise UnknownValue(
-                "it is not below the folder of the launch file; name its folder with `--include-path`", "include"
-            )
+            remedy = "allow its folder by `midstride --include-path DIR import`"
+            raise UnknownValue(f"it is not below the folder of the launch file; {remedy}", "include")
         if path not in self._read:
             if len(self._read) >= MAX_FILES or self._total > MAX_TOTAL:
                 raise UnknownValue("too many files", "include")

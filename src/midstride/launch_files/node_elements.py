@@ -79,10 +79,12 @@ class NodeElements:
         command = _split(self.text(entity, "cmd", context))
         if not command:
             raise UnknownValue("it has no command", "unsupported")
-        program = next(word for word in [*command[1:], command[0]] if not word.startswith("-"))
-        program = _stem(program if "python" in command[0] else command[0])
+        script = (number for number, word in enumerate(command) if number and not word.startswith("-"))
+        last = next(script, 0) if "python" in command[0] else 0
+        program = _stem(command[last])
         name = self._name(self.text(entity, "name", context) if "name" in entity.attributes else program, entity)
-        message = f"`{command[0]}` is started as the node `{name}`; remove it if it does not take ROS's arguments"
+        what = shlex.join(command[: last + 1])
+        message = f"`{what}` is started as the node `{name}`; remove it if it does not take ROS's arguments"
         self.findings.add("program", message, entity.span)
         self._note(entity, context, name, context.namespace, program, command)
 

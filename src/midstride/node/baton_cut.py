@@ -7,6 +7,7 @@ thread, write by write; the task runs on the control thread, and needs no manage
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -153,6 +154,17 @@ class BatonTask:
                 seat.rise()
                 return
             await self.host.sleep(SLOW_TICK)
+
+    @property
+    def new(self) -> bool:
+        return self.cut.new
+
+    async def settle(self) -> None:
+        """Return once it has an outcome; cancel it unless the new side has the baton, and has written."""
+        if self.outcome is None and not (self.new and self.cut.written):
+            with contextlib.suppress(CommandRefused):
+                await self.cancel()
+        await self.finished.wait()
 
     async def cancel(self) -> None:
         """The old side has the baton again, or still. Raises CommandRefused where the new side has not returned it."""

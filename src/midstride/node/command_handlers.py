@@ -95,6 +95,7 @@ class CommandHandlers:
             commands.CutInCommand: self._handovers.cut_in,
             commands.CancelCutCommand: self._handovers.cancel_cut,
             commands.AwaitCutCommand: self._handovers.await_cut,
+            commands.SettleCutsCommand: self._handovers.settle_cuts,
             commands.CutTakenCommand: self._handovers.taken,
             commands.DiscoverCommand: partial(discover, self.host),
             commands.AwaitIdleCommand: self._fencing.await_idle,

@@ -111,8 +111,9 @@ class _Side(GatePolicy):
                 link.set_gate(open_)
 
     def _set_attached(self, open_: bool) -> None:
+        """The same for links that are attached, and that no later cut has."""
         for link in self.links:
-            if link in link.output.links:
+            if link in link.output.links and link.cut in (None, self):
                 link.set_gate(open_)
 
 

@@ -6,10 +6,11 @@ the topic does not depend on the manager's being alive.
 
 from __future__ import annotations
 
+import abc
 import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
-from typing import Final
+from typing import ClassVar, Final
 
 from midstride.errors import BackendError
 from midstride.node.cut import GRACE, IncomingCut, OutgoingCut
@@ -31,9 +32,10 @@ LONGEST_WAIT: Final = 0.01
 
 
 @dataclass(eq=False)
-class _CutTask:
+class _CutTask(abc.ABC):
     """What both sides share: an outcome, and cancellation."""
 
+    new: ClassVar[bool]
     host: Host
     changed: Callable[[], None]
     side: OutgoingCut | IncomingCut
@@ -48,6 +50,20 @@ class _CutTask:
     def _failed(self) -> bool:
         """Whether this side will not write at T."""
         return False
+
+    @property
+    @abc.abstractmethod
+    def _handed_over(self) -> bool:
+        """Whether the new side has taken over, as far as this one knows."""
+
+    @abc.abstractmethod
+    async def cancel(self) -> None: ...
+
+    async def settle(self) -> None:
+        """Return once it has an outcome; cancel it unless the new side has taken over."""
+        if self._going() and not self._handed_over:
+            await self.cancel()
+        await self.finished.wait()
 
     def _jumped_back(self) -> bool:
         """Whether the clock of the cut has been set back since this was first asked: a simulation has started again."""
@@ -74,6 +90,7 @@ class _CutTask:
 class CutOutTask(_CutTask):
     """The old side: writes up to T, and resumes where `taken` does not arrive in time."""
 
+    new = False
     side: OutgoingCut
     resume_after: float
     export: StateExport | None = None
@@ -144,6 +161,10 @@ class CutOutTask(_CutTask):
             self._taken, self.side.taken_at = True, self.host.steady()
         return False
 
+    @property
+    def _handed_over(self) -> bool:
+        return self._taken
+
     async def cancel(self) -> None:
         await self._end("cancelled", self.side.reopen)
 
@@ -156,10 +177,12 @@ class CutOutTask(_CutTask):
 class CutInTask(_CutTask):
     """The new side: writes from T on, and reports its first write to its peer."""
 
+    new = True
     side: IncomingCut
     # Reports the first write, or a failure, to the old side within so many seconds; returns whether that has resumed.
     report: Callable[[float, bool], Awaitable[bool]]
     state: StateImport | None = None
+    _reporting: bool = field(default=False, init=False)
 
     async def run(self) -> None:
         latched = all(link.output.owner.rate is not None for link in self.side.links)  # a time grid needs no latch
@@ -175,7 +198,7 @@ class CutInTask(_CutTask):
                 await self.host.on_data(self.side.latch)
             else:
                 await self.host.sleep(TICK)
-        failed = self._failed()
+        failed, self._reporting = self._failed(), True
         if self._going() and (await self._resumed(failed) or failed):
             await self._end("cancelled", self._close)
         if self._going():
@@ -212,6 +235,10 @@ class CutInTask(_CutTask):
             except BackendError:
                 await self.host.sleep(REPORT_TIMEOUT / 5)
         return False
+
+    @property
+    def _handed_over(self) -> bool:
+        return self._reporting
 
     async def cancel(self) -> None:
         if self.state is not None:

@@ -171,6 +171,11 @@ class HandoverCommands:
             await side.cancel()
         return commands.Done()
 
+    async def settle_cuts(self, command: commands.SettleCutsCommand) -> commands.Done:
+        sides = [side for sides in self._sides.values() for side in sides if side.new == command.new]
+        await within(self.host, asyncio.gather(*(side.settle() for side in sides)), command.timeout)
+        return commands.Done()
+
     async def await_cut(self, command: commands.AwaitCutCommand) -> commands.CutResult:
         sides = self._sides.get(command.cut, [])
         if not sides:

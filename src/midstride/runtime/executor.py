@@ -237,7 +237,7 @@ class Executor:
             except Exception as error:
                 problem = f"{what}: {_words(error)}"
             if not await self._kill(name for name in undoing.instances() if name in created):
-                return problem
+                return "; ".join([problem, *await self._abandon_started([undoing])])
 
     async def _kill(self, instances: Iterable[str]) -> bool:
         """Kill the processes of ``instances``, which then count as crashed; whether there was one."""

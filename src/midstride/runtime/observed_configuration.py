@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable
 
+from midstride.model.best import lowered
 from midstride.model.component import ComponentSpec, FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.component_client import ComponentClient
@@ -92,6 +93,19 @@ def changed_attachments(
         return lacking, []
     by_topic = {connector.topic: key for key, connector in configuration.context.connectors.items()}
     return lacking, [(port, by_topic.get(topic, topic)) for port, topic in unknown]
+
+
+def unsupported_modes(configuration: Configuration, state: ComponentState) -> dict[FunctionalityRef, int]:
+    """The functionalities of one component that report a better mode than the model has, and lack its support.
+
+    A command that timed out, and was taken back in the model, may be carried out later.
+    """
+    reported = reported_modes(configuration.component(state.instance), state)
+    better = {ref: index for ref, index in reported.items() if index < configuration.modes[ref]}
+    if not better:
+        return {}
+    unsupported = lowered(configuration.with_modes(better), better)
+    return {ref: index for ref, index in better.items() if ref in unsupported}
 
 
 def differs(configuration: Configuration, state: ComponentState) -> bool:

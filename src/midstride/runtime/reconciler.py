@@ -29,6 +29,7 @@ from midstride.runtime.observed_configuration import (
     differs,
     own_degradations,
     own_degradations_in,
+    unsupported_modes,
     with_attachments,
 )
 from midstride.runtime.running_system import RunningSystem
@@ -109,7 +110,8 @@ class Reconciler:
                 degraded = own_degradations_in(configuration, state)
                 if degraded:
                     self.on_failure(state.instance)
-                if answers_again or degraded or differs(configuration, state) or self._can_retry(state):
+                wrong = differs(configuration, state) or bool(self._unsupported(configuration, state))
+                if answers_again or degraded or wrong or self._can_retry(state):
                     self._reconcile_soon()
 
     def _can_retry(self, state: ComponentState) -> bool:
@@ -119,6 +121,12 @@ class Reconciler:
         pending = [ref for ref, error in self.pending.items() if isinstance(error, CommandRefused)]
         refused = [ref.functionality for ref in pending if ref.instance == state.instance]
         return any(state.functionalities[name].busy is None for name in refused)
+
+    def _unsupported(self, configuration: Configuration, state: ComponentState) -> dict[FunctionalityRef, int]:
+        """As :func:`unsupported_modes`, unless the report may be older than a degradation."""
+        just_now = self.monitor.clock.steady() - self._reconciled_at < REFUSED_INTERVAL
+        known = state.instance in configuration.instances
+        return unsupported_modes(configuration, state) if known and not just_now else {}
 
     def save_values(self) -> None:
         """Save the parameter values that were set at run time, where they have changed, for the next manager."""
@@ -195,7 +203,7 @@ class Reconciler:
                 self.client.disconnect(name)
                 self.store.remove_instance(name)
             degraded = own_degradations(configuration, self.client, crashed)
-            configuration, touched, because = self._take_over_attachments(configuration, crashed)
+            configuration, touched, because = self._take_over_reported(configuration, crashed)
             if not crashed and not degraded and not self.pending and not because:
                 return
             because += [f"{name} exited unexpectedly" for name in crashed]
@@ -215,12 +223,13 @@ class Reconciler:
             self.pending, self._reconciled_at = dict(failed), self.monitor.clock.steady()
             self._unanswered = {ref.instance for ref, error in failed.items() if not isinstance(error, CommandRefused)}
 
-    def _take_over_attachments(
+    def _take_over_reported(
         self, configuration: Configuration, crashed: Container[str]
     ) -> tuple[Configuration, list[FunctionalityRef], list[str]]:
         """The configuration with the attachments that components report, what they concern, and what differed.
 
-        They differ where a command timed out and has been carried out all the same, or could not be undone.
+        They differ where a command timed out and has been carried out all the same, or could not be undone. A better
+        mode is taken over only where it lacks support, and so is about to be left: raising is a plan's affair.
         """
         touched: list[FunctionalityRef] = []
         because: list[str] = []
@@ -237,6 +246,12 @@ class Reconciler:
             if lacking or besides:
                 self.client.accept(name)
                 configuration = with_attachments(configuration, lacking, besides)
+            if state is not None and (better := self._unsupported(configuration, state)):
+                self.client.accept(name)
+                modes = {ref: configuration.functionality(ref).modes[index].name for ref, index in better.items()}
+                because += [f"{ref} is in mode {mode}" for ref, mode in modes.items()]
+                touched += better
+                configuration = configuration.with_modes(better)
         for words in because:
             self.events.add("note", f"{words}, by its own report")
         return configuration, touched, because

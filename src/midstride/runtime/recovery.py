@@ -7,11 +7,11 @@ is a difference to the specification, which the manager removes by an ordinary p
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
-from midstride.errors import MidstrideError, ProtocolError, Unreachable
+from midstride.errors import CommandRefused, MidstrideError, ProtocolError, Unreachable
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance, configure
 from midstride.model.specification import Specification
@@ -22,7 +22,7 @@ from midstride.runtime.events import EventLog
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import reported_modes
 from midstride.runtime.state_store import SavedInstance
-from midstride.wire.commands import FenceCommand, GateCommand, RecordCommand
+from midstride.wire.commands import FenceCommand, GateCommand, RecordCommand, SettleCutsCommand
 from midstride.wire.state import NOT_WELCOMED, ComponentState
 
 
@@ -69,6 +69,7 @@ async def recover(
         raise Unreachable("; ".join(hanging))
     for name in await launcher.end_orphans(found):
         events.add("ended", f"stopped {name}, which an earlier manager had just started")
+    found = await _settled(found, client)
     redundant = _redundant(found)
     for name in redundant:
         events.add("ended", f"stopped {name}, which an earlier manager had left half done")
@@ -90,6 +91,21 @@ async def recover(
         if inputs := list(instance.component.input_order):
             await client.undo(name, RecordCommand(inputs=inputs, on=False))
     return await _configuration(specification, targets, found, client)
+
+
+async def _settled(
+    found: Mapping[str, tuple[Instance, ComponentState]], client: ComponentClient
+) -> dict[str, tuple[Instance, ComponentState]]:
+    """``found`` once no cut of the earlier manager is under way.
+
+    One that is would close and open gates beside this manager's own changes: its moment may be seconds ahead. The new
+    sides are first, so that they do not write when the old ones do again.
+    """
+    for new in (True, False):
+        for name in found:
+            with suppress(CommandRefused):  # a node without Midstride's API, whose agent has done so by itself
+                await client.read(name, SettleCutsCommand(new=new))
+    return {name: (instance, await client.observe(name)) for name, (instance, _) in found.items()}
 
 
 def _redundant(found: dict[str, tuple[Instance, ComponentState]]) -> list[str]:

@@ -42,8 +42,9 @@ class Invariants:
     _broken: dict[FunctionalityRef, float] = field(default_factory=dict)
     _free: dict[FunctionalityRef, float] = field(default_factory=dict)
     _changed: bool = False
-    _publishers: dict[tuple[str, str], tuple[str, float]] = field(default_factory=dict)
-    _exchanged: dict[tuple[str, str], deque[float]] = field(default_factory=dict)
+    _publishers: dict[tuple[str, str], tuple[StandIn, float]] = field(default_factory=dict)
+    # By topic and the two processes: a hand-over that is rolled back and made again is one to another process.
+    _exchanged: dict[tuple[str, frozenset[int]], deque[float]] = field(default_factory=dict)
     _reported: set[str] = field(default_factory=set)
 
     def begin(
@@ -88,22 +89,24 @@ class Invariants:
         assert isinstance(owner, StandIn)
         self.heard[owner.instance] = self.heard.get(owner.instance, 0) + 1
         key, now = (writer.topic, owner.role), self.platform.time.steady()
-        before, at = self._publishers.get(key, (owner.instance, now))
+        before, at = self._publishers.get(key, (owner, now))
         if now - at > RESUMED and self.oracle.period(writer.topic) and self.uninterrupted():
             self._violation(f"{writer.topic} was silent for {now - at:.1f} s although its publishers were alive")
-        self._publishers[key] = owner.instance, now
-        if before == owner.instance:
+        self._publishers[key] = owner, now
+        if before.instance == owner.instance:
             return
         lateness = self.lateness()
         if now - at < self.oracle.period(writer.topic) * SAME_SLOT and not lateness:
-            self._violation(f"{before} and {owner.instance} both write one slot of {writer.topic}")
-        times = self._exchanged.setdefault(key, deque(maxlen=EXCHANGES + 2))
+            self._violation(f"{before.instance} and {owner.instance} both write one slot of {writer.topic}")
+        times = self._exchanged.setdefault(
+            (writer.topic, frozenset({before.pid, owner.pid})), deque(maxlen=EXCHANGES + 2)
+        )
         times.append(now)
         # A call that a fault has made late may still write what belongs before the cut, and so add two.
         late = len(times) >= EXCHANGES and times[-2] - times[-EXCHANGES] < lateness
         most = EXCHANGES + 2 if late else EXCHANGES
         if len(times) >= most and now - times[-most] < EXCHANGES_WITHIN:
-            self._violation(f"{before} and {owner.instance} are both heard on {writer.topic}")
+            self._violation(f"{before.instance} and {owner.instance} are both heard on {writer.topic}")
 
     def check(self) -> None:
         """After each event."""

@@ -574,6 +574,17 @@ class YieldCommand(Command[Yielded], frozen=True, kw_only=True, tag="yield"):
     kind = "between"
 
 
+class SettleCutsCommand(Command[Done], frozen=True, kw_only=True, tag="settle_cuts"):
+    """From the next manager: leave no cut of an earlier one under way of which this is the ``new`` side, or the old.
+
+    A cut at which the new side has taken over is waited for, any other is cancelled. New sides come before old ones.
+    """
+
+    kind = "between"
+    new: bool
+    timeout: Seconds = 2.0
+
+
 class OfferStateCommand(Command[StateOffer], frozen=True, kw_only=True, tag="offer_state"):
     """From the new side to the old one, before the cut. ``changes``: it can import changes."""
 

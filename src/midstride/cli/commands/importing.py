@@ -23,7 +23,7 @@ def import_command(file: Path, arguments: tuple[str, ...], output: Path | None, 
     """Write a specification of what a launch file in XML or YAML starts, without ROS.
 
     What cannot be taken over is listed with its place. Packages are looked up in AMENT_PREFIX_PATH, and in source
-    trees below the folders of `--include-path`.
+    trees below DIR, if that is given before the command: `midstride --include-path DIR import FILE`.
     """
     require_file(file)
     if output is not None and output.exists():

@@ -1,0 +1,194 @@
+"""The reflex of a node without Midstride's API, on a page whose processes are simulated by what they would write."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from pathlib import Path
+
+import pytest
+
+from midstride.codec.component import NamedComponentForm
+from midstride.foreign import reflex
+from midstride.foreign.agent import ForeignAgent
+from midstride.foreign.gates import Gates
+from midstride.foreign.node import ForeignNode
+from midstride.foreign.page import Page
+from midstride.foreign.record import ForeignRecord
+from midstride.foreign.reflex import broken_assumptions
+from midstride.lang.load import load
+from midstride.node.baton import BatonStep
+from midstride.runtime.clock import SystemClock
+from midstride.runtime.component_client import ComponentClient
+from midstride.wire import commands
+from midstride.wire.sockets import SocketFolder
+
+TEXT = """system drive
+
+topic /scan : std_msgs/msg/String @ 20 Hz
+topic /cmd  : std_msgs/msg/String @ 20 Hz
+
+component Lidar {
+  run "lidar" gate preload
+  output scan
+  functionality sense {
+    produces scan
+    mode normal { guarantee scan : std_msgs/msg/String @ 20 Hz }
+    mode degraded { }
+  }
+}
+
+component Driver {
+  run "driver" gate preload
+  parameters { speed = 1.0 }
+  input  scan : std_msgs/msg/String @ 20 Hz tolerates 199 missed
+  output cmd
+  functionality drive {
+    uses scan
+    produces cmd
+    mode normal {
+      assume scan
+      guarantee cmd : std_msgs/msg/String @ 20 Hz
+    }
+    mode slow {
+      parameters { speed = 0.2 }
+      guarantee cmd : std_msgs/msg/String @ 20 Hz
+    }
+    mode degraded { }
+  }
+}
+
+node lidar  : Lidar  { scan -> /scan }
+node driver : Driver { scan <- /scan   cmd -> /cmd }
+"""
+TOPICS = {"scan": "/scan", "cmd": "/cmd"}
+
+
+class Robot:
+    """A lidar and a driver, attached and in their normal modes."""
+
+    def __init__(self, folder: Path, library: Path) -> None:
+        (folder / "drive.stride").write_text(TEXT, encoding="utf-8")
+        components = load(folder / "drive.stride").require().components
+        self.page = Page(folder / "page", library)
+        self.gates = {}
+        for name in ("Lidar", "Driver"):
+            gates = self.gates[name] = Gates(self.page, self.page.allocate(name), components[name])
+            gates.prepare({port: TOPICS[port] for port in components[name].ports()})
+            for port in components[name].outputs:
+                gates.set_gate(port, True)
+        self.wrote(0)
+        self.received(0)
+        self.record = ForeignRecord(
+            instance="driver",
+            node="/driver",
+            token="a token",
+            uuid="driver",
+            pid=1,
+            started=0,
+            declaration=NamedComponentForm.of(components["Driver"]),
+            index=self.gates["Driver"].index,
+            topics=TOPICS,
+            modes={"drive": "normal"},
+            links={"scan": "open", "cmd": "open"},
+            welcomed=True,
+        )
+        self.driver = ForeignNode(self.record, folder, self.gates["Driver"])
+        self.driver._since["drive"] -= 3600
+
+    def wrote(self, seconds: float) -> None:
+        self.gates["Lidar"].entry("scan").tried = time.monotonic_ns() - int(seconds * 1e9)
+
+    def received(self, seconds: float) -> None:
+        self.gates["Driver"].entry("scan").tried = time.monotonic_ns() - int(seconds * 1e9)
+
+
+@pytest.fixture
+def robot(tmp_path: Path, gate_library: Path) -> Robot:
+    return Robot(tmp_path, gate_library)
+
+
+def test_what_relies_on_a_silent_publisher_is_broken_after_the_stated_window(robot: Robot) -> None:
+    robot.wrote(9)
+    robot.received(9)
+    assert broken_assumptions(robot.driver) == {}
+    robot.wrote(11)
+    robot.received(11)
+    mode, because = broken_assumptions(robot.driver)["drive"]
+    assert mode == "slow"
+    assert because.startswith("the assumption of mode normal broke: input scan received nothing on /scan for 11.")
+    assert because.endswith("(20 Hz is assumed; silence is tolerated for 10 s)")
+    robot.driver.enter_modes({"drive": "slow"}, "a test")
+    robot.driver._since["drive"] -= 3600
+    assert broken_assumptions(robot.driver) == {}
+
+
+def test_a_node_that_takes_no_messages_is_not_judged_while_they_are_written(robot: Robot) -> None:
+    robot.received(3600)
+    assert broken_assumptions(robot.driver) == {}
+
+
+def test_silence_counts_from_the_entry_to_the_mode(robot: Robot) -> None:
+    robot.wrote(3600)
+    robot.received(3600)
+    robot.driver.enter_modes({"drive": "normal"}, "a test")
+    assert broken_assumptions(robot.driver) == {}
+
+
+def test_one_that_may_not_publish_is_not_judged(robot: Robot) -> None:
+    """What relies on it is up to the change that has closed its gate, or has given its baton to another one."""
+    robot.wrote(3600)
+    robot.received(3600)
+    lidar = robot.gates["Lidar"]
+    lidar.set_gate("scan", False)
+    assert broken_assumptions(robot.driver) == {}
+    lidar.set_gate("scan", True)
+    assert broken_assumptions(robot.driver)
+    robot.page.step(lidar.baton("scan"), BatonStep.GIVE, 100)
+    assert broken_assumptions(robot.driver) == {}
+
+
+def test_on_simulated_time_nothing_is_judged(robot: Robot) -> None:
+    robot.wrote(3600)
+    robot.received(3600)
+    robot.driver.change_record(stated={"use_sim_time": True})
+    assert broken_assumptions(robot.driver) == {}
+
+
+def test_the_agent_enters_the_mode_and_says_why(robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So does the agent of the next manager, until a command enters another mode."""
+    monkeypatch.setattr(reflex, "tolerated_periods", lambda *_: 0.0)
+
+    async def scenario() -> None:
+        transport = SocketFolder(tmp_path / "components")
+        client = ComponentClient(transport, SystemClock(), "a token")
+        for port in ("scan", "cmd"):
+            robot.gates["Driver"].entry(port).endpoints = 1
+        agents = []
+        try:
+            record: ForeignRecord | None = robot.record
+            for _ in range(2):
+                assert record is not None
+                agents.append(ForeignAgent(record, tmp_path, robot.gates["Driver"]))
+                await agents[-1].open(transport)
+                await client.registered("driver")
+                while (view := (await client.observe("driver")).functionalities["drive"]).mode == "normal":
+                    await asyncio.sleep(0.05)
+                assert (view.mode, view.reflex) == ("slow", True)
+                assert "input scan received nothing" in view.because
+                await agents[-1].close()
+                client.disconnect("driver")
+                record = ForeignRecord.read(tmp_path, "driver")
+            agents.append(ForeignAgent(agents[-1].node.record, tmp_path, robot.gates["Driver"]))
+            await agents[-1].open(transport)
+            await client.registered("driver")
+            await client.observe("driver")
+            await client.change("driver", commands.ModesCommand(modes={"drive": "degraded"}))
+            view = (await client.observe("driver")).functionalities["drive"]
+            assert (view.mode, view.reflex) == ("degraded", False)
+        finally:
+            client.close()
+            for agent in agents:
+                await agent.close()
+
+    asyncio.run(scenario())
