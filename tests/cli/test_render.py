@@ -147,6 +147,21 @@ def test_the_mode_of_an_unresponsive_component_is_unknown() -> None:
     assert " ".join(lines[2].split()) == "talker Talker 7, not responding talk unknown last known mode: normal"
 
 
+def test_nodes_of_whose_code_the_same_is_not_known_share_a_line() -> None:
+    rows = [("a", "no API"), ("b", "no API"), ("c", "too many files")]
+    components = [
+        {"name": name, "component": "C", "pid": 7, "reachable": True, "functionalities": [], "unknown_files": reason}
+        | QUIET
+        for name, reason in rows
+    ]
+    document = {"system": "s", "backend": "sim", "valid": True, "components": components, "topics": []}
+    lines = shown(render_status.status({**document, "silences": [], "violations": []}))
+    assert lines[-2:] == [
+        "a, b (each): whether its code has changed is not fully known: no API",
+        "c: whether its code has changed is not fully known: too many files",
+    ]
+
+
 def test_a_file_below_the_current_folder_is_shown_as_it_is_typed_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -117,13 +117,17 @@ def measured(document: Document) -> RenderableType:
 
 def _programs(document: Document) -> Iterable[Text]:
     """The nodes whose code has changed on disk, and what is not known of others."""
+    not_known: dict[str, list[str]] = {}
     for component in document["components"]:
         unknown = component.get("unknown_files")
         if files := component.get("changed_files"):
             remedy = "" if unknown else f"; `midstride restart {component['role']}` deploys it"
             yield Text(f"{component['name']}: {code_words(files)}{remedy}", style="yellow")
         if unknown and component["reachable"]:
-            yield Text(f"{component['name']}: whether its code has changed is not fully known: {unknown}", style="dim")
+            not_known.setdefault(unknown, []).append(component["name"])
+    for reason, names in not_known.items():
+        each = ", ".join(names) + (" (each)" if len(names) > 1 else "")
+        yield Text(f"{each}: whether its code has changed is not fully known: {reason}", style="dim")
 
 
 def _set(document: Document) -> Iterable[Text]:

@@ -74,7 +74,7 @@ def evaluate(text: str) -> str:
     except UnknownValue:
         raise
     except (SyntaxError, ValueError, TypeError, ArithmeticError, LookupError, RecursionError, MemoryError) as error:
-        raise UnknownValue(f"the expression `{_shortened(text)}` has no value ({type(error).__name__})") from None
+        raise UnknownValue(f"the expression `{shortened(text)}` has no value ({type(error).__name__})") from None
 
 
 def _value(node: ast.expr) -> Any:
@@ -122,7 +122,7 @@ def _value(node: ast.expr) -> Any:
             called = _value(function)
             if callable(called):
                 return _bounded(called(*(_value(each) for each in arguments)))
-    raise UnknownValue(f"`{_shortened(ast.unparse(node))}` is not among the expressions that are evaluated here")
+    raise UnknownValue(f"`{shortened(ast.unparse(node))}` is not among the expressions that are evaluated here")
 
 
 def _shown(value: Any) -> str:
@@ -168,5 +168,6 @@ def _bounded(value: Any) -> Any:
     return value
 
 
-def _shortened(text: str) -> str:
+def shortened(text: str) -> str:
+    """``text`` for a message."""
     return text if len(text) <= 80 else text[:79] + "…"

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
 
 from midstride.lang.source import Span
 from midstride.launch_files.context import Setting
-
-_PACKAGE: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+from midstride.launch_files.packages import PACKAGE_NAME
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +40,7 @@ class LaunchedNode:
         """The whole command, with ``more`` arguments for ROS, and the package that it is looked up in, or ""."""
         before = [*(f"{name}={value}" for name, value in self.environment.items())]
         before = [*(["env", *before] if before else []), *self.prefix]
-        looked_up = _PACKAGE.fullmatch(self.package) and "/" not in self.command[0]
+        looked_up = PACKAGE_NAME.fullmatch(self.package) and "/" not in self.command[0]
         if self.package and (before or not looked_up):  # what is looked up is the first word
             before += ["ros2", "run", self.package]
         remaps = [word for old, new in self.remaps for word in ("-r", f"{old}:={new}")]

@@ -14,7 +14,7 @@ from midstride.launch_files.findings import UnknownValue
 
 MAX_FOLDERS: Final = 50_000
 _NAME: Final = re.compile(rb"<name>\s*([A-Za-z][A-Za-z0-9_-]*)\s*</name>")
-_PACKAGE: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+PACKAGE_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 _HEAD: Final = 65_536
 
 
@@ -49,7 +49,7 @@ class Packages:
         return [*(os.path.join(prefix, "share") for prefix in prefixes(self._environment)), *self._folders]
 
     def _installed(self, name: str) -> str | None:
-        return prefix_of(name, self._environment) if _PACKAGE.fullmatch(name) else None
+        return prefix_of(name, self._environment) if PACKAGE_NAME.fullmatch(name) else None
 
     @cached_property
     def _sources(self) -> dict[str, str]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 from midstride.launch_files.context import Context
-from midstride.launch_files.expression import evaluate
+from midstride.launch_files.expression import evaluate, shortened
 from midstride.launch_files.findings import UnknownValue
 
 MAX_NESTING: Final = 32
@@ -113,7 +113,7 @@ class _Parser:
         self.at += 1
 
     def _invalid(self) -> UnknownValue:
-        return UnknownValue(f"`{_shortened(self.text)}` is not a valid substitution")
+        return UnknownValue(f"`{shortened(self.text)}` is not a valid substitution")
 
 
 def _value(template: Template, context: Context) -> str:
@@ -127,10 +127,10 @@ def _performed(call: SubstitutionCall, context: Context) -> str:
     values = [_value(argument, context) for argument in call.arguments]
     function = _FUNCTIONS.get(call.name)
     if function is None:
-        raise UnknownValue(f"`{_shortened(call.text)}`: the substitution `{call.name}` is not carried out here")
+        raise UnknownValue(f"`{shortened(call.text)}`: the substitution `{call.name}` is not carried out here")
     low, high, perform = function
     if not low <= len(values) <= high:
-        raise UnknownValue(f"`{_shortened(call.text)}`: wrong number of arguments")
+        raise UnknownValue(f"`{shortened(call.text)}`: wrong number of arguments")
     return perform(context, values)
 
 
@@ -145,7 +145,7 @@ def truth(text: str) -> bool:
         return True
     if word in {"false", "0"}:
         return False
-    raise UnknownValue(f"`{_shortened(text)}` is neither true nor false", "condition")
+    raise UnknownValue(f"`{shortened(text)}` is neither true nor false", "condition")
 
 
 def _word(value: bool) -> str:
@@ -167,10 +167,6 @@ def _environment(context: Context, values: Sequence[str]) -> str:
     if value is None:
         raise UnknownValue(f"the environment variable `{values[0]}` is not set")
     return value
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= 80 else text[:79] + "…"
 
 
 _Function: TypeAlias = Callable[[Context, Sequence[str]], str]

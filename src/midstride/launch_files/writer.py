@@ -67,19 +67,15 @@ def _with_own_names(nodes: Iterable[LaunchedNode], findings: ImportFindings) -> 
     taken: set[str] = set()
     for node in nodes:
         name, number = node.name, 1
-        while _with_name(node, name).role in taken or name in RESERVED:
+        while replace(node, name=name).role in taken or name in RESERVED:
             number += 1
             name = f"{node.name}_{number}"
-        renamed = _with_name(node, name)
+        renamed = replace(node, name=name)
         taken.add(renamed.role)
         if number > 1:
             why = "is a word of the Stride language" if node.name in RESERVED else "has another node already"
             findings.add("name", f"`{node.role}` {why}; this node is named `{renamed.role}`", node.span)
         yield renamed
-
-
-def _with_name(node: LaunchedNode, name: str) -> LaunchedNode:
-    return replace(node, name=name)
 
 
 def _component_names(nodes: Sequence[LaunchedNode], bodies: dict[str, list[str]]) -> dict[str, str]:

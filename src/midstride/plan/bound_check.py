@@ -24,7 +24,7 @@ from midstride.plan.change import Change
 from midstride.plan.constraints import in_force
 from midstride.plan.plan import Plan
 
-# How many functionalities are evaluated in all, once for each state. About a second.
+# How many functionalities are evaluated in all, once for each state. One to three seconds.
 WORK: Final = 40_000
 _EPSILON: Final = 1e-6
 
