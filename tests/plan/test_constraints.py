@@ -53,7 +53,9 @@ def refused(start: Specification, target: Specification, strategy: str = "minima
 
 
 def sound(plan: Plan) -> Plan:
-    assert str(replay(plan)) == f"the plan holds: {len(plan.steps)} steps replayed"
+    result = replay(plan)
+    assert result.holds, str(result)
+    assert str(result).startswith(f"the plan holds: {len(plan.steps)} steps replayed")
     return plan
 
 
