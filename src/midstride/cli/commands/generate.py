@@ -93,13 +93,11 @@ def _existing(path: Path) -> str | None:
 
 
 def _write(path: Path, text: str, executable: bool) -> None:
-    try:
+    with written(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
         if executable:
             path.chmod(path.stat().st_mode | 0o111)
-    except OSError as error:
-        raise MidstrideError(f"cannot write {path}: {error.strerror}") from None
 
 
 def _record(output: Path) -> dict[str, str]:
