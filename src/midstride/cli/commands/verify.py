@@ -10,7 +10,7 @@ from typing import Any, Final
 import click
 
 from midstride.cli import graphviz
-from midstride.cli.files import in_file, load, read_json
+from midstride.cli.files import in_file, load, read_json, write
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.systems import find, system_option
 from midstride.codec.configuration import decode_configuration
@@ -113,11 +113,11 @@ def _verify_live(system: str | None, options: AlloyOptions) -> Verdict:
 
 
 def _writer(output: Path | None) -> Callable[[str], None]:
-    def write(text: str) -> None:
+    def save(text: str) -> None:
         if output is not None:
-            files.write(output, text)
+            write(output, text)
 
-    return write
+    return save
 
 
 def lines(verdict: Verdict) -> list[tuple[str, str]]:
