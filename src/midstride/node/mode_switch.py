@@ -117,7 +117,7 @@ class ModeSwitch:
 
     ``guard`` is called at that moment; a reason that it returns refuses the change. ``settled`` is called on the data
     thread once the change has happened or is refused, before the new modes' first calls. ``reflex``: the local
-    reflex asks for it.
+    reflex asks for it; ``conditional``: because of a condition.
     """
 
     targets: dict[FunctionalityRunner, int]
@@ -125,6 +125,7 @@ class ModeSwitch:
     guard: Callable[[], str | None]
     settled: Callable[[], object]
     reflex: bool = False
+    conditional: bool = False
     before: dict[str, str] = field(default_factory=dict)
     refused: str | None = None
     claim: FirstClaim = field(default_factory=FirstClaim)
@@ -155,7 +156,7 @@ class ModeSwitch:
         self.before = {runner.name: runner.mode.name for runner in self.targets}
         for runner, index in moved.items():
             runner.stop_calls()
-            runner.enter_mode(index, self.because, reflex=self.reflex)
+            runner.enter_mode(index, self.because, reflex=self.reflex, conditional=self.conditional)
         self.settled()
         for runner in moved:
             runner.start_calls()
