@@ -7,6 +7,7 @@ line is not: it says how long this machine computed in a reaction, since computi
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import statistics
 import sys
@@ -20,7 +21,8 @@ from missions import RUNS, managing, scenario, simulate
 from midstride.backends.simulator.backend import Simulator
 from midstride.backends.simulator.network import SimulatedWriter
 
-PUBLISHED: Final = Path(__file__).parent / "published.json"
+# Computed from the rows that are published with SUAVE (July 2025), in the same way as those of the runs here.
+PUBLISHED: Final = Path(__file__).parent / "published.csv"
 COLUMNS: Final = ("time searching pipeline (s)", "distance inspected (m)", "mean reaction time (s)")
 EXPERIMENTS: Final = {
     1: "thrusters fail",
@@ -66,14 +68,25 @@ def cell(found: Sequence[float], digits: int) -> str:
     return f"{median} ({first} to {third})"
 
 
+def published(experiment: int) -> dict[str, dict[str, Any]]:
+    """By system: how many runs, and the quartiles of each column."""
+    found = {}
+    with PUBLISHED.open(encoding="utf-8", newline="") as file:
+        for first, system, runs, *figures in csv.reader(file):
+            if first == str(experiment):
+                values = [float(figure) for figure in figures]
+                columns = {name: values[3 * k : 3 * k + 3] for k, name in enumerate(COLUMNS)}
+                found[system] = {"runs": runs, **columns}
+    return found
+
+
 def table(rows: Rows) -> str:
     """The figures of each experiment: the median, and the quartiles in parentheses."""
-    published = json.loads(PUBLISHED.read_text(encoding="utf-8"))
     lines = []
     for experiment, systems in rows.items():
         lines += [f"Experiment {experiment}: {EXPERIMENTS[experiment]}", ""]
         lines += ["| | runs | time searching (s) | inspected (m) | mean reaction (s) |", "|---|---|---|---|---|"]
-        figures = dict(published[str(experiment)])
+        figures = published(experiment)
         for system, missions in systems.items():
             here = {name: quartiles([float(row[name]) for row in missions]) for name in COLUMNS}
             figures[HERE[system]] = {"runs": len(missions), **here}
