@@ -62,11 +62,11 @@ class _CutTask(abc.ABC):
     async def settle(self) -> None:
         """Return once it has an outcome; cancel it unless the new side has taken over."""
 
-    def _jumped_back(self) -> bool:
+    def _jumped_back(self, by: float = JUMP) -> bool:
         """Whether the clock of the cut has been set back since this was first asked: a simulation has started again."""
         now = self.side.now()
         self._latest = max(self._latest, now)
-        return self._latest - now > JUMP * 1e9
+        return self._latest - now > by * 1e9
 
     async def _until(self, at: int) -> None:
         """Wait until ``at`` on the clock of the cut, which may not run like the steady one; less long if it fails."""
@@ -97,6 +97,9 @@ class CutOutTask(_CutTask):
         await self._until(self.side.at)
         passed_at = self.host.steady()
         while self._going():
+            if self._failed():
+                await self._end("done", self.side.finish)
+                return
             if self._jumped_back() and self._may_resume():
                 await self._end("resumed", self.side.reopen)
                 return
@@ -113,6 +116,10 @@ class CutOutTask(_CutTask):
                 await self._end("resumed", self.side.reopen)
             else:
                 await (self.host.sleep(TICK) if self.export is None else self.export.pause())
+
+    def _failed(self) -> bool:
+        """Whether the new side has written, and the clock was set back before this side noticed T."""
+        return self._taken and self.side.now() < self.side.at and self._jumped_back(0.0)
 
     def _given_up(self, passed_at: int) -> bool:
         if self.export is not None and self.export.given_up(self.resume_after):
