@@ -131,8 +131,8 @@ class Invariants:
             process = self.platform.standing(ref.instance)
             if reaction == math.inf:
                 self._free[ref] = now
-            if process is None or process.thawed_at > now:
-                self._broken[ref] = now  # it cannot react
+            if process is None or not process.reacts:
+                self._broken[ref] = now  # what waits for a call of its own is not missing, and its mode changes after it
             elif now - self._free[ref] > reaction:
                 self._violation(f"{self._stays(ref)} is broken, and the manager does not react")
             elif now - since > REFLEX and self.oracle.reflex_applies(
