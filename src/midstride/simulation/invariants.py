@@ -132,7 +132,7 @@ class Invariants:
             if reaction == math.inf:
                 self._free[ref] = now
             if process is None or not process.reacts:
-                self._broken[ref] = now  # what waits for a call of its own is not missing, and its mode changes after it
+                self._broken[ref] = now  # what a hung call keeps waiting is not missing
             elif now - self._free[ref] > reaction:
                 self._violation(f"{self._stays(ref)} is broken, and the manager does not react")
             elif now - since > REFLEX and self.oracle.reflex_applies(
