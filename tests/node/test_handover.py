@@ -283,7 +283,7 @@ def test_a_new_side_that_was_stopped_over_the_cut_writes_nothing_once_the_old_on
 
 
 async def reopened(lab: Lab) -> bool:
-    return (await lab.port("old", "out", TOPIC))["gate"] == "open"
+    return bool((await lab.port("old", "out", TOPIC))["gate"] == "open")
 
 
 @pytest.mark.parametrize("how", ["is killed", "is detached", "is cancelled"])

@@ -10,7 +10,7 @@ from pathlib import Path
 from midstride.wire.claims import FileClaim
 from midstride.wire.pipe import PipeNetwork
 from midstride.wire.sockets import SocketFolder
-from midstride.wire.transport import Claim
+from midstride.wire.transport import CutClaim
 
 HOLDER = """
 import sys, pathlib
@@ -21,7 +21,7 @@ sys.stdin.read()
 """
 
 
-def exchanged(one: Claim, other: Claim, unrelated: Claim) -> list[bool]:
+def exchanged(one: CutClaim, other: CutClaim, unrelated: CutClaim) -> list[bool]:
     seen = [one.take(), one.take(), other.take(), unrelated.take()]
     other.give_back()  # which has none
     seen.append(other.take())

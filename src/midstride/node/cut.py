@@ -20,7 +20,7 @@ from midstride.node.ports import GatePolicy, OutputLink, OutputOwner
 from midstride.node.trigger import InfoSet
 from midstride.wire.commands import CutClock, LastWrite
 from midstride.wire.state import GateState
-from midstride.wire.transport import Claim
+from midstride.wire.transport import CutClaim
 
 # How long after T a message published before it may still be in transit (s).
 GRACE: Final = 0.05
@@ -81,7 +81,7 @@ class _Side(GatePolicy):
     links: Sequence[OutputLink]
     at: int
     host: Host
-    claim: Claim
+    claim: CutClaim
     clock: CutClock = field(default="ros", kw_only=True)
     written: dict[OutputLink, Written] = field(default_factory=dict, init=False)
 

@@ -25,7 +25,7 @@ from midstride.wire.channel import Channel, result_of
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply
 from midstride.wire.state import GateState
-from midstride.wire.transport import Claim
+from midstride.wire.transport import CutClaim
 
 R = TypeVar("R")
 Side: TypeAlias = CutOutTask | CutInTask | BatonTask
@@ -257,7 +257,7 @@ class HandoverCommands:
             self._imports = {transfer.id: state}
         return self._imports[transfer.id]
 
-    def _claim(self, command: commands.CutOutCommand | commands.CutInCommand) -> Claim:
+    def _claim(self, command: commands.CutOutCommand | commands.CutInCommand) -> CutClaim:
         if self.host.transport is None:
             raise CommandRefused("this component runs without a control socket, so it hands nothing over")
         return self.host.transport.claim(command.cut)

@@ -32,7 +32,7 @@ from midstride.wire import commands
 from midstride.wire.channel import result_of
 from midstride.wire.commands import Command, CutClock
 from midstride.wire.frames import Reply
-from midstride.wire.transport import Claim
+from midstride.wire.transport import CutClaim
 
 # How often a side checks whether a cut has passed, and async calls have ended (s).
 TICK: Final = 0.002
@@ -269,7 +269,7 @@ class StateImport(_Transfer):
     _imported: bool = field(default=False, init=False)
     _open: bool = field(default=False, init=False)
     # Where no output is cut: the first call claims what a first write does otherwise.
-    _claim: Claim | None = field(default=None, init=False)
+    _claim: CutClaim | None = field(default=None, init=False)
     # As the old side reports them.
     _handled: dict[str, int] = field(default_factory=dict, init=False)
     _since: int = field(default=0, init=False)

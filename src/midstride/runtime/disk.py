@@ -48,7 +48,7 @@ class Database:
         with self._lock:
             return self.connection.execute(query, values).fetchall()
 
-    def peek(self, query: str, values: tuple[str | float | None, ...]) -> list[tuple[Any, ...]] | None:
+    def peek(self, query: str, values: Sequence[str | float | None]) -> list[tuple[Any, ...]] | None:
         """The same without waiting: None while another thread uses the database, or where it cannot be read."""
         if not self._lock.acquire(blocking=False):
             return None

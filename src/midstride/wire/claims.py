@@ -12,7 +12,7 @@ from pathlib import Path
 
 
 class FileClaim:
-    """Implements :class:`midstride.wire.transport.Claim`: a lock of the byte of ``path`` that ``cut`` is hashed to.
+    """Implements :class:`midstride.wire.transport.CutClaim`: a lock of the byte of ``path`` that ``cut`` is hashed to.
 
     The lock is that of an open file description, so both sides of a cut may be in one process.
     """

@@ -63,7 +63,7 @@ def pipe() -> tuple[PipeEnd, PipeEnd]:
 
 
 class PipeClaim:
-    """Implements :class:`midstride.wire.transport.Claim`. ``holders`` has, by cut, the claim that is taken."""
+    """Implements :class:`midstride.wire.transport.CutClaim`. ``holders`` has, by cut, the claim that is taken."""
 
     def __init__(self, holders: dict[str, PipeClaim], cut: str) -> None:
         self._holders = holders

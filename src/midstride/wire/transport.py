@@ -31,7 +31,7 @@ Serve = Callable[[Connection], Awaitable[None]]
 StopListening = Callable[[], None]
 
 
-class Claim(Protocol):
+class CutClaim(Protocol):
     """The right to write what belongs after a cut: at most one of its sides has it, whatever it knows of the other.
 
     It is free again when its holder gives it back, or when the holder's process ends. Any thread.
@@ -55,7 +55,7 @@ class Transport(Protocol):
     def address(self, instance: str) -> str:
         """The address of a component of this system, whether it listens or not."""
 
-    def claim(self, cut: str) -> Claim:
+    def claim(self, cut: str) -> CutClaim:
         """One side's claim of a cut. Sides on different hosts have different claims, and both get theirs."""
 
     def present(self) -> dict[str, str]:
