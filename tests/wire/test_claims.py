@@ -37,6 +37,15 @@ def test_one_side_has_it(tmp_path: Path) -> None:
     assert folder.present() == {}, "it is no component"
 
 
+def test_it_can_be_renounced_while_it_is_not_held(tmp_path: Path) -> None:
+    folder, pipes = SocketFolder(tmp_path), PipeNetwork()
+    for one, other in ((folder.claim("a"), folder.claim("a")), (pipes.claim("a"), pipes.claim("a"))):
+        assert one.take() and not one.renounce() and one.take()
+        assert other.renounce() and not other.take()
+        one.give_back()
+        assert not other.take() and one.take()
+
+
 def test_the_end_of_its_process_gives_it_back(tmp_path: Path) -> None:
     path = tmp_path / "claims"
     command = [sys.executable, "-c", HOLDER, str(path)]

@@ -226,9 +226,7 @@ class CutInTask(_CutTask):
                 await self.host.on_data(self.side.latch)
             else:
                 await self.host.sleep(TICK)
-        if (self._failed() or self.side.refused) and await self._abandon():
-            if not self.side.refused:
-                await self._resumed(failed=True)
+        if (self._failed() or self.side.refused) and await self._abandon(report=not self.side.refused):
             return
         self._reporting = True
         if self._going() and await self._resumed(failed=False):
@@ -283,12 +281,15 @@ class CutInTask(_CutTask):
 
     async def settle(self) -> None:
         if self._going() and not self._reporting:
-            await self._abandon()
+            await self._abandon(report=False)
         await self.finished.wait()
 
-    async def _abandon(self) -> bool:
-        """Cancel this side unless it has written; whether it is cancelled."""
-        if await self.host.on_data(self.side.abandon):
+    async def _abandon(self, report: bool) -> bool:
+        """Cancel this side unless it has written; whether it is cancelled. The old one does not wait for a hung call."""
+        if self.side.claim.renounce() or await self.host.on_data(self.side.abandon):
+            self.outcome = "cancelled"
+            if report:
+                await self._resumed(failed=True)
             await self.cancel()
         return self.outcome == "cancelled"
 

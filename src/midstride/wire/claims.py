@@ -21,13 +21,19 @@ class FileClaim:
         self._path = path
         self._byte = int.from_bytes(hashlib.blake2b(cut.encode(), digest_size=7).digest(), "big")
         self._descriptor: int | None = None
+        self._renounced = False
         self._turn = threading.Lock()
 
     def take(self) -> bool:
         with self._turn:
-            if self._descriptor is None:
+            if self._descriptor is None and not self._renounced:
                 self._descriptor = self._locked()
             return self._descriptor is not None
+
+    def renounce(self) -> bool:
+        with self._turn:
+            self._renounced = self._descriptor is None
+            return self._renounced
 
     def give_back(self) -> None:
         with self._turn:

@@ -68,9 +68,14 @@ class PipeClaim:
     def __init__(self, holders: dict[str, PipeClaim], cut: str) -> None:
         self._holders = holders
         self._cut = cut
+        self._renounced = False
 
     def take(self) -> bool:
-        return self._holders.setdefault(self._cut, self) is self
+        return not self._renounced and self._holders.setdefault(self._cut, self) is self
+
+    def renounce(self) -> bool:
+        self._renounced = self._holders.get(self._cut) is not self
+        return self._renounced
 
     def give_back(self) -> None:
         if self._holders.get(self._cut) is self:

@@ -40,6 +40,9 @@ class CutClaim(Protocol):
     def take(self) -> bool:
         """Whether this side has it now. Does not wait."""
 
+    def renounce(self) -> bool:
+        """Never take it from now on, unless this side has it; whether it has not."""
+
     def give_back(self) -> None: ...
 
 
