@@ -285,7 +285,7 @@ class CutInTask(_CutTask):
         await self.finished.wait()
 
     async def _abandon(self, report: bool) -> bool:
-        """Cancel this side unless it has written; whether it is cancelled. The old one does not wait for a hung call."""
+        """Cancel this side unless it has written; whether it is cancelled. A hung call delays nothing."""
         if self.side.claim.renounce() or await self.host.on_data(self.side.abandon):
             self.outcome = "cancelled"
             if report:
