@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any, Final
 
 from rclpy.duration import Duration
@@ -20,6 +21,23 @@ _UNKNOWN: Final = MessageInfo(None, None, None)
 # From here on a duration means that there is none (ns): each middleware has a number for it.
 _INFINITE: Final = 2**31 * 10**9 - 1
 _UNSUPPORTED: Final = 2**64 - 1  # a middleware's word for "I do not count"
+
+
+def serialized(message_type: type) -> type:
+    """The class of messages of ``message_type`` that are not deserialised: they are bytes, as the middleware has them."""
+    return type(f"Serialized{message_type.__name__}", (bytes,), {"message_type": message_type})
+
+
+def message_type_of(type_: type) -> tuple[type, bool]:
+    """The message type of a port of ``type_``, and whether its messages stay serialised."""
+    return (type_.__dict__["message_type"], True) if issubclass(type_, bytes) else (type_, False)
+
+
+def message_class(name: str) -> type:
+    """The class of `std_msgs/msg/String`. Raises ImportError or AttributeError where it is not installed."""
+    package, _, kind = name.replace("/msg/", "/").partition("/")
+    found: type = getattr(import_module(f"{package}.msg"), kind)
+    return found
 
 
 def profile_of(qos: QoS) -> Any:
