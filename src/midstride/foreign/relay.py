@@ -293,14 +293,17 @@ class RelayComponent:
 
 def run_relay(order: RelayOrder, type_of: Callable[[str], type], graph: HostGraph) -> NoReturn:
     """The whole life of a relay's process; the arguments are those of :class:`RelayComponent`."""
-    program, status = RelayedProgram(order), 0
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # until the component runs
+    program, status = None, 1
     try:
+        program = RelayedProgram(order)
         RelayComponent(order, program, type_of, graph).run()
+        status = 0
     except MidstrideError as error:
         print(f"the relay of {order.node} ends: {error}", file=sys.stderr, flush=True)
-        status = 1
-    finally:
-        ended = program.end()
+    except SystemExit:
+        pass
+    ended = 0 if program is None else program.end()
     if ended:
-        print(f"`{program.words}` has exited with status {ended}", file=sys.stderr, flush=True)
+        print(f"`{' '.join(order.command)}` has exited with status {ended}", file=sys.stderr, flush=True)
     sys.exit(ended or status)

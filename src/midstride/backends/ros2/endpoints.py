@@ -24,7 +24,7 @@ _UNSUPPORTED: Final = 2**64 - 1  # a middleware's word for "I do not count"
 
 
 def serialized(message_type: type) -> type:
-    """The class of messages of ``message_type`` that are not deserialised: they are bytes, as the middleware has them."""
+    """The class of messages of ``message_type`` that are not deserialised: bytes, as the middleware has them."""
     return type(f"Serialized{message_type.__name__}", (bytes,), {"message_type": message_type})
 
 
