@@ -215,14 +215,15 @@ class RelayComponent:
         self.parts.callbacks.setup = self._set_up
 
     def _relay(self, name: str) -> Relay:
-        guarantee = self.component.owner(name).modes[0].guarantee(name)
-        if not isinstance(guarantee, Predicate):
-            raise NodeError(f"output {name} of {self.component.name} guarantees nothing in its normal mode")
-        type_, qos = self._type_of(guarantee.type), guarantee.qos
+        endpoint, owner = self.component.output_endpoint(name), self.component.owner(name)
+        if endpoint is None:
+            raise NodeError(f"output {name} of {self.component.name} has no type: no mode guarantees anything for it")
+        type_, qos = self._type_of(endpoint[0]), endpoint[1]
         output = Output(name, type_, qos)
         output.relayed = True
-        source = Input(name, type_, Predicate(guarantee.type, None, qos))
-        return Relay(source, output, self.order.topics[name], qos, bool(guarantee.rate))
+        source = Input(name, type_, Predicate(endpoint[0], None, qos))
+        rate = self.component.stated_rate(name, {owner.name: owner.modes[0].name})
+        return Relay(source, output, self.order.topics[name], qos, rate is not None)
 
     def _functionality(self, functionality: FunctionalitySpec) -> Functionality:
         inputs = tuple(self.parts.inputs[name] for name in functionality.inputs)

@@ -29,7 +29,7 @@ def gate_problems(component: ComponentSpec, path: Path) -> Iterator[Problem]:
         message = f"{name} has a gate, but no `run` command: it must be started with its gate"
         yield Problem(_CODE, (*path, "gate"), message)
     if component.gate == "relay":
-        yield from _relayed_modes(component, path)
+        yield from _relayed(component, path)
     if component.gate == "lifecycle" and len(component.functionalities) > 1:
         message = f"{name} has {len(component.functionalities)} functionalities; its node has one lifecycle state"
         help = "declare one functionality, or close the gate of each output as well: `gate lifecycle preload`"
@@ -47,9 +47,14 @@ def gate_problems(component: ComponentSpec, path: Path) -> Iterator[Problem]:
             yield Problem(_CODE, (*path, "parameters", parameter), message, "omit `changeable`")
 
 
-def _relayed_modes(component: ComponentSpec, path: Path) -> Iterator[Problem]:
-    """A relay passes messages on or not, and sets no parameters."""
+def _relayed(component: ComponentSpec, path: Path) -> Iterator[Problem]:
+    """A relay passes messages of a known type on or not, and sets no parameters."""
     for functionality in component:
+        for output in functionality.outputs:
+            if all(mode.guarantees.get(output) is None for mode in functionality.modes):
+                message = f"output {output} of {component.name} has no type, and a relay needs it"
+                help = f"state it in a mode of {functionality.name}: `guarantee {output} : std_msgs/msg/String`"
+                yield Problem(_CODE, (*path, "functionalities", functionality.name), message, help)
         where = (*path, "functionalities", functionality.name, "modes")
         for mode in functionality.modes:
             if mode in functionality.modes[1:-1]:
