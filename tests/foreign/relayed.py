@@ -16,11 +16,11 @@ from midstride.backends.naming import full
 from midstride.backends.ros2.foreign_nodes import ForeignNodes
 from midstride.backends.simulator import Simulator
 from midstride.foreign.graph_check import GraphEndpoint
-from midstride.foreign.relay import RelayComponent, RelayOrder
+from midstride.foreign.relay import RelayComponent, RelayOrder, RelayPlatform
 from midstride.lang.load import load
 from midstride.model.contract import QoS
 from midstride.node.host import Host
-from midstride.node.process_context import find
+from midstride.node.process_context import ProcessContext, find
 from midstride.runtime.backend import Handle, Launch
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
@@ -70,6 +70,11 @@ class SimulatedRelays(Simulator):
         return await super().start(replace(launch, arguments=command, foreign=None))
 
 
+def joined(context: ProcessContext) -> Host:
+    assert context.factory is not None
+    return context.factory(context.instance or "", context.namespace)
+
+
 class SimulatedRelay(RelayComponent):
     """Has the publishers of its program as well."""
 
@@ -77,7 +82,7 @@ class SimulatedRelay(RelayComponent):
         lab, program = SimulatedRelays.current, SimulatedRelays.current.programs[order.declaration.name]
         self.instance = find().instance or ""
         running: Any = SimpleNamespace(process=SimpleNamespace(poll=lambda: None))
-        super().__init__(order, running, lambda _: Text, lambda _: self._endpoints(program))
+        super().__init__(order, running, RelayPlatform(joined, lambda _: Text, lambda *_: self._endpoints(program)))
         heard = lab.heard.setdefault(self.instance, [])
         for port in self.parts.inputs.values():
             port.listeners = (lambda message, _: heard.append((lab.time.ros_now(), message.data)),)

@@ -12,7 +12,7 @@ import pytest
 
 from midstride.codec.component import NamedComponentForm
 from midstride.errors import MidstrideError, NodeError
-from midstride.foreign.relay import RelayedProgram, RelayOrder, differing, private_topic
+from midstride.foreign.relay import RelayedProgram, RelayOrder, differing, private_topics
 from midstride.lang.load import load
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
@@ -163,12 +163,12 @@ def test_a_node_with_another_type_is_refused(tmp_path: Path) -> None:
 def order(folder: Path, *command: str, environment: dict[str, str | None] | None = None) -> RelayOrder:
     path = folder / "chat.stride"
     path.write_text(TEXT, encoding="utf-8")
-    declaration = NamedComponentForm.of(load(path).require().components["Talker"])
+    component = load(path).require().components["Talker"]
     made = RelayOrder(
         command=list(command),
         node="/talker",
-        declaration=declaration,
-        topics={"out": private_topic("/talker", "out")},
+        declaration=NamedComponentForm.of(component),
+        topics=private_topics(component, "talker"),
         environment=environment or {},
     )
     made.write(folder / "relays" / "talker.json")

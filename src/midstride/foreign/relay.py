@@ -22,7 +22,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NoReturn, TypeAlias
+from typing import Any, Final, NoReturn
 
 import msgspec
 
@@ -30,7 +30,7 @@ from midstride.codec.component import NamedComponentForm
 from midstride.errors import BackendError, MidstrideError, NodeError
 from midstride.foreign.graph_check import GraphEndpoint, differences, lacking
 from midstride.foreign.reflex import inputs_of
-from midstride.model.component import FunctionalitySpec, Mode
+from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode
 from midstride.model.contract import Predicate, QoS
 from midstride.node.agent import Agent
 from midstride.node.contracts import Guarantee
@@ -40,7 +40,7 @@ from midstride.node.host import Host
 from midstride.node.message_times import MessageTimes
 from midstride.node.modes import DeclaredMode
 from midstride.node.ports import Input, InputLink, Output
-from midstride.node.process_context import find, host_factory
+from midstride.node.process_context import ProcessContext, find
 from midstride.node.program import ProgramFiles
 from midstride.wire.state import WireValue
 
@@ -53,7 +53,20 @@ _GRACE: Final = 2.0
 _LIBC: Final = ctypes.CDLL(None)
 _PR_SET_PDEATHSIG: Final = 1
 
-HostGraph: TypeAlias = Callable[[Host], Sequence[GraphEndpoint]]
+
+@dataclass(frozen=True)
+class RelayPlatform:
+    """What a relay needs of its platform.
+
+    ``host``: joins as the relay of an instance. ``type_of``: the class of a port of a message type, whose messages stay
+    serialised. ``graph``: what the graph shows of the program's node. ``advertises_late``: a program may create a
+    publisher only when it has something to publish, so none is waited for.
+    """
+
+    host: Callable[[ProcessContext], Host]
+    type_of: Callable[[str], type]
+    graph: Callable[[Host, RelayOrder], Sequence[GraphEndpoint]]
+    advertises_late: bool = False
 
 
 class RelayOrder(WireValue, frozen=True, kw_only=True):
@@ -96,9 +109,9 @@ def differing(program: Mapping[str, str], relay: Mapping[str, str]) -> dict[str,
     return {name: program.get(name) for name in {*program, *relay} if program.get(name) != relay.get(name)}
 
 
-def private_topic(instance: str, port: str) -> str:
-    """Where the program of ``instance`` publishes instead: hidden from ROS 2's tools by its first character."""
-    return f"/_midstride/relay/{instance.strip('/')}/{port}"
+def private_topics(component: ComponentSpec, instance: str) -> dict[str, str]:
+    """Where the program publishes instead, by output: hidden from ROS 2's tools by the first character."""
+    return {port: f"/_midstride/relay/{instance.strip('/')}/{port}" for port in component.outputs}
 
 
 class RelayedProgram:
@@ -187,18 +200,13 @@ class RelayedFunctionality(Functionality):
 
 
 class RelayComponent:
-    """The component of ``order``. ``type_of``: the class of a port of that message type, whose messages are bytes.
+    """The component of ``order``."""
 
-    ``graph(host)``: what the platform shows of the program's node.
-    """
-
-    def __init__(
-        self, order: RelayOrder, program: RelayedProgram, type_of: Callable[[str], type], graph: HostGraph
-    ) -> None:
+    def __init__(self, order: RelayOrder, program: RelayedProgram, platform: RelayPlatform) -> None:
         self.order, self.program = order, program
         self.component = component = order.declaration.declared()
-        self._graph = graph
-        self._type_of = type_of
+        self._platform = platform
+        self._type_of = type_of = platform.type_of
         self.host: Host | None = None
         self.parts = DeclaredParts()
         self.relays: dict[str, Relay] = {}
@@ -266,7 +274,7 @@ class RelayComponent:
             if time.monotonic() >= deadline:
                 break
             time.sleep(_LOOK)
-        found = self._graph(self.host)
+        found = self._platform.graph(self.host, self.order)
         there = {(endpoint.output, endpoint.topic) for endpoint in found}
         absent = [port for port in missing if (self.component.has_output(port), self.order.topics[port]) not in there]
         faults = lacking(self.component, self.order.topics, self.order.node, found, absent)
@@ -277,28 +285,30 @@ class RelayComponent:
     def _missing(self) -> list[str]:
         """The ports for which the program has no endpoint."""
         assert self.host is not None
-        missing = [name for name, relay in self.relays.items() if not relay.matched]
+        late = self._platform.advertises_late
+        missing = [] if late else [name for name, relay in self.relays.items() if not relay.matched]
         if missing or not self.component.input_order:
             return missing
-        received = {endpoint.topic for endpoint in self._graph(self.host) if not endpoint.output}
+        received = {endpoint.topic for endpoint in self._platform.graph(self.host, self.order) if not endpoint.output}
         return [name for name in self.component.input_order if self.order.topics[name] not in received]
 
     def run(self) -> None:
         """Until it is stopped, or the program has exited. As :meth:`midstride.node.component.Component.start`."""
         context = find()
-        self.host = host = host_factory(context)(context.instance or "relay", context.namespace)
+        self.host = host = self._platform.host(context)
         program = ProgramFiles({}, context.started)
         agent = Agent(self.parts, self.component, host, context.token, os.getpid(), None, program, context.diagnostics)
         host.run(agent.main)
 
 
-def run_relay(order: RelayOrder, type_of: Callable[[str], type], graph: HostGraph) -> NoReturn:
-    """The whole life of a relay's process; the arguments are those of :class:`RelayComponent`."""
+def run_relay(platform: RelayPlatform) -> NoReturn:
+    """The whole life of a relay's process. Its argument is the file of the order."""
+    order = RelayOrder.read(Path(sys.argv[1]))
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # until the component runs
     program, status = None, 1
     try:
         program = RelayedProgram(order)
-        RelayComponent(order, program, type_of, graph).run()
+        RelayComponent(order, program, platform).run()
         status = 0
     except MidstrideError as error:
         print(f"the relay of {order.node} ends: {error}", file=sys.stderr, flush=True)

@@ -301,6 +301,13 @@ class ComponentSpec:
         stated = (mode.guarantees.get(output) for mode in self.owner(output).modes)
         return next(((guarantee.type, guarantee.qos) for guarantee in stated if guarantee is not None), None)
 
+    def type_of(self, port: str) -> str | None:
+        """The message type of a port; None where no mode guarantees anything for an output."""
+        if port in self.inputs:
+            return self.inputs[port].type
+        endpoint = self.output_endpoint(port)
+        return None if endpoint is None else endpoint[0]
+
     def stated_rate(self, port: str, modes: Mapping[str, str]) -> float | None:
         """The rate (Hz) that an input assumes, or that an output guarantees in the mode of its functionality.
 

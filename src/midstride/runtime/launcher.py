@@ -24,7 +24,7 @@ from midstride.errors import (
 )
 from midstride.model.component import GATES, Gate
 from midstride.model.configuration import Instance
-from midstride.runtime.backend import Backend, Exited, Handle, Launch
+from midstride.runtime.backend import RELAY_SUFFIX, Backend, Exited, Handle, Launch
 from midstride.runtime.component_client import STOPPED, ComponentClient
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.registration import mismatches, unexpected_endpoints
@@ -124,7 +124,7 @@ class Launcher:
             # A program without Midstride's API has the instance's name: nothing in it could answer for the role.
             node, foreign = (instance.role, None) if gate is None else (name, instance.component)
             if gate == "relay":  # whose process has a node as well, beside that of the program
-                node = f"{name}_relay"
+                node = f"{name}{RELAY_SUFFIX}"
             launch = Launch(
                 name,
                 namespace,

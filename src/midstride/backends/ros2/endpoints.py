@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib import import_module
 from typing import Any, Final
 
 from rclpy.duration import Duration
@@ -31,13 +30,6 @@ def serialized(message_type: type) -> type:
 def message_type_of(type_: type) -> tuple[type, bool]:
     """The message type of a port of ``type_``, and whether its messages stay serialised."""
     return (type_.__dict__["message_type"], True) if issubclass(type_, bytes) else (type_, False)
-
-
-def message_class(name: str) -> type:
-    """The class of `std_msgs/msg/String`. Raises ImportError or AttributeError where it is not installed."""
-    package, _, kind = name.replace("/msg/", "/").partition("/")
-    found: type = getattr(import_module(f"{package}.msg"), kind)
-    return found
 
 
 def profile_of(qos: QoS) -> Any:

@@ -17,7 +17,7 @@ from typing import Final
 
 from msgspec.structs import replace
 
-from midstride.backends.naming import split
+from midstride.backends.naming import split, topics_of
 from midstride.codec.component import NamedComponentForm
 from midstride.errors import BackendError, CommandRefused
 from midstride.foreign import build
@@ -27,7 +27,7 @@ from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.lifecycle_cuts import LifecyclePeers
 from midstride.foreign.page import Page
 from midstride.foreign.record import ForeignRecord
-from midstride.foreign.relay import RelayOrder, order_file, private_topic
+from midstride.foreign.relay import RelayOrder, order_file, private_topics
 from midstride.foreign.services import NodeServices
 from midstride.model.component import ComponentSpec
 from midstride.runtime.backend import Handle, Launch
@@ -72,7 +72,7 @@ class ForeignNodes:
         ``node`` is the full name of its ROS node.
         """
         await asyncio.gather(*self._closing)  # the name may be that of one that has just ended
-        topics, index, variables = _topics(launch, component, node), None, dict(environment)
+        topics, index, variables = topics_of(component, node, launch.topics), None, dict(environment)
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if component.preloads:
             page, library = await self._opened(environment)
@@ -107,8 +107,7 @@ class ForeignNodes:
         environment: Mapping[str, str | None],
     ) -> Path:
         """The file of the order of a relay; the arguments are those of :class:`RelayOrder`. Raises BackendError."""
-        private = {port: private_topic(launch.instance, port) for port in component.outputs}
-        topics = _topics(launch, component, node) | private
+        topics = topics_of(component, node, launch.topics) | private_topics(component, launch.instance)
         order = RelayOrder(
             command=[*command, *ros_arguments(replaced(launch, topics=topics), component, node)],
             node=node,
@@ -212,17 +211,3 @@ def ros_arguments(launch: Launch, component: ComponentSpec, node: str) -> list[s
     arguments = [part for remap in remaps for part in ("-r", remap)]
     arguments += [part for key, value in values.items() for part in ("-p", f"{key}:={json.dumps(value)}")]
     return ["--ros-args", *arguments]
-
-
-def _topics(launch: Launch, component: ComponentSpec, node: str) -> dict[str, str]:
-    """By port, the full name of the topic that the program uses."""
-    return {port: launch.topics.get(port) or _resolved(component.topic_of(port), node) for port in component.ports()}
-
-
-def _resolved(topic: str, node: str) -> str:
-    """The full name of a topic that a node names."""
-    if topic.startswith("/"):
-        return topic
-    if topic.startswith("~"):
-        return f"{node}/{topic.lstrip('~/')}"
-    return f"{split(node)[1].rstrip('/')}/{topic}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Collection
+from importlib import import_module
 from typing import Any, Final
 
 import rclpy
@@ -14,7 +15,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
 from midstride.backends.ros2 import names
-from midstride.backends.ros2.endpoints import for_rclpy, message_class, read_info
+from midstride.backends.ros2.endpoints import for_rclpy, read_info
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
 from midstride.model.contract import QoS
 
@@ -78,7 +79,8 @@ def _look(node: Any, graph: ObservedGraph, subscribed: set[str]) -> None:
 def _subscribe(node: Any, graph: ObservedGraph, publishers: list[ObservedEndpoint]) -> None:
     topic, type_ = publishers[0].topic, publishers[0].type
     try:
-        message_type = message_class(type_)
+        package, _, name = type_.replace("/msg/", "/").partition("/")
+        message_type = getattr(import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError):
         graph.unreadable.add(type_)
         return

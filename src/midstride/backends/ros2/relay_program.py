@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-from midstride.backends.ros2.endpoints import message_class, serialized
+from midstride.backends.common_messages import message_class
+from midstride.backends.ros2.endpoints import serialized
 from midstride.backends.ros2.graph import Graph
-from midstride.errors import NodeError
-from midstride.foreign.relay import RelayOrder, run_relay
+from midstride.backends.ros2.host import Ros2Host
+from midstride.foreign.relay import RelayPlatform, run_relay
 
-
-def type_of(name: str) -> type:
-    """Raises NodeError where the message type is not installed."""
-    try:
-        return serialized(message_class(name))
-    except (ImportError, AttributeError):
-        raise NodeError(f"the message type {name} is not installed for {sys.executable}") from None
-
-
-def main() -> None:
-    order = RelayOrder.read(Path(sys.argv[1]))
-    run_relay(order, type_of, lambda host: Graph(host.ros_node).of_process(order.node))
-
+PLATFORM = RelayPlatform(
+    host=lambda context: Ros2Host(context.instance or "", context.namespace),
+    type_of=lambda name: serialized(message_class(name)),
+    graph=lambda host, order: Graph(host.ros_node).of_process(order.node),
+)
 
 if __name__ == "__main__":
-    main()
+    run_relay(PLATFORM)
