@@ -27,7 +27,7 @@ from midstride.runtime.manager import Manager
 from midstride.runtime.timeouts import within
 from midstride.runtime.workspace import Workspace
 
-SIZES = {"1 kB at 50 Hz": (1_000, 50.0), "1 kB at 1 kHz": (1_000, 1000.0), "1 MB at 30 Hz": (1_000_000, 30.0)}
+SIZES = {"1 kB at 50 Hz": (1_000, 50.0), "1 kB at 200 Hz": (1_000, 200.0), "1 MB at 30 Hz": (1_000_000, 30.0)}
 KINDS = ("none", "relay", "none")
 # Until the path is warm (s).
 WARM = 1.0
