@@ -30,6 +30,7 @@ AHEAD = math.radians(60)
 # A near miss: a gap below the first (m) to someone ahead, while it drives faster than the second (m/s).
 NEAR, NEAR_SPEED = 0.3, 0.3
 CRAWL = 0.05  # below this speed contact is no collision
+APART = 2.0  # contact so soon after another (s) is the same collision
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,7 @@ class Hall:
     charge: float = 1.0
     progress: float = 0.0
     bumped: bool = False
+    touched: float = -math.inf  # when it last bumped
     near: bool = False
     collisions: int = 0
     near_misses: int = 0
@@ -109,8 +111,9 @@ def step(hall: Hall, forward: float, turn: float, seconds: float) -> Hall:
         charge=max(0.0, hall.charge - (0.0001 + 0.0002 * abs(speed)) * seconds),
         progress=_progress(hall.progress, x, y),
         bumped=bumped,
+        touched=hall.time if bumped else hall.touched,
         near=near,
-        collisions=hall.collisions + (hit and not hall.bumped),
+        collisions=hall.collisions + (hit and hall.time - hall.touched > APART),
         near_misses=hall.near_misses + (near and not hall.near),
     )
 

@@ -59,8 +59,8 @@ def strategies(event: str) -> tuple[str, ...]:
     return (*MANAGED, *WITHOUT[:2]) if event in CHANGES else (*MANAGED, *WITHOUT)
 
 
-def run(seed: int, event: str, strategy: str) -> dict[str, Any]:
-    """One robot in hall ``seed``, to which ``event`` happens (``none``: nothing does)."""
+def run(seed: int, event: str, strategy: str, after: float = AFTER) -> dict[str, Any]:
+    """One robot in hall ``seed``, to which ``event`` happens (``none``: nothing does), for ``after`` s more."""
     drawn = random.Random(f"event {seed}")
     before, during = drawn.uniform(6.0, 14.0), drawn.uniform(0.1, 3.0)
     lab = Lab(robot(), seed, PEOPLE)
@@ -76,7 +76,7 @@ def run(seed: int, event: str, strategy: str) -> dict[str, Any]:
         lab.seen.lost = lab.seen.blind = lab.seen.longest_blind = 0.0
         act = _managed(robot, event, during, said) if managed else _supervised(robot, event, strategy)  # type: ignore[arg-type]
         acting = asyncio.ensure_future(act)
-        await lab.watch(AFTER, robot.level)
+        await lab.watch(after, robot.level)
         if not acting.done():
             said.append("under way at the end")
             acting.cancel()
@@ -87,6 +87,10 @@ def run(seed: int, event: str, strategy: str) -> dict[str, Any]:
 
     lab.simulator.run(main())
     return {"seed": seed, "event": event, "strategy": strategy, **asdict(lab.seen), "said": said}
+
+
+def _run(arguments: tuple[int, str, str]) -> dict[str, Any]:
+    return run(*arguments)
 
 
 async def _managed(robot: Managed, event: str, during: float, said: list[str]) -> None:
@@ -185,14 +189,15 @@ def main() -> int:
         rows = [json.loads(line) for line in options.out.read_text().splitlines()]
     done = {(row["seed"], row["event"], row["strategy"]) for row in rows}
     chosen = [event for event in EVENTS if (options.event or "") in event]
-    for seed in range(options.first, options.first + options.worlds):
-        wanted = [(seed, "none", "minimal"), *((seed, event, each) for event in chosen for each in strategies(event))]
-        with multiprocessing.get_context("fork").Pool(options.jobs) as pool:
-            for row in pool.starmap(run, [each for each in wanted if each not in done], chunksize=1):
-                rows.append(row)
-                if options.out is not None:
-                    with options.out.open("a") as file:
-                        file.write(json.dumps(row) + "\n")
+    seeds = range(options.first, options.first + options.worlds)
+    every = [("none", "minimal"), *((event, each) for event in chosen for each in strategies(event))]
+    wanted = [(seed, *each) for seed in seeds for each in every if (seed, *each) not in done]
+    with multiprocessing.get_context("fork").Pool(options.jobs) as pool:
+        for row in pool.imap(_run, wanted):
+            rows.append(row)
+            if options.out is not None:
+                with options.out.open("a") as file:
+                    file.write(json.dumps(row) + "\n")
     print("\n".join(table(rows)))
     return 0
 

@@ -84,8 +84,8 @@ def write_trace(forward: float, commanded: bool) -> None:
             file.write(json.dumps({**line, "commanded": commanded}) + "\n")
 
 
-move.set_normal_mode(
-    tick, rate=20, outputs=outputs, guarantees={lidar: 10, camera: 10, bumper: 10, cells: guarantee(rate=1)}
-)
+image = guarantee(rate=10, where={"encoding": "32FC1"})
+rates = {lidar: 10, camera: image, bumper: 10, cells: 1}
+move.set_normal_mode(tick, rate=20, outputs=outputs, guarantees=rates)
 move.set_degraded_mode(lambda: None, name="off")
 comp.start()
