@@ -30,7 +30,7 @@ from midstride.cli.demo_runner import cancelled_by_signals
 from midstride.cli.example import Demo
 from midstride.errors import MidstrideError
 from midstride.plan.request import PlanRequest
-from midstride.runtime.reports import Outcome
+from midstride.runtime.reports import Outcome, Status
 
 # How long each event is watched at least, and the robot before the first (s); how often it is looked at.
 WATCHED, RUN_IN, LOOK = 9.0, 6.0, 0.25
@@ -142,15 +142,24 @@ class Show:
         manager = self.environment.manager
         with contextlib.suppress(MidstrideError):
             status = await manager.status()
-            found = [each for component in status.components for each in component.functionalities]
-            self.modes = {each.name: each.mode for each in found if not each.normal}
-            self.modes |= {f"{entry.name}": "gone" for entry in status.crashed}
+            self.modes = {entry.name: "gone" for entry in status.crashed}
+            serving = {component.role: component for component in status.components if not component.ending}
+            for role, component in serving.items():  # of two instances the new one
+                for each in component.functionalities:
+                    if not each.normal and not _serves(status, role, each.name.partition(".")[2]):
+                        self.modes[f"{role}.{each.name.partition('.')[2]}"] = each.mode
         if self._row:
-            drive = next((mode for name, mode in self.modes.items() if name.startswith("controller")), "full")
-            self._row["slowest"] = max(
-                self._row["slowest"], drive, key=lambda mode: ORDER.index(mode) if mode in ORDER else 3
-            )
+            drive = self.modes.get("controller.drive", "full")
+            self._row["slowest"] = max(self._row["slowest"], drive, key=ORDER.index)
             self._row["degraded"] += LOOK * bool(self.modes)
+
+
+def _serves(status: Status, role: str, functionality: str) -> bool:
+    """Whether an instance of ``role`` is in the normal mode: the old one, the new one, or both."""
+    of_role = [component for component in status.components if component.role == role]
+    return any(
+        each.normal for one in of_role for each in one.functionalities if each.name.endswith(f".{functionality}")
+    )
 
 
 # -- what happens -----------------------------------------------------------------------------------------------------

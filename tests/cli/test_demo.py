@@ -147,7 +147,7 @@ def test_on_ros_2(midstride: Midstride, name: str) -> None:
 
 
 @pytest.mark.ros2
-@pytest.mark.full
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_the_patrol_on_ros_2(midstride: Midstride) -> None:
     done = midstride("demo", "patrol", "--backend", "ros2", "--json", timeout=280)

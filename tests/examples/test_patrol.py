@@ -61,15 +61,12 @@ def test_what_costs_nothing(trial: Any, event: str, outcome: str | None) -> None
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(
-    "event",
-    ["the detector moves to another", "the perception is upgraded", "the planner is killed", "the detector hangs"],
-)
-def test_what_degrades_costs_less_than_by_the_other_strategies_and_is_never_blind(trial: Any, event: str) -> None:
-    rows = {strategy: trial.run(SEED, event, strategy, after=20.0) for strategy in ("minimal", "quiesce", "stop")}
-    assert all(row["said"] == ["done"] for row in rows.values())
-    assert rows["minimal"]["blind"] == 0.0
-    assert 0 < rows["minimal"]["lost"] < rows["quiesce"]["lost"] < rows["stop"]["lost"]
+@pytest.mark.parametrize("event", ["the perception is upgraded", "the detector hangs"])
+def test_what_degrades_costs_less_than_by_quiescence_and_is_never_blind(trial: Any, event: str) -> None:
+    minimal, quiesce = (trial.run(SEED, event, strategy, after=20.0) for strategy in ("minimal", "quiesce"))
+    assert minimal["said"] == quiesce["said"] == ["done"]
+    assert minimal["blind"] == 0.0
+    assert 0 < minimal["lost"] < quiesce["lost"]
 
 
 @pytest.mark.full
