@@ -328,6 +328,6 @@ def run_relay(platform: RelayPlatform) -> NoReturn:
     except SystemExit:
         pass
     ended = 0 if program is None else program.end()
-    if ended:
+    if ended not in (0, 128 + signal.SIGTERM):  # else it has been asked to
         print(f"`{' '.join(order.command)}` has exited with status {ended}", file=sys.stderr, flush=True)
     sys.exit(ended or status)
