@@ -8,17 +8,19 @@ whether one lets nothing fall. :class:`Constrained` keeps to the user's constrai
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import count
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations, count, product
+
+from immutables import Map
 
 from midstride.model.best import best
-from midstride.model.component import FunctionalityRef, FunctionalitySpec, PortRef
-from midstride.model.configuration import Configuration
-from midstride.model.contract import satisfies
+from midstride.model.component import ComponentSpec, FunctionalityRef, FunctionalitySpec, PortRef
+from midstride.model.configuration import Configuration, Instance
+from midstride.model.contract import Contract, satisfies
 from midstride.model.rules import publishers_count
 from midstride.model.specification import Constraint, Keep, Limit, Order
-from midstride.plan.change import Change
+from midstride.plan.change import Attachment, Change
 from midstride.plan.constraints import in_force
 
 NO_PORT = PortRef("", "")
@@ -120,10 +122,10 @@ class Exhaustive:
             ):
                 yield state | {op}
         for op in self.removes:
-            if op not in state and not configuration.attached_ports(op.name):
+            if op not in state and op.name in configuration.instances and not configuration.attached_ports(op.name):
                 yield state | {op}
         for op in self.detaches:
-            if op not in state:
+            if op not in state and configuration.is_attached(op.port, op.connector):
                 yield state | {op}
         ready = [op for op in self.attaches if op not in state and op.name in configuration.instances]
         for op in ready:
@@ -145,7 +147,8 @@ class Exhaustive:
             if configuration.is_output(new.port)
             and satisfies(configuration.guarantee(new.port), configuration.context.connectors[new.connector].guarantee)
             for old in self.detaches
-            if old not in state and old.connector == new.connector and configuration.is_output(old.port)
+            if old not in state and old.connector == new.connector
+            if configuration.is_attached(old.port, old.connector) and configuration.is_output(old.port)
         ]
         together: set[State] = {frozenset()}
         for swap in swaps:
@@ -182,6 +185,102 @@ class Exhaustive:
                     known[after] = total
                     heapq.heappush(queue, (total, next(tie), after))
         return None
+
+
+class Detoured:
+    """The least disruption of any plan in which up to two roles make a detour, as docs/semantics.md section 6 says.
+
+    Every set of detours is tried, each with every order of what is to be done then.
+    """
+
+    def __init__(self, change: Change, most: int = 11, roles: int = 2) -> None:
+        self.change, self.most, self.roles = change, most, roles
+        self.kept = {
+            instance.role: instance
+            for instance in change.start.instances.values()
+            if instance.name not in change.leaving and instance.role in change.target.nodes
+        }
+
+    def optimum(self) -> float | None:
+        """None where there is no plan. Raises TooLarge where a set of detours makes more than ``most`` differences."""
+        found = (Exhaustive(change, self.most).optimum() for change in self.changes())
+        return min((least for least in found if least is not None), default=None)
+
+    def changes(self) -> Iterator[Change]:
+        by_role = [
+            [(role, *detour) for detour in detours]
+            for role in sorted(self.change.target.nodes)
+            if (detours := list(self._detours(role)))
+        ]
+        for number in range(self.roles + 1):
+            for some in combinations(by_role, number):
+                for chosen in product(*some):
+                    yield self._with(chosen)
+
+    def _detours(self, role: str) -> Iterator[tuple[bool, str | None]]:
+        """Whether its node is moved, and of which component it has a stand-in."""
+        names = [None, *self._stand_ins(role)] if role in self.change.specification.nodes else [None]
+        for is_moved in (False, True) if role in self.kept else (False,):
+            yield from ((is_moved, name) for name in names if is_moved or name is not None)
+
+    def _stand_ins(self, role: str) -> Iterator[str]:
+        start, target = self.change.specification, self.change.target
+        old, new = start.component_of(role), target.component_of(role)
+        both = set(old.functionalities) & set(new.functionalities)
+        for name in set(start.components) | set(target.components):
+            component = target.components.get(name) or start.components[name]
+            fits = all(
+                port in component.ports() and self._fits(component, port, target.connectors[topic].guarantee)
+                for port, topics in target.nodes[role].attachments.items()
+                for topic in topics
+            )
+            is_other = not component.same_body(old) and not component.same_body(new)
+            if fits and is_other and both and both <= set(component.functionalities):
+                yield name
+
+    @staticmethod
+    def _fits(component: ComponentSpec, port: str, guarantee: Contract) -> bool:
+        if port in component.inputs:
+            return satisfies(guarantee, component.inputs[port])
+        return satisfies(component.owner(port).modes[0].guarantee(port), guarantee)
+
+    def _with(self, detours: Iterable[tuple[str, bool, str | None]]) -> Change:
+        change = self.change
+        coming, leaving = list(change.coming), list(change.leaving)
+        attached, detached = list(change.attached), list(change.detached)
+        extra = dict[str, Instance]()
+        for role, is_moved, component in detours:
+            if is_moved:
+                old, new = self.kept[role], change.target.instance(role, f"{role}_moved")
+                extra[new.name] = new
+                coming.append(new)
+                leaving.append(old.name)
+                attached = [pair for pair in attached if pair[0].instance != old.name] + self._topics(role, new)
+                detached = [pair for pair in detached if pair[0].instance != old.name]
+                detached += change.start.attached_ports(old.name)
+            if component is not None:
+                declared = change.target.components.get(component) or change.specification.components[component]
+                stand_in = Instance(f"{role}_stand_in", role, declared, Map())
+                extra[stand_in.name] = stand_in
+                coming.append(stand_in)
+                leaving.append(stand_in.name)
+                attached += self._topics(role, stand_in)
+                detached += self._topics(role, stand_in)
+        return replace(
+            change,
+            coming=tuple(coming),
+            leaving=tuple(leaving),
+            attached=tuple(attached),
+            detached=tuple(detached),
+            stand_ins=Map(extra),
+        )
+
+    def _topics(self, role: str, instance: Instance) -> list[Attachment]:
+        return [
+            (PortRef(instance.name, port), self.change.identities.get(topic, topic))
+            for port, topics in self.change.target.nodes[role].attachments.items()
+            for topic in topics
+        ]
 
 
 class Constrained(Exhaustive):

@@ -47,6 +47,10 @@ class Candidate:
     breaches: tuple[Breach, ...]
 
     @property
+    def disruption(self) -> float:
+        return self.key[1]
+
+    @property
     def makespan(self) -> float:
         return self.key[3]
 
@@ -83,7 +87,7 @@ def minimal(change: Change, budget: Budget | None = None) -> Plan:
 def _best(levels: Levels, constraints: Sequence[Constraint], budget: Budget) -> tuple[Candidate | None, float]:
     """The best plan found, and a lower bound on the disruption of any."""
     core = search_core(levels, constraints, budget)
-    along = _along(core, levels, constraints)
+    along = cheapest_along(core, levels, constraints)
     return _find(levels, constraints, along, few=sum(map(len, core.moves or ())) > _MANY), core.lower_bound
 
 
@@ -103,7 +107,7 @@ def _limits(levels: Levels, constraints: Sequence[Constraint]) -> list[str]:
     return [*_no_room(change, named), *_no_slots(change, named)]
 
 
-def _along(core: CoreResult, levels: Levels, constraints: Sequence[Constraint]) -> Candidate | None:
+def cheapest_along(core: CoreResult, levels: Levels, constraints: Sequence[Constraint]) -> Candidate | None:
     """The best plan along the core's moves, with hand-overs unless these lose more."""
     if not core.moves:
         return None

@@ -214,8 +214,9 @@ class SearchState:
 
     def can_take_over(self, swap: Swap) -> bool:
         """Whether the new output, in its current mode, satisfies the topic."""
-        live = swap.new.instance in self.builder.configuration.instances
-        return live and self.satisfies_topic(swap.new, swap.connector)
+        configuration = self.builder.configuration
+        ready = swap.new.instance in configuration.instances and configuration.is_attached(swap.old, swap.connector)
+        return ready and self.satisfies_topic(swap.new, swap.connector)
 
     def satisfies_topic(self, output: PortRef, connector: str) -> bool:
         configuration = self.builder.configuration
