@@ -17,7 +17,7 @@ from immutables import Map
 from midstride.model.best import best
 from midstride.model.component import ComponentSpec, FunctionalityRef, FunctionalitySpec, PortRef
 from midstride.model.configuration import Configuration, Instance
-from midstride.model.contract import Contract, satisfies
+from midstride.model.contract import satisfies
 from midstride.model.rules import publishers_count
 from midstride.model.specification import Constraint, Keep, Limit, Order
 from midstride.plan.change import Attachment, Change
@@ -187,6 +187,21 @@ class Exhaustive:
         return None
 
 
+@dataclass(frozen=True)
+class Choice:
+    """One thing that a role may do besides: ``instance`` comes and ``leaving`` goes, with these attachments.
+
+    A node that is moved: ``moved`` is its instance, which is neither attached nor detached otherwise then.
+    """
+
+    role: str
+    instance: Instance
+    leaving: str
+    attached: tuple[Attachment, ...]
+    detached: tuple[Attachment, ...]
+    moved: str = ""
+
+
 class Detoured:
     """The least disruption of any plan in which up to two roles make a detour, as docs/semantics.md section 6 says.
 
@@ -195,11 +210,6 @@ class Detoured:
 
     def __init__(self, change: Change, most: int = 11, roles: int = 2) -> None:
         self.change, self.most, self.roles = change, most, roles
-        self.kept = {
-            instance.role: instance
-            for instance in change.start.instances.values()
-            if instance.name not in change.leaving and instance.role in change.target.nodes
-        }
 
     def optimum(self) -> float | None:
         """None where there is no plan. Raises TooLarge where a set of detours makes more than ``most`` differences."""
@@ -207,80 +217,71 @@ class Detoured:
         return min((least for least in found if least is not None), default=None)
 
     def changes(self) -> Iterator[Change]:
-        by_role = [
-            [(role, *detour) for detour in detours]
-            for role in sorted(self.change.target.nodes)
-            if (detours := list(self._detours(role)))
-        ]
+        by_role = [list(self._detours(role)) for role in sorted(self.change.target.nodes)]
         for number in range(self.roles + 1):
-            for some in combinations(by_role, number):
+            for some in combinations(filter(None, by_role), number):
                 for chosen in product(*some):
-                    yield self._with(chosen)
+                    yield self._with([choice for detour in chosen for choice in detour])
 
-    def _detours(self, role: str) -> Iterator[tuple[bool, str | None]]:
-        """Whether its node is moved, and of which component it has a stand-in."""
-        names = [None, *self._stand_ins(role)] if role in self.change.specification.nodes else [None]
-        for is_moved in (False, True) if role in self.kept else (False,):
-            yield from ((is_moved, name) for name in names if is_moved or name is not None)
+    def _detours(self, role: str) -> Iterator[tuple[Choice, ...]]:
+        choices = list(self.choices(role))
+        moves = [choice for choice in choices if choice.moved]
+        yield from ((choice,) for choice in choices)
+        yield from ((move, choice) for move in moves for choice in choices if not choice.moved)
 
-    def _stand_ins(self, role: str) -> Iterator[str]:
+    def choices(self, role: str) -> Iterator[Choice]:
         start, target = self.change.specification, self.change.target
-        old, new = start.component_of(role), target.component_of(role)
-        both = set(old.functionalities) & set(new.functionalities)
-        for name in set(start.components) | set(target.components):
+        if role not in start.nodes or role not in target.nodes:
+            return
+        for kept in self.change.start.instances_of(role):
+            if kept.name not in self.change.leaving:
+                new = target.instance(role, f"{role}_moved")
+                detached = self.change.start.attached_ports(kept.name)
+                yield Choice(role, new, kept.name, self._topics(new), tuple(detached), kept.name)
+        old, new_component = start.component_of(role), target.component_of(role)
+        both = set(old.functionalities) & set(new_component.functionalities)
+        for name in sorted(set(start.components) | set(target.components)):
             component = target.components.get(name) or start.components[name]
-            fits = all(
-                port in component.ports() and self._fits(component, port, target.connectors[topic].guarantee)
-                for port, topics in target.nodes[role].attachments.items()
-                for topic in topics
-            )
-            is_other = not component.same_body(old) and not component.same_body(new)
-            if fits and is_other and both and both <= set(component.functionalities):
-                yield name
+            is_other = not component.same_body(old) and not component.same_body(new_component)
+            if self._fits(role, component) and is_other and both and both <= set(component.functionalities):
+                stand_in = Instance(f"{role}_as_{name}", role, component, Map())
+                topics = self._topics(stand_in)
+                yield Choice(role, stand_in, stand_in.name, topics, topics)
 
-    @staticmethod
-    def _fits(component: ComponentSpec, port: str, guarantee: Contract) -> bool:
-        if port in component.inputs:
-            return satisfies(guarantee, component.inputs[port])
-        return satisfies(component.owner(port).modes[0].guarantee(port), guarantee)
+    def _fits(self, role: str, component: ComponentSpec) -> bool:
+        target = self.change.target
+        for port, topics in target.nodes[role].attachments.items():
+            if port not in component.ports():
+                return False
+            for topic in topics:
+                guarantee = target.connectors[topic].guarantee
+                if port in component.inputs:
+                    fits = satisfies(guarantee, component.inputs[port])
+                else:
+                    fits = satisfies(component.owner(port).modes[0].guarantee(port), guarantee)
+                if not fits:
+                    return False
+        return True
 
-    def _with(self, detours: Iterable[tuple[str, bool, str | None]]) -> Change:
-        change = self.change
-        coming, leaving = list(change.coming), list(change.leaving)
-        attached, detached = list(change.attached), list(change.detached)
-        extra = dict[str, Instance]()
-        for role, is_moved, component in detours:
-            if is_moved:
-                old, new = self.kept[role], change.target.instance(role, f"{role}_moved")
-                extra[new.name] = new
-                coming.append(new)
-                leaving.append(old.name)
-                attached = [pair for pair in attached if pair[0].instance != old.name] + self._topics(role, new)
-                detached = [pair for pair in detached if pair[0].instance != old.name]
-                detached += change.start.attached_ports(old.name)
-            if component is not None:
-                declared = change.target.components.get(component) or change.specification.components[component]
-                stand_in = Instance(f"{role}_stand_in", role, declared, Map())
-                extra[stand_in.name] = stand_in
-                coming.append(stand_in)
-                leaving.append(stand_in.name)
-                attached += self._topics(role, stand_in)
-                detached += self._topics(role, stand_in)
-        return replace(
-            change,
-            coming=tuple(coming),
-            leaving=tuple(leaving),
-            attached=tuple(attached),
-            detached=tuple(detached),
-            stand_ins=Map(extra),
+    def _topics(self, instance: Instance) -> tuple[Attachment, ...]:
+        return tuple(
+            (PortRef(instance.name, port), self.change.identities.get(topic, topic))
+            for port, topics in self.change.target.nodes[instance.role].attachments.items()
+            for topic in topics
         )
 
-    def _topics(self, role: str, instance: Instance) -> list[Attachment]:
-        return [
-            (PortRef(instance.name, port), self.change.identities.get(topic, topic))
-            for port, topics in self.change.target.nodes[role].attachments.items()
-            for topic in topics
-        ]
+    def _with(self, choices: Iterable[Choice]) -> Change:
+        change = self.change
+        for each in choices:
+            change = replace(
+                change,
+                coming=(*change.coming, each.instance),
+                leaving=(*change.leaving, each.leaving),
+                attached=(*(pair for pair in change.attached if pair[0].instance != each.moved), *each.attached),
+                detached=(*(pair for pair in change.detached if pair[0].instance != each.moved), *each.detached),
+                stand_ins=change.stand_ins.set(each.instance.name, each.instance),
+            )
+        return change
 
 
 class Constrained(Exhaustive):

@@ -24,7 +24,6 @@ from midstride.plan.disruption import Levels
 from midstride.plan.plan_builder import PlanBuilder
 from midstride.plan.search_state import SearchState
 
-
 _EPSILON: Final = 1e-7
 
 

@@ -1,8 +1,8 @@
 """Detours: structure that neither start nor target asks for, and that may make a change cheaper.
 
-Two kinds (docs/semantics.md section 6): a node that stays is moved, so that what it holds is free for a time; and a role
-has a stand-in, an instance of another declared component that exists during the plan only. A change with detours is a
-change as any other, in which the detours are part of what has to be done.
+Two kinds (docs/semantics.md section 6): a node that stays is moved, so that what it holds is free for a time; and a
+role has a stand-in, an instance of another declared component that exists during the plan only. A change with detours
+is a change as any other, in which the detours are part of what has to be done.
 """
 
 from __future__ import annotations
@@ -182,6 +182,6 @@ def describe(change: Change) -> Iterator[str]:
         if detour.moved:
             new = next(each.name for each in change.coming if each.role == detour.role and each.name != stand_in)
             old = next(name for name in change.leaving if change.role_of(name) == detour.role and name != stand_in)
-            yield f"Detour: {old}, which does not change, is replaced by {new}, so that what it holds is free meanwhile."
+            yield f"Detour: {old} does not change, but is replaced by {new}: what it holds is free meanwhile."
         if stand_in is not None:
             yield f"Detour: {stand_in} ({detour.stand_in}) stands in for {detour.role} during the change."

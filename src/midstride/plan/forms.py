@@ -72,19 +72,21 @@ class DetourForm(PlanPart, frozen=True, kw_only=True):
         return Detour(self.role, self.moved, self.stand_in)
 
 
+Detours: TypeAlias = Annotated[list[DetourForm], field("a list of detours", "what is done beyond the change itself")]
+
+
 class PlanCosts(PlanPart, frozen=True, kw_only=True):
     """What a plan costs and why."""
 
     what: ClassVar[str] = "a plan"
 
     strategy: str
-    proof_space: Annotated[
-        ProofSpace, field("`direct` or `detours`", "the plans that the lower bound speaks of")
-    ] = "direct"
-    detours: Annotated[list[DetourForm], field("a list of detours", "what is done beyond the change itself")] = []
     proved_minimal: bool
     disruption: Annotated[FiniteNumber, field("a disruption", "in weighted functionality-seconds")]
     lower_bound: FiniteNumber
+    proof_space: Annotated[ProofSpace, field("`direct` or `detours`", "the plans that the lower bound speaks of")] = (
+        "direct"
+    )
     makespan: Annotated[FiniteNumber, field("a makespan", "the critical path of the steps, in seconds")]
     seconds: Annotated[FiniteNumber, field("a number of seconds", "one step after another")]
     between: Between | UnsetType = UNSET
@@ -107,6 +109,7 @@ class PlanPreview(PlanCosts, frozen=True, kw_only=True):
     parameters: RuntimeValues | UnsetType = UNSET
     own_state: OwnState | UnsetType = UNSET
     remarks: Remarks | UnsetType = UNSET
+    detours: Detours | UnsetType = UNSET
 
     @classmethod
     def of(cls, plan: Plan) -> PlanPreview:
@@ -125,6 +128,7 @@ class PlanForm(PlanCosts, frozen=True, kw_only=True):
     parameters: RuntimeValues | UnsetType = UNSET
     own_state: OwnState | UnsetType = UNSET
     remarks: Remarks | UnsetType = UNSET
+    detours: Detours | UnsetType = UNSET
 
     @classmethod
     def of(cls, plan: Plan, **more: Any) -> PlanForm:
@@ -136,11 +140,10 @@ class PlanForm(PlanCosts, frozen=True, kw_only=True):
 def _fields(plan: Plan) -> dict[str, Any]:
     return {
         "strategy": plan.strategy,
-        "proof_space": plan.proof_space,
-        "detours": [DetourForm.of(detour) for detour in plan.change.detours],
         "proved_minimal": plan.proved_minimal,
         "disruption": plan.disruption,
         "lower_bound": plan.lower_bound,
+        "proof_space": plan.proof_space,
         "makespan": plan.makespan,
         "seconds": plan.seconds,
         "between": plan.between or UNSET,
@@ -152,6 +155,7 @@ def _fields(plan: Plan) -> dict[str, Any]:
         "standing": _standing(plan.change.origin) or UNSET,
         "parameters": list(plan.parameters) or UNSET,
         "remarks": list(plan.remarks) or UNSET,
+        "detours": [DetourForm.of(detour) for detour in plan.change.detours] or UNSET,
         "own_state": left_behind(plan.change, (step.action for step in plan.steps)) or UNSET,
     }
 
@@ -187,7 +191,7 @@ def decode_plan(document: object) -> Plan:
     origin = _started(start, {} if form.running is UNSET else form.running, standing)
     change = change_between(origin, start, target)
     try:
-        change = with_detours(change, (each.detour() for each in form.detours))
+        change = with_detours(change, (each.detour() for each in (form.detours or ())))
     except KeyError as error:
         raise PlanRefused(f"a detour is about {error.args[0]}, which is not there") from None
     known = dict(change.start.instances)

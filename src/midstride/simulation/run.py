@@ -241,7 +241,8 @@ class Simulation:
         request = self._scenario.changes[-1]
         if request.restart:
             return PlanRequest(to=manager.specification, restart=request.restart)
-        return PlanRequest(to=request.target(self._scenario.specification), strategy=request.strategy)
+        target = request.target(self._scenario.specification)
+        return PlanRequest(to=target, strategy=request.strategy, detours=request.detours)
 
     # -- what is watched -----------------------------------------------------------------------------
 
