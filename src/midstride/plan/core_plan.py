@@ -179,6 +179,8 @@ def _done(state: SearchState, op: Op, move: tuple[Op, ...]) -> SearchState:
         new = state.builder.change.replaced.get(op.instance)
         if new is not None:
             state = state.without_swaps(new)
+        if op.instance in state.builder.change.stand_ins:
+            state = state.giving_up(op.instance)
         return state.remove([op.instance], [pair for pair in state.detaches if pair[0].instance == op.instance])
     if any(each.kind == "remove" and each.instance == op.instance for each in move):
         return state  # comes with the removal

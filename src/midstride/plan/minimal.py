@@ -88,6 +88,8 @@ def _best(levels: Levels, constraints: Sequence[Constraint], budget: Budget) -> 
     """The best plan found, and a lower bound on the disruption of any."""
     core = search_core(levels, constraints, budget)
     along = cheapest_along(core, levels, constraints)
+    if levels.change.detours:  # the search by moves knows no instance that comes and goes
+        return along, core.lower_bound
     return _find(levels, constraints, along, few=sum(map(len, core.moves or ())) > _MANY), core.lower_bound
 
 

@@ -122,7 +122,6 @@ def _making_room(state: SearchState, need: Need, gate: OrderGate) -> list[tuple[
         name
         for name in state.removes
         if change.role_of(name) in gate
-        and name in configuration.instances
         and any(resource in configuration.component(name).resource_usage for resource, _ in need)
     ]
     holders.sort(key=lambda name: (not state.is_superseded(name), change.role_of(name) in change.target.nodes))
@@ -154,7 +153,7 @@ def _attachments(state: SearchState, gate: OrderGate) -> Iterator[Move]:
         for other, on in state.detaches:
             if on not in (connector, change.sibling(connector)) or not configuration.is_output(other):
                 continue
-            if change.role_of(other.instance) not in gate or not configuration.is_attached(other, on):
+            if change.role_of(other.instance) not in gate:
                 continue
             if on == connector and state.satisfies_topic(port, connector):
                 yield Move(1, "exchange", swaps=(Swap(connector, other, port),))

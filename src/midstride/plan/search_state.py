@@ -256,6 +256,12 @@ class SearchState:
             swaps={**self.swaps_of_others(new), **({new: kept} if kept else {})},
         )
 
+    def giving_up(self, stand_in: str) -> SearchState:
+        """Without what the stand-in has not been attached to yet."""
+        state = self.without_swaps(stand_in)
+        pending = {pair for pair in state.attaches if pair[0].instance == stand_in}
+        return replace(state, attaches=_minus(state.attaches, pending), detaches=_minus(state.detaches, pending))
+
     def remove(self, names: Sequence[str], detached: Sequence[Attachment]) -> SearchState:
         """Make all of ``detached``, then remove ``names``."""
         state = self.detach(detached)
