@@ -35,9 +35,9 @@ class Budget:
     ) -> None:
         self._states, self._clock, self._end = states, clock, clock() + seconds
 
-    def is_used_up(self) -> bool:
-        """Counts one state more."""
-        self._states -= 1
+    def is_used_up(self, states: int = 1) -> bool:
+        """Counts so many states more."""
+        self._states -= states
         return self._states < 0 or self._clock() > self._end
 
     def end(self) -> None:

@@ -21,8 +21,9 @@ from midstride.plan.disruption import Levels
 from midstride.plan.minimal import Key, cheapest_along, minimal
 from midstride.plan.plan import Plan
 
-# How many states of all the changes with detours together are searched.
+# How many states of all the changes with detours together are searched; as many as a change costs in any case.
 _STATES: Final = 100_000
+_CHANGE: Final = 200
 _EPSILON: Final = 1e-6
 
 
@@ -43,7 +44,7 @@ def minimal_with_detours(change: Change, budget: Budget | None = None) -> Plan:
         is_first = len(changed.detours) == 1
         if not (least or is_first):
             break
-        if budget.is_used_up():
+        if budget.is_used_up(_CHANGE):
             bound = 0.0
             break
         levels = Levels(changed)
