@@ -215,7 +215,7 @@ def test_detours_are_as_good_as_every_order_with_every_detour() -> None:
 def test_detours_are_as_good_on_more_systems() -> None:
     compared, better = agree(range(200), most=6)
     assert compared > 15
-    assert better > 2
+    assert better > 1
 
 
 @pytest.mark.long

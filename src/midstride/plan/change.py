@@ -44,7 +44,8 @@ class Change:
     target. ``pending`` are the functionalities of ``start`` that could be in a better mode, ``lowered`` those that are
     in a worse mode than in ``baseline``. ``measured`` holds how long steps took in earlier runs, by kind
     (``attach``) or by kind and component (``create Talker``). ``detours`` are part of the other fields already;
-    ``stand_ins`` are the instances among ``coming`` that are also ``leaving``, by name.
+    ``stand_ins`` are the instances among ``coming`` that are also ``leaving``, by name; ``direct`` is the same change
+    without detours.
     """
 
     specification: Specification
@@ -66,6 +67,7 @@ class Change:
     measured: Map[str, Estimate] = field(default_factory=Map)
     detours: tuple[Detour, ...] = ()
     stand_ins: Map[str, Instance] = field(default_factory=Map)
+    direct: Change | None = None
 
     def instances(self) -> list[str]:
         """The instances with structural changes."""

@@ -186,7 +186,8 @@ def _done(state: SearchState, op: Op, move: tuple[Op, ...]) -> SearchState:
         return state  # comes with the removal
     port, connector = op.attachment
     for new, swaps in state.swaps.items():
-        swap = next((s for s in swaps if op.attachment in ((s.new, s.connector), (s.old, s.connector))), None)
+        ports = ((swap, swap.new if op.kind == "attach" else swap.old) for swap in swaps)
+        swap = next((swap for swap, its in ports if (its, swap.connector) == op.attachment), None)
         if swap is not None:
             both = {(each.port, each.connector) for each in move}
             if (swap.new, connector) in both and all(map(state.can_take_over, swaps)):

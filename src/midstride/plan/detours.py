@@ -26,12 +26,13 @@ MOST: Final = 2
 
 def with_detours(change: Change, detours: Iterable[Detour]) -> Change:
     """``change``, in which these detours are made as well. Raises KeyError for an unknown role or component."""
+    direct = change.direct or change
     for detour in detours:
         if detour.moved:
             change = _with_moved(change, detour.role)
         if detour.stand_in is not None:
             change = _with_stand_in(change, detour.role, detour.stand_in)
-        change = replace(change, detours=(*change.detours, detour))
+        change = replace(change, detours=(*change.detours, detour), direct=direct)
     return change
 
 

@@ -141,10 +141,11 @@ def _no_slots(change: Change, topics: Sequence[str]) -> Iterator[str]:
 
 
 def _relevant(change: Change, found: Candidate | None, constraints: Iterable[Constraint]) -> list[Constraint]:
-    """The constraints that concern the roles that the plan touches."""
+    """The constraints that concern the roles that the plan touches; all, where there is none."""
+    if found is None:
+        return list(constraints)
     touched = {change.role_of(name) for name in change.instances()}
-    if found is not None:
-        touched.update(role for step in found.steps for role in step.roles)
+    touched.update(role for step in found.steps for role in step.roles)
     return [constraint for constraint in constraints if touched.intersection(roles_of(constraint))]
 
 
