@@ -102,6 +102,8 @@ class Recording:
     async def begin(self, configuration: Configuration, actions: Sequence[Action]) -> None:
         """Start recording at each subscriber that the plan does not remove."""
         removed = {action.instance for action in actions if isinstance(action, Remove)}
+        created = [action.instance for action in actions if isinstance(action, Create)]
+        own_slots = {each.name for each in (*configuration.instances.values(), *created) if each.component.gate}
         for exchange in exchanges(configuration, actions):
             old = exchange.old
             topic = configuration.topic(exchange.connector)
@@ -117,7 +119,16 @@ class Recording:
                 except MidstrideError:
                     self.unknown.append(unknown_report(topic, str(port), period))
                     continue
-                observation = Observation(topic, str(port), (), begun, begun, period, grid_period)
+                observation = Observation(
+                    topic,
+                    str(port),
+                    (),
+                    begun,
+                    begun,
+                    period,
+                    grid_period,
+                    own_slots=exchange.new.instance in own_slots,
+                )
                 self.recorded.append(RecordedInput(port, exchange, observation))
 
     async def _grid(self, old: PortRef) -> Grid | None:
