@@ -19,6 +19,7 @@ from midstride.model.action import Action, Upgrade
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Order, Specification
+from midstride.model.wording import counted
 from midstride.plan.change_builder import change_between, requested_change
 from midstride.plan.estimate import Estimate
 from midstride.plan.forms import PlanForm, PlanPreview
@@ -32,7 +33,7 @@ from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.crash_during_change import CrashResponse
 from midstride.runtime.degradation_timer import DegradationTimer
-from midstride.runtime.events import EventLog, counted
+from midstride.runtime.events import EventLog
 from midstride.runtime.executor import Executor
 from midstride.runtime.fencing import DEFAULT_WAIT
 from midstride.runtime.journal import Journal, JournalEntry
@@ -311,10 +312,12 @@ def _plan(
         change = requested_change(configuration, specification, request, planned, measured)
     else:
         change = change_between(configuration, specification, planned, measured, request.renewed(planned))
-    parameters = of_change(change, values, keep=keep)
-    plan = planner(request.strategy)(change)
+    plan = planner(request.strategy, detours=request.detours)(change)
+    parameters = of_change(plan.change, values, keep=keep)
     doubt = sensitivity(plan)
-    return replace(plan, parameters=parameters, remarks=() if doubt is None else (doubt,)), target
+    return replace(
+        plan, parameters=parameters, remarks=plan.remarks if doubt is None else (*plan.remarks, doubt)
+    ), target
 
 
 def _as_set(configuration: Configuration, values: Mapping[str, Values]) -> Configuration:
