@@ -8,7 +8,7 @@ import pytest
 
 from midstride.capture.insertion import insert, without_remaps
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
-from midstride.capture.probe import Finding, Verdict
+from midstride.capture.probe import Dependence, Verdict
 from midstride.capture.rates import measured
 from midstride.capture.standalone import draft
 from midstride.errors import SpecificationError
@@ -254,9 +254,9 @@ def test_a_file_with_errors_is_refused() -> None:
         insert("system s\ncomponent {", "bad.stride", SimulatedGraph().observed())
 
 
-def probed(verdicts: dict[tuple[str, str], Verdict]) -> dict[tuple[str, str, str], Finding]:
-    """Findings of `/mixer`, by topics of an input and an output."""
-    return {("/mixer", *topics): Finding(verdict, f"seen {verdict}") for topics, verdict in verdicts.items()}
+def probed(verdicts: dict[tuple[str, str], Verdict]) -> dict[tuple[str, str, str], Dependence]:
+    """Dependences of `/mixer`, by topics of an input and an output."""
+    return {("/mixer", *topics): Dependence(verdict, f"seen {verdict}") for topics, verdict in verdicts.items()}
 
 
 def mixer(folder: Path, verdicts: dict[tuple[str, str], Verdict]) -> tuple[str, ComponentSpec]:
@@ -318,7 +318,7 @@ def test_a_component_depends_on_what_one_of_its_nodes_depends_on(tmp_path: Path)
         graph.publisher("/camera", f"/{side}/image", STRING, SENSOR, rate=10.0)
         graph.subscription(f"/{side}/filter", f"/{side}/image", STRING, SENSOR)
         graph.publisher(f"/{side}/filter", f"/{side}/edges", STRING, rate=10.0)
-        findings[f"/{side}/filter", f"/{side}/image", f"/{side}/edges"] = Finding(verdict, "seen")
+        findings[f"/{side}/filter", f"/{side}/image", f"/{side}/edges"] = Dependence(verdict, "seen")
         text += f"namespace {side} {{\n  node filter : Filter\n}}\n"
     text += 'component Camera { run "camera" gate preload }\nnode camera : Camera\n'
     assert (

@@ -12,8 +12,8 @@ from midstride.capture.probe import (
     MOST_ROUNDS,
     ROUNDS,
     Count,
-    Finding,
-    Findings,
+    Dependence,
+    Dependences,
     ProbedPort,
     duration,
     probability,
@@ -25,7 +25,7 @@ SECONDS = 3.0
 IN, OUT = ProbedPort("/node", "/in", False), ProbedPort("/node", "/out", True)
 
 
-def depends(findings: Findings) -> set[tuple[str, str, str]]:
+def depends(findings: Dependences) -> set[tuple[str, str, str]]:
     return {edge for edge, finding in findings.items() if finding.verdict == "depends"}
 
 
@@ -65,7 +65,7 @@ def test_what_depends_through_other_nodes_only_is_no_dependence_of_the_node() ->
     )
     findings = probe(system, system.ports(), SECONDS)
     assert depends(findings) == system.edges()
-    assert findings["/controller", "/scan", "/report"] == Finding("indirect", "only through /state")
+    assert findings["/controller", "/scan", "/report"] == Dependence("indirect", "only through /state")
     assert findings["/controller", "/state", "/command"].verdict == "independent"
     assert system.seconds == pytest.approx(duration(3, SECONDS)) and duration(3, SECONDS) == 39.0
 

@@ -10,7 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from midstride.capture.observed import ObservedGraph
-from midstride.capture.probe import Findings
+from midstride.capture.probe import Dependences
 from midstride.capture.proposal import ProposedPort, component_text, merged, node_block, ports_of, topic_lines
 from midstride.errors import SpecificationError
 from midstride.lang.diagnostics import Reporter
@@ -31,7 +31,7 @@ class Insertion:
 
 
 def insert(
-    text: str, name: str, graph: ObservedGraph, rates: bool = False, findings: Findings | None = None
+    text: str, name: str, graph: ObservedGraph, rates: bool = False, findings: Dependences | None = None
 ) -> Insertion:
     """``text``, the file ``name``, with the ports of its nodes. Raises SpecificationError if it cannot be parsed."""
     return _Inserter(text, name, graph, rates, findings).insertion()
@@ -45,7 +45,7 @@ def nodes_without_ports(text: str, name: str) -> list[str]:
 
 class _Inserter:
     def __init__(
-        self, text: str, name: str, graph: ObservedGraph, rates: bool, findings: Findings | None = None
+        self, text: str, name: str, graph: ObservedGraph, rates: bool, findings: Dependences | None = None
     ) -> None:
         reporter = Reporter()
         self.file: File = parse(Source(name, text, Path(name)), reporter)

@@ -63,7 +63,7 @@ class ProbedGates(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class Dependence:
     """Whether an output depends on an input, and the evidence in words. ``more``: whether more rounds may decide it."""
 
     verdict: Verdict
@@ -72,7 +72,7 @@ class Finding:
 
 
 #: By full name of the node, topic of the input and topic of the output.
-Findings: TypeAlias = Mapping[tuple[str, str, str], Finding]
+Dependences: TypeAlias = Mapping[tuple[str, str, str], Dependence]
 
 
 class _Trial(NamedTuple):
@@ -98,7 +98,7 @@ def probe(
     ports: Iterable[ProbedPort],
     seconds: float,
     progress: Callable[[ProbedPort, int], None] = lambda port, number: None,
-) -> Findings:
+) -> Dependences:
     """Close each of the inputs among ``ports`` for ``seconds`` at a time; what was found of it and each output.
 
     ``progress`` is called before each time, with the number of the round.
@@ -107,7 +107,7 @@ def probe(
     settling, counted = SETTLING * seconds, (1 - SETTLING) * seconds
     inputs = probed_inputs(ports)
     trials: dict[ProbedPort, list[_Trial]] = {each: [] for each in inputs}
-    found: dict[tuple[ProbedPort, ProbedPort], Finding] = {}
+    found: dict[tuple[ProbedPort, ProbedPort], Dependence] = {}
     again = set(inputs)
     before = gates.watch(None, settling, counted) if inputs else {}
     for number in range(MOST_ROUNDS):
@@ -127,11 +127,11 @@ def probe(
     return {(one.node, one.topic, two.topic): finding for (one, two), finding in found.items() if two.output}
 
 
-def _judged(closed: ProbedPort, port: ProbedPort, trials: Sequence[_Trial], counted: float) -> Finding:
+def _judged(closed: ProbedPort, port: ProbedPort, trials: Sequence[_Trial], counted: float) -> Dependence:
     """Whether messages of ``port`` became fewer when ``closed`` was closed."""
     windows = [window for trial in trials for window in trial]
     if any(each not in window for window in windows for each in (closed, port)):
-        return Finding("undecided", "the node ended meanwhile")
+        return Dependence("undecided", "the node ended meanwhile")
     rounds = [(trial.before[port], trial.closed[port], trial.after[port]) for trial in trials]
     held = sum(trial.closed[closed].held for trial in trials)
     opened = sum(before.passed + after.passed for before, _, after in rounds)
@@ -140,20 +140,20 @@ def _judged(closed: ProbedPort, port: ProbedPort, trials: Sequence[_Trial], coun
     longest = max(max(before.longest, after.longest) for before, _, after in rounds)
     evidence = f"{rates[0]:.3g} Hz, and {rates[1]:.3g} Hz while it was closed, {held} messages held back"
     if held < FEWEST_HELD:
-        return Finding("undecided", f"only {held} message{'s' * (held != 1)} could be held back", held > 0)
+        return Dependence("undecided", f"only {held} message{'s' * (held != 1)} could be held back", held > 0)
     if (2 / 3) ** opened >= SIGNIFICANCE:
         words = f"too rare to judge: {opened} messages in {2 * len(rounds) * counted:.3g} s"
-        return Finding("undecided", words, opened > 0)
+        return Dependence("undecided", words, opened > 0)
     if longest > counted / 2:
-        return Finding("undecided", f"too irregular to judge: silent for {longest:.2g} s with all inputs open")
+        return Dependence("undecided", f"too irregular to judge: silent for {longest:.2g} s with all inputs open")
     if any((b.passed - a.passed) ** 2 > _STEADY**2 * (b.passed + a.passed) for b, _, a in rounds):
-        return Finding("undecided", "its rate before and after was not the same")
+        return Dependence("undecided", "its rate before and after was not the same")
     if rates[1] > SLOWED * rates[0]:
-        return Finding("independent", evidence)
+        return Dependence("independent", evidence)
     slower = all(2 * count.passed < before.passed + after.passed for before, count, after in rounds)
     if slower and probability(through, opened) < SIGNIFICANCE:
-        return Finding("depends", evidence)
-    return Finding("undecided", f"inconclusive: {evidence}", True)
+        return Dependence("depends", evidence)
+    return Dependence("undecided", f"inconclusive: {evidence}", True)
 
 
 def probability(closed: int, opened: int) -> float:
@@ -172,7 +172,7 @@ def probability(closed: int, opened: int) -> float:
     )
 
 
-def _resolve(found: dict[tuple[ProbedPort, ProbedPort], Finding]) -> None:
+def _resolve(found: dict[tuple[ProbedPort, ProbedPort], Dependence]) -> None:
     """Mark what depends on an input through the topics of other nodes only.
 
     That is so where another input of the node fell silent as well when this one was closed, where the output depends
@@ -189,7 +189,7 @@ def _resolve(found: dict[tuple[ProbedPort, ProbedPort], Finding]) -> None:
         for other in through:
             if other in _reached(closed, others, found):
                 direct = others
-                found[closed, output] = Finding("indirect", f"only through {other.topic}")
+                found[closed, output] = Dependence("indirect", f"only through {other.topic}")
                 break
 
 

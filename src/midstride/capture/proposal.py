@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
-from midstride.capture.probe import Finding, Findings, Verdict
+from midstride.capture.probe import Dependence, Dependences, Verdict
 from midstride.capture.rates import MeasuredRate, measured
 from midstride.lang.token_stream import RESERVED
 from midstride.model.contract import DEFAULT_QOS, QoS
@@ -32,7 +32,7 @@ class ProposedPort:
     own_topic: str
     rate: MeasuredRate | None = None
     note: str = ""
-    probed: Mapping[str, Finding] = field(default_factory=dict)
+    probed: Mapping[str, Dependence] = field(default_factory=dict)
 
     @property
     def contract(self) -> str:
@@ -69,7 +69,7 @@ def contract_text(type_: str, qos: QoS, rate: float | None = None) -> str:
 
 
 def ports_of(
-    graph: ObservedGraph, node: str, remaps: Mapping[str, str], findings: Findings | None = None
+    graph: ObservedGraph, node: str, remaps: Mapping[str, str], findings: Dependences | None = None
 ) -> list[ProposedPort]:
     """The ports of a node; ``remaps`` has what its program calls topics, by their full names."""
     ports: list[ProposedPort] = []
@@ -86,7 +86,7 @@ def ports_of(
     ]
 
 
-def _probed(port: ProposedPort, ports: Iterable[ProposedPort], findings: Findings) -> dict[str, Finding]:
+def _probed(port: ProposedPort, ports: Iterable[ProposedPort], findings: Dependences) -> dict[str, Dependence]:
     keys = {
         each.name: (port.endpoint.node, port.endpoint.topic, each.endpoint.topic)
         for each in ports
@@ -109,7 +109,7 @@ def merged(variants: Iterable[list[ProposedPort]]) -> list[ProposedPort]:
     ]
 
 
-def _weight(finding: Finding) -> int:
+def _weight(finding: Dependence) -> int:
     return _VERDICTS.index(finding.verdict)
 
 
@@ -205,7 +205,7 @@ def _functionality(
     yield from ("}", "mode degraded { }", "}")
 
 
-def _in_words(finding: Finding) -> str:
+def _in_words(finding: Dependence) -> str:
     words = {
         "depends": "depends on it",
         "indirect": "depends on it",

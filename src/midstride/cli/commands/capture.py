@@ -15,7 +15,7 @@ from midstride.capture.observed import ObservedGraph
 from midstride.capture.probe import (
     MOST_ROUNDS,
     ROUNDS,
-    Findings,
+    Dependences,
     ProbedGates,
     ProbedPort,
     duration,
@@ -74,7 +74,7 @@ def capture_command(
     if output is not None and output.exists() and output != into:
         raise MidstrideError(f"{output} exists; remove it, or choose another file")
     nodes = () if into is None else nodes_without_ports(read_text(into), str(into))
-    findings: Findings | None = {}
+    findings: Dependences | None = {}
     folder = find_workspace(system).components / GATES if with_probe else None
     with nullcontext() if folder is None else probed_page.probing(folder) as gates:
         graph = ros2.observe(seconds, nodes)
@@ -103,7 +103,7 @@ def capture_command(
 
 def _probed(
     gates: ProbedGates, graph: ObservedGraph, nodes: Collection[str], seconds: float, yes: bool
-) -> Findings | None:
+) -> Dependences | None:
     """What is found of ``nodes``; None if the user does not want that."""
     ports = {port for port in gates.ports() if port in graph.endpoints and port.node in nodes}
     gated = {port.node for port in ports}
@@ -134,7 +134,7 @@ def _probed(
 
 
 def _report(
-    text: str, target: Path | None, graph: ObservedGraph, added: list[str], left: dict[str, str], findings: Findings
+    text: str, target: Path | None, graph: ObservedGraph, added: list[str], left: dict[str, str], findings: Dependences
 ) -> None:
     endpoints = [each for node in added for each in graph.of_node(node)]
     if wants_json():
