@@ -131,7 +131,7 @@ def test_what_a_probe_finds_is_proposed(relay: Gates, capsys: pytest.CaptureFixt
     assert main(["capture", "--into", "chat.stride", "--probe", "--yes"]) == 0
     said = capsys.readouterr().err.splitlines()
     assert said[0].startswith(
-        "Probing closes 1 input of running nodes, one after another, 2 times for 3 s each (15 s in all), or up to 4 "
+        "Probing closes 1 input of running nodes, one after another, 2 times for 3 s each (15 s in all), or up to 6 "
     )
     assert said[1] == "  round 1: /in is closed at /relay"
     assert main(["check", "chat.stride"]) == 0

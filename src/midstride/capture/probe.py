@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple, Protocol, TypeAlias
 
 ROUNDS: Final = 2
-MOST_ROUNDS: Final = 4
+MOST_ROUNDS: Final = 6
 # What a closed input does has this part of the time to show: a node may go on for a moment with what it has.
 SETTLING: Final = 0.2
 SIGNIFICANCE: Final = 0.001

@@ -449,6 +449,8 @@ class ForeignAgent:
             left = await self.node.comes_true(self.lifecycle.left, command.timeout, every=WATCH)
             return commands.RateVerdict(reached=left == (command.until == "broken"), rate=0.0, pause=0.0)
         entry, deadline = self.node.require_gates().entry(command.port), time.monotonic() + command.timeout
+        if command.known_clock and self.node.record.stated.get("use_sim_time"):  # the page has no times on `/clock`
+            return commands.RateVerdict(reached=command.until == "met", rate=command.rate, pause=0.0)
         begun = entry.passed + entry.gated
         watch = RateWatch(command.rate, command.window, time.monotonic_ns())
         while True:
