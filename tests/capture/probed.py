@@ -78,30 +78,30 @@ class MadeUp:
                 break
         return rates
 
-    def watch(self, closed: ProbedPort | None, settling: float, counted: float) -> Mapping[ProbedPort, Count]:
-        self.seconds += settling + counted
+    def watch(self, closed: ProbedPort | None, settling: float, counting: float) -> Mapping[ProbedPort, Count]:
+        self.seconds += settling + counting
         rates = self.rates(closed, settling)
         kinds = {output.topic: output for _, outputs in self.nodes.values() for output in outputs}
-        written = {topic: self.count(kinds[topic], rate, counted) for topic, rate in rates.items()}
+        written = {topic: self.count(kinds[topic], rate, counting) for topic, rate in rates.items()}
         found = {}
         for port in self.ports():
-            count = written.get(port.topic, Count(0, 0, counted))
+            count = written.get(port.topic, Count(0, 0, counting))
             held = count.passed + int(self.rates(None, 0.0).get(port.topic, 0.0) * settling) if port == closed else 0
-            found[port] = Count(0, held, counted) if port == closed else count
+            found[port] = Count(0, held, counting) if port == closed else count
         return found
 
-    def count(self, output: Output, rate: float, counted: float) -> Count:
+    def count(self, output: Output, rate: float, counting: float) -> Count:
         """What is written within a window: some of it late, on a machine with other things to do."""
         times: list[float] = []
         at = self.noise.uniform(0, 1 / rate) if rate else math.inf
         if output.kind == "bursts":
-            begun = self.noise.uniform(-9.0, counted)
-            times = [begun + 0.02 * number for number in range(50) if 0 <= begun + 0.02 * number < counted]
+            begun = self.noise.uniform(-9.0, counting)
+            times = [begun + 0.02 * number for number in range(50) if 0 <= begun + 0.02 * number < counting]
             at = math.inf
-        while at < counted:
+        while at < counting:
             times.append(at)
             at += self.noise.uniform(0.8, 1.2) / rate if output.regular else self.noise.expovariate(rate)
-        edges = [0.0, *times, counted]
+        edges = [0.0, *times, counting]
         return Count(len(times), 0, max(later - earlier for earlier, later in pairwise(edges)))
 
 

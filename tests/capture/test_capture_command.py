@@ -90,7 +90,7 @@ class Gates:
     def ports(self) -> tuple[ProbedPort, ...]:
         return self._ports
 
-    def watch(self, closed: ProbedPort | None, settling: float, counted: float) -> dict[ProbedPort, Count]:
+    def watch(self, closed: ProbedPort | None, settling: float, counting: float) -> dict[ProbedPort, Count]:
         if closed is None:
             return {port: Count(10) for port in self._ports}
         self.closed.append(closed)

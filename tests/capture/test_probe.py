@@ -97,8 +97,8 @@ class Scripted:
     def ports(self) -> list[ProbedPort]:
         return [IN, OUT]
 
-    def watch(self, closed: ProbedPort | None, settling: float, counted: float) -> Mapping[ProbedPort, Count]:
-        assert (settling, counted) == pytest.approx((0.6, 2.4))
+    def watch(self, closed: ProbedPort | None, settling: float, counting: float) -> Mapping[ProbedPort, Count]:
+        assert (settling, counting) == pytest.approx((0.6, 2.4))
         self.windows += 1
         count = self.count(self.windows, closed is not None)
         found = {IN: Count(0, self.held) if closed else Count(self.held)}
@@ -113,7 +113,13 @@ class Scripted:
         (lambda _, closed: Count(11 if closed else 12), 10, ROUNDS, "independent", "4.58 Hz while it was closed"),
         (lambda _, closed: Count(0 if closed else 12), 0, ROUNDS, "undecided", "only 0 messages could be held back"),
         (lambda _, closed: Count(0 if closed else 12), 1, 3, "depends", "3 messages held back"),
-        (lambda _, closed: Count(0 if closed else 1), 10, MOST_ROUNDS, "undecided", "too rare to judge: 12 messages in"),
+        (
+            lambda _, closed: Count(0 if closed else 1),
+            10,
+            MOST_ROUNDS,
+            "undecided",
+            "too rare to judge: 12 messages in",
+        ),
         (lambda _, closed: Count(0), 10, ROUNDS, "undecided", "too rare to judge: 0 messages"),
         (lambda _, closed: Count(0 if closed else 12, 0, 1.3), 10, ROUNDS, "undecided", "silent for 1.3 s with all"),
         (

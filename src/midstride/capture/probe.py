@@ -14,6 +14,8 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple, Protocol, TypeAlias
 
+from midstride.model.wording import counted
+
 ROUNDS: Final = 2
 MOST_ROUNDS: Final = 6
 # What a closed input does has this part of the time to show: a node may go on for a moment with what it has.
@@ -55,8 +57,8 @@ class ProbedGates(Protocol):
     def ports(self) -> Collection[ProbedPort]:
         """Those of the nodes that run."""
 
-    def watch(self, closed: ProbedPort | None, settling: float, counted: float) -> Window:
-        """What passes within ``counted`` s, after ``settling`` s in which nothing counts.
+    def watch(self, closed: ProbedPort | None, settling: float, counting: float) -> Window:
+        """What passes within ``counting`` s, after ``settling`` s in which nothing counts.
 
         ``closed`` is closed meanwhile, and open when this returns or raises. A node that has ended is left out.
         """
@@ -104,30 +106,30 @@ def probe(
     ``progress`` is called before each time, with the number of the round.
     """
     ports = set(ports)
-    settling, counted = SETTLING * seconds, (1 - SETTLING) * seconds
+    settling, counting = SETTLING * seconds, (1 - SETTLING) * seconds
     inputs = probed_inputs(ports)
     trials: dict[ProbedPort, list[_Trial]] = {each: [] for each in inputs}
     found: dict[tuple[ProbedPort, ProbedPort], Dependence] = {}
     again = set(inputs)
-    before = gates.watch(None, settling, counted) if inputs else {}
+    before = gates.watch(None, settling, counting) if inputs else {}
     for number in range(MOST_ROUNDS):
         for each in inputs:
             if each not in again:
                 continue
             progress(each, number)
-            closed = gates.watch(each, settling, counted)
-            after = gates.watch(None, settling, counted)
+            closed = gates.watch(each, settling, counting)
+            after = gates.watch(None, settling, counting)
             trials[each].append(_Trial(before, closed, after))
             before = after
             pairs = [(each, port) for port in ports if port.node == each.node and port != each]
-            found |= {pair: _judged(*pair, trials[each], counted) for pair in pairs}
+            found |= {pair: _judged(*pair, trials[each], counting) for pair in pairs}
             if number >= ROUNDS - 1 and not any(found[pair].more for pair in pairs if pair[1].output):
                 again.remove(each)
     _resolve(found)
     return {(one.node, one.topic, two.topic): finding for (one, two), finding in found.items() if two.output}
 
 
-def _judged(closed: ProbedPort, port: ProbedPort, trials: Sequence[_Trial], counted: float) -> Dependence:
+def _judged(closed: ProbedPort, port: ProbedPort, trials: Sequence[_Trial], counting: float) -> Dependence:
     """Whether messages of ``port`` became fewer when ``closed`` was closed."""
     windows = [window for trial in trials for window in trial]
     if any(each not in window for window in windows for each in (closed, port)):
@@ -136,15 +138,15 @@ def _judged(closed: ProbedPort, port: ProbedPort, trials: Sequence[_Trial], coun
     held = sum(trial.closed[closed].held for trial in trials)
     opened = sum(before.passed + after.passed for before, _, after in rounds)
     through = sum(count.passed for _, count, _ in rounds)
-    rates = opened / (2 * len(rounds) * counted), through / (len(rounds) * counted)
+    rates = opened / (2 * len(rounds) * counting), through / (len(rounds) * counting)
     longest = max(max(before.longest, after.longest) for before, _, after in rounds)
     evidence = f"{rates[0]:.3g} Hz, and {rates[1]:.3g} Hz while it was closed, {held} messages held back"
     if held < FEWEST_HELD:
-        return Dependence("undecided", f"only {held} message{'s' * (held != 1)} could be held back", held > 0)
+        return Dependence("undecided", f"only {counted(held, 'message')} could be held back", held > 0)
     if (2 / 3) ** opened >= SIGNIFICANCE:
-        words = f"too rare to judge: {opened} messages in {2 * len(rounds) * counted:.3g} s"
+        words = f"too rare to judge: {opened} messages in {2 * len(rounds) * counting:.3g} s"
         return Dependence("undecided", words, opened > 0)
-    if longest > counted / 2:
+    if longest > counting / 2:
         return Dependence("undecided", f"too irregular to judge: silent for {longest:.2g} s with all inputs open")
     if any((b.passed - a.passed) ** 2 > _STEADY**2 * (b.passed + a.passed) for b, _, a in rounds):
         return Dependence("undecided", "its rate before and after was not the same")

@@ -20,10 +20,10 @@ from midstride.errors import BackendError, MidstrideError, StepFailed, Supersede
 from midstride.model.action import Action, Create, Degrade, Handover, Remove, SetParameters
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
+from midstride.model.wording import counted
 from midstride.plan.step_forms import AnyStep
 from midstride.runtime.action_driver import ActionDriver, by_instance
 from midstride.runtime.backend import Exited
-from midstride.runtime.events import counted
 from midstride.runtime.journal import JournalEntry
 from midstride.runtime.pacing import room_for_a_start
 from midstride.runtime.running_system import RunningSystem

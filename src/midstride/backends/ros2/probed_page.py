@@ -56,7 +56,7 @@ class ProbedPage:
                         found[ProbedPort(name, entry.topic.decode(), entry.direction == OUTPUT)] = int(node.pid), entry
         return found
 
-    def watch(self, closed: ProbedPort | None, settling: float, counted: float) -> Mapping[ProbedPort, Count]:
+    def watch(self, closed: ProbedPort | None, settling: float, counting: float) -> Mapping[ProbedPort, Count]:
         """See :class:`midstride.capture.probe.ProbedGates`. Raises BackendError if this process was stopped."""
         entries = self._entries()
         shut = entries[closed][1] if closed in entries else None
@@ -68,7 +68,7 @@ class ProbedPage:
                 shut.shut = 1
             self._wait(settling)
             counters = {port: _Counter(entry) for port, (_, entry) in entries.items()}
-            self._wait(counted, counters)
+            self._wait(counting, counters)
             lived = {port for port, (pid, _) in self._entries().items() if entries.get(port, (0,))[0] == pid}
             found = {port: counter.count() for port, counter in counters.items() if port in lived}
             if closed in found and shut is not None:  # in a loop, it may receive nothing after the first moment

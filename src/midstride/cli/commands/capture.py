@@ -23,12 +23,13 @@ from midstride.capture.probe import (
     probed_inputs,
 )
 from midstride.capture.standalone import draft
-from midstride.cli.files import require_file
+from midstride.cli.files import require_file, require_new, write
 from midstride.cli.output import NO, is_interactive, json_option, print_json, wants_json
 from midstride.cli.systems import find_workspace, system_option
 from midstride.errors import MidstrideError
 from midstride.foreign.page import GATES
 from midstride.lang.files import read_text
+from midstride.model.wording import counted
 
 
 @click.command("capture")
@@ -71,8 +72,8 @@ def capture_command(
         raise click.UsageError("not a terminal; pass --yes")
     if into is not None:
         require_file(into)
-    if output is not None and output.exists() and output != into:
-        raise MidstrideError(f"{output} exists; remove it, or choose another file")
+    if output != into:
+        require_new(output)
     nodes = () if into is None else nodes_without_ports(read_text(into), str(into))
     findings: Dependences | None = {}
     folder = find_workspace(system).components / GATES if with_probe else None
@@ -93,10 +94,7 @@ def capture_command(
     else:
         text = draft("captured", graph, rates, findings)
     if target is not None:
-        try:
-            target.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise MidstrideError(f"cannot write {target}: {error.strerror}") from None
+        write(target, text)
     _report(text, target, graph, added, left, findings)
     return 0
 
@@ -118,7 +116,7 @@ def _probed(
         click.echo("Nothing to probe: no node with a gate has both inputs and outputs.", err=True)
         return {}
     click.echo(
-        f"Probing closes {len(inputs)} input{'s' * (len(inputs) != 1)} of running nodes, one after another, {ROUNDS} "
+        f"Probing closes {counted(len(inputs), 'input')} of running nodes, one after another, {ROUNDS} "
         f"times for {seconds:g} s each ({duration(len(inputs), seconds):.0f} s in all), or up to {MOST_ROUNDS} "
         "times where that does not decide. The nodes miss these messages, and what depends on them stops meanwhile.",
         err=True,
@@ -160,5 +158,4 @@ def _report(
     for type_ in sorted(graph.unreadable):
         click.echo(f"{type_}: its package is not here, so rates are not measured", err=True)
     where = f" in {target}" if target is not None else ""
-    count = f"{len(added)} node{'' if len(added) == 1 else 's'}{where}"
-    click.echo(f"{count} with {len(endpoints)} port{'' if len(endpoints) == 1 else 's'}", err=True)
+    click.echo(f"{counted(len(added), 'node')}{where} with {counted(len(endpoints), 'port')}", err=True)
