@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from midstride.lang.load import load
+from midstride.model.component import InputAlternatives
 from tests.cli.conftest import Midstride
 
 pytestmark = [pytest.mark.ros2, pytest.mark.full, pytest.mark.timeout(400)]
@@ -87,7 +88,7 @@ def test_what_depends_on_what_is_found_in_running_nodes(midstride: Midstride, tm
         for role, node in system.nodes.items()
         for functionality in system.components[node.component]
         for output in functionality.outputs
-        for name in functionality.inputs
-        if system.components[node.component].inputs[name] in functionality.modes[0].assumptions
+        for assumption in functionality.modes[0].assumptions
+        for name in (assumption.inputs if isinstance(assumption, InputAlternatives) else ())
     }
     assert needs == {("filter", "edges", "scan"), ("mixer", "cmd", "edges"), ("mixer", "beat", "tick")}

@@ -23,10 +23,12 @@ static long long now(void)
 int main(int count, char **arguments)
 {
   static const char type;
-  void *publisher, *subscription = NULL;
+  void *publisher, *subscription = NULL, *log;
   uint64_t message[2] = {strtoull(arguments[1], NULL, 10), 0};
   long long period = atoll(arguments[3]), messages = atoll(arguments[4]), begun = now();
+  rcl_publisher_init(&log, NULL, &type, "/rosout", NULL);
   rcl_publisher_init(&publisher, NULL, &type, arguments[2], NULL);
+  log = NULL; /* as rcl does, which keeps a copy of it elsewhere */
   if (count > 5 && strcmp(arguments[5], "time") != 0)
     rcl_subscription_init(&subscription, NULL, &type, arguments[5], NULL);
   for (long long number = 1; number <= messages; number++) {

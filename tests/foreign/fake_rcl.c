@@ -119,7 +119,6 @@ int rcl_take(const void *subscription, void *message, void *info, void *allocati
 
 int rcl_publisher_get_subscription_count(const struct publisher *publisher, size_t *count)
 {
-  (void)publisher;
-  *count = 3;
+  *count = publisher->topic[0] ? 3 : 0;
   return 0;
 }

@@ -192,6 +192,14 @@ static struct entry *find(const void *endpoint)
 
 static void *help(void *);
 
+/* Whether a node that lists its topics lists this one. rcl moves the publisher of /rosout after it has initialized it, so
+ * nothing may be kept for its address. */
+static bool listed(const char *topic)
+{
+  return node->used & LISTS && strlen(topic) < NAME && strcmp(topic, "/rosout") != 0 &&
+         strcmp(topic, "/parameter_events") != 0;
+}
+
 /* The port of this node with that topic; NULL where there is none. With `lock`. */
 static struct port *port_of(const char *topic, uint32_t direction)
 {
@@ -199,7 +207,7 @@ static struct port *port_of(const char *topic, uint32_t direction)
     struct port *port = &node->ports[index];
     if (port->direction == direction && strncmp(port->topic, topic, NAME) == 0)
       return port;
-    if (port->direction == UNUSED && node->used & LISTS && strlen(topic) < NAME) {
+    if (port->direction == UNUSED && listed(topic)) {
       strcpy(port->topic, topic);
       port->gate = OPEN;
       port->direction = direction; /* last: the manager reads the rest where it is not UNUSED */
