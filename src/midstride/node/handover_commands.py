@@ -71,17 +71,21 @@ class HandoverCommands:
     async def grid(self, command: commands.GridCommand) -> commands.Grid:
         if command.port is None:
             return commands.Grid(trigger="none", clock="message", now=reading(self.host, "message"))
-        owner = self.attachments.output(command.port).owner
-        rate, topic = owner.rate, command.topic
+        output = self.attachments.output(command.port)
+        owner, topic = output.owner, command.topic
+        rate = owner.rate
         clock: commands.CutClock = "ros" if rate is not None or comparable(self.host, "ros", "message") else "message"
         simulated = clock == "ros" and self.host.simulated_time
         endpoint = None if topic is None else self.attachments.link(command.port, topic).endpoint
+        epoch, period = (None, None) if rate is None else (rate.slot, rate.period)
+        if output.relayed and clock == "ros" and (found := output.observed_grid()) is not None:
+            epoch, period = found
         return commands.Grid(
             trigger=owner.driven,
             clock=clock,
             speed=self.host.clock_history.speed(self.host.steady()) if simulated else 1.0,
-            epoch=None if rate is None else rate.slot,
-            period=None if rate is None else rate.period,
+            epoch=epoch,
+            period=period,
             now=reading(self.host, clock),
             readers=None if endpoint is None else endpoint.matched(),
             reader_ids=[] if endpoint is None else sorted(endpoint.reader_ids()),

@@ -30,6 +30,7 @@ from midstride.runtime.agreed_cut import (
     require_baton,
     require_found,
     require_same_clock,
+    written_once,
 )
 from midstride.runtime.answering import have_answer
 from midstride.runtime.component_client import ComponentClient
@@ -243,8 +244,7 @@ class LiveHandover:
             last = await self._fence(hung)
         for swap in waiting:
             grid = await self.client.read(swap.new.instance, commands.GridCommand(port=swap.new.port))
-            # What is written once was written behind the gate.
-            latch = grid.trigger == "none"
+            latch = written_once(self.configuration, swap.new, grid.trigger)
             opening = commands.GateCommand(port=swap.new.port, topic=self._topic(swap), gate="open", latch=latch)
             await self.client.change(swap.new.instance, opening)
         for old, new in self._pairs:
