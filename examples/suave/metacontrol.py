@@ -37,6 +37,10 @@ logging.getLogger().setLevel(logging.ERROR)
 install, signal.signal = signal.signal, lambda *arguments: None  # it wants a signal, which threads cannot have
 reasoner = Reasoner([str(folder / name) for name in ("tomasys.owl", "mros.owl", "suave.owl")])
 signal.signal = install
+with reasoner.tomasys:  # the branch of tomasys.owl that is there does not say that this has one value
+
+    class o_always_improve(owlready2.DataProperty, owlready2.FunctionalProperty):
+        range = [bool]
 
 
 def on_diagnostics(array: DiagnosticArray) -> None:
