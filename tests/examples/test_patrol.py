@@ -55,7 +55,7 @@ def test_without_midstride_it_drives_blind_meanwhile(trial: Any) -> None:
     ],
 )
 def test_what_costs_nothing(trial: Any, event: str, outcome: str | None) -> None:
-    row = trial.run(SEED, event, "minimal", after=15.0)
+    row = trial.run(SEED, event, "minimal", after=8.0)
     assert row["said"] == ([] if outcome is None else [outcome])
     assert (row["collisions"], row["near_misses"], row["lost"], row["blind"]) == (0, 0, 0.0, 0.0)
 
@@ -63,7 +63,7 @@ def test_what_costs_nothing(trial: Any, event: str, outcome: str | None) -> None
 @pytest.mark.full
 @pytest.mark.parametrize("event", ["the perception is upgraded", "the detector hangs"])
 def test_what_degrades_costs_less_than_by_quiescence_and_is_never_blind(trial: Any, event: str) -> None:
-    minimal, quiesce = (trial.run(SEED, event, strategy, after=20.0) for strategy in ("minimal", "quiesce"))
+    minimal, quiesce = (trial.run(SEED, event, strategy, after=14.0) for strategy in ("minimal", "quiesce"))
     assert minimal["said"] == quiesce["said"] == ["done"]
     assert minimal["blind"] == 0.0
     assert 0 < minimal["lost"] < quiesce["lost"]
@@ -71,7 +71,7 @@ def test_what_degrades_costs_less_than_by_quiescence_and_is_never_blind(trial: A
 
 @pytest.mark.full
 def test_a_run_is_the_same_again(trial: Any) -> None:
-    first, second = (trial.run(SEED, "the detector hangs", "minimal", after=10.0) for _ in range(2))
+    first, second = (trial.run(SEED, "the detector hangs", "minimal", after=5.0) for _ in range(2))
     assert first == second
 
 
