@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from types import ModuleType
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 
@@ -82,8 +83,12 @@ def test_the_table_has_a_line_for_each_strategy_and_its_intervals(trial: Any) ->
         rows.append({"seed": seed, "event": "none", "strategy": "minimal", "collisions": 0, "progress": 30.0})
         killed = {"event": "the planner is killed", "strategy": "restart"}
         rows.append({"seed": seed, **killed, "collisions": seed - 1, "progress": 15.0})
-    lines = list(trial.table([{**row, **figures} for row in rows]))
+    rows = [{**row, **figures} for row in rows]
+    lines = list(trial.table(rows))
     assert len(lines) == 4
     # Half of the way in as much time: 17.5 of 35 s are lost.
     cells = [cell.strip() for cell in lines[3].strip("|").split("|")]
     assert cells[:6] == ["the planner is killed", "`restart`", "2", "1 (9% to 91%)", "2", "17.5 (17.5 to 17.5)"]
+    drawn = ElementTree.fromstring(trial.figure(rows))
+    (point,) = drawn.iter("{http://www.w3.org/2000/svg}circle")
+    assert float(point.attrib["cx"]) == 210 + 300 / 2
