@@ -17,7 +17,15 @@ from midstride.codec.component import NamedComponentForm
 from midstride.errors import CommandRefused, MidstrideError
 from midstride.foreign.cuts import PUBLISHING, ForeignCuts
 from midstride.foreign.gates import Gates
-from midstride.foreign.graph_check import NodeGraph, differences, lacking, shown
+from midstride.foreign.graph_check import (
+    GraphEndpoint,
+    NodeGraph,
+    differences,
+    lacking,
+    misnamed,
+    shown,
+    undeclared,
+)
 from midstride.foreign.lifecycle_cuts import LifecycleCuts, LifecyclePeers
 from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.node import TICK, ForeignNode, without_ports
@@ -45,6 +53,8 @@ GRAPH_LOOK: Final = 2.0
 WATCH: Final = 0.05
 # How long a node may take to create the publishers and subscriptions that are declared (s).
 ENDPOINTS_TIMEOUT: Final = 20.0
+# A node of which the graph has shown nothing new for so long, and that answers, will create no more of them (s).
+SETTLED: Final = 2.0
 # A best-effort message right after the match is often lost, one a moment later is not (s).
 SETTLE: Final = 0.05
 # An output with a rate hangs if it has been silent for so many periods, and at least so long (s).
@@ -151,13 +161,46 @@ class ForeignAgent:
         if self._parameters is not None and self.lifecycle is not None:
             await self._parameters.read()
         if self.node.gates is not None and self._failed is None:
-            await self.node.comes_true(lambda: not self.node.require_gates().missing(), ENDPOINTS_TIMEOUT)
-            missing = self.node.gates.missing()
+            missing = await self._missing(self.node.gates)
             missing = await self._compare(missing)
         self._registered.set()
         self._report()
         declaration = NamedComponentForm.of(without_ports(self.node.component, missing))
         self._server.register(frames.Registration(declaration=declaration, endpoints=[]))
+
+    async def _missing(self, gates: Gates) -> list[str]:
+        """The ports for which the node creates no endpoint within ENDPOINTS_TIMEOUT.
+
+        It is not waited for any longer if it has what is probably meant under other names, answers requests, so its
+        initialization is over, and the graph has shown nothing new of it for SETTLED.
+        """
+        record, component, loop = self.node.record, self.node.component, asyncio.get_running_loop()
+        begun = since = loop.time()
+        before: set[GraphEndpoint] = set()
+        while not await self.node.comes_true(lambda: not gates.missing(), HEARTBEAT):
+            found = set() if self._graph is None or record.welcomed else set(self._graph())
+            now = loop.time()
+            if found != before:
+                before, since = found, now
+            missing = gates.missing()
+            if now - begun >= ENDPOINTS_TIMEOUT:
+                break
+            if (
+                now - since >= SETTLED
+                and all(misnamed(component, record.topics, list(found), port) for port in missing)
+                and await self._answers()
+            ):
+                break
+        return gates.missing()
+
+    async def _answers(self) -> bool:
+        if self._services is None:
+            return False
+        try:
+            await self._services.parameters(LOOK)
+        except NoAnswer:
+            return False
+        return True
 
     async def _compare(self, missing: list[str]) -> list[str]:
         """Compare what the graph shows with what is declared; the ports that it then lacks without a reason given.
@@ -179,10 +222,16 @@ class ForeignAgent:
         await self._registered.wait()
         while self._graph is not None:
             await asyncio.sleep(GRAPH_LOOK)
-            record = self.node.record
-            found = differences(self.node.component, record.topics, record.node, self._graph())
-            if found != self.node.differences:
-                self.node.differences = found
+            record, component, found = self.node.record, self.node.component, self._graph()
+            seen = (
+                differences(component, record.topics, record.node, found),
+                [
+                    f"{'publishes on' if each.output else 'subscribes to'} {each}"
+                    for each in undeclared(component, record.topics, found)
+                ],
+            )
+            if seen != (self.node.differences, self.node.undeclared):
+                self.node.differences, self.node.undeclared = seen
                 self._report()
 
     async def _heartbeat(self) -> None:
@@ -400,6 +449,8 @@ class ForeignAgent:
             left = await self.node.comes_true(self.lifecycle.left, command.timeout, every=WATCH)
             return commands.RateVerdict(reached=left == (command.until == "broken"), rate=0.0, pause=0.0)
         entry, deadline = self.node.require_gates().entry(command.port), time.monotonic() + command.timeout
+        if command.known_clock and self.node.record.stated.get("use_sim_time"):  # the page has no times on `/clock`
+            return commands.RateVerdict(reached=command.until == "met", rate=command.rate, pause=0.0)
         begun = entry.passed + entry.gated
         watch = RateWatch(command.rate, command.window, time.monotonic_ns())
         while True:

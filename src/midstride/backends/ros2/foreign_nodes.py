@@ -25,7 +25,7 @@ from midstride.foreign.agent import ForeignAgent
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.lifecycle_cuts import LifecyclePeers
-from midstride.foreign.page import Page
+from midstride.foreign.page import PAGE, Page
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.relay import RelayOrder, order_file, private_topics
 from midstride.foreign.services import NodeServices
@@ -35,7 +35,6 @@ from midstride.wire.transport import Transport
 
 ENV_PAGE: Final = "MIDSTRIDE_GATE_PAGE"
 ENV_NODE: Final = "MIDSTRIDE_GATE_NODE"
-_PAGE: Final = "page"
 
 log = logging.getLogger(__name__)
 
@@ -124,7 +123,7 @@ class ForeignNodes:
     async def _opened(self, environment: Mapping[str, str]) -> tuple[Page, Path]:
         library = await asyncio.to_thread(build.library, environment)
         if self._page is None:
-            path = self._folder / _PAGE
+            path = self._folder / PAGE
             if not any(self._folder.glob("*.json")):
                 path.unlink(missing_ok=True)  # nothing uses it, and an earlier version may have made it
             self._page = Page(path, library)
