@@ -51,3 +51,16 @@ def read(source):
 
 def wrapped(angle):
     return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+def fit(grid, ranges, at):
+    """How many beams, from the pose ``at``, end at something that the map has; of every third."""
+    cell, width, hits = grid.info.resolution, grid.info.width, 0
+    for beam in range(0, len(ANGLES), 3):
+        if math.isfinite(ranges[beam]):
+            angle = at[2] + ANGLES[beam]
+            column = int((at[0] + ranges[beam] * math.cos(angle)) / cell)
+            row = int((at[1] + ranges[beam] * math.sin(angle)) / cell)
+            inside = 0 <= column < width and 0 <= row < grid.info.height
+            hits += inside and grid.data[row * width + column] > 50
+    return hits

@@ -1,7 +1,6 @@
 """Drives along the path, as fast as what it can see allows.
 
-At any speed it could stop before it meets someone who walks up to it: a speed is allowed only if nothing is closer to
-the way until it stands than a person gets in that time. How fast is possible at all depends on the mode:
+How fast that is at most depends on the mode:
 
 - ``full`` sees as far as the camera;
 - ``slow`` needs only what one detector sees;
@@ -13,16 +12,15 @@ the way until it stands than a person gets in that time. How fast is possible at
 
 import math
 
-from beams import ANGLES, read, wrapped
+from beams import read, wrapped
 from geometry_msgs.msg import PoseStamped, Twist
-from hall import BRAKING, PERSON_SPEED, ROBOT_RADIUS, TOP_SPEED
+from hall import TOP_SPEED
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import LaserScan
+from stopping import allowed
 
 from midstride import Component, at_least
 
-REACTION = 0.35  # s, from what happens to what the wheels do
-MARGIN = ROBOT_RADIUS + 0.15  # m; a scan ends at the skin of a person
 SLOW, CREEP, CREEPS = 0.6, 0.2, 5.0  # m/s, m/s, s
 
 comp = Component("controller")
@@ -38,21 +36,6 @@ kept: Path | None = None  # the last path
 crept = 0.0  # for how long it has crept
 
 
-def allowed(scan: LaserScan, most: float) -> float:
-    """The highest speed up to ``most`` from which it could stop in time."""
-    points = [(r * math.cos(a), r * math.sin(a)) for a, r in zip(ANGLES, scan.ranges, strict=True) if r < 6]
-    points = [point for point in points if point[0] > 0]
-    speed = most
-    while speed > 0.01:
-        seconds = REACTION + speed / BRAKING
-        way = speed * REACTION + speed**2 / (2 * BRAKING)
-        reach = MARGIN + PERSON_SPEED * seconds
-        if all(math.hypot(x - min(x, way), y) > reach for x, y in points):
-            return speed
-        speed -= 0.05
-    return 0.0
-
-
 def follow(most: float, scan: LaserScan | None) -> None:
     global kept
     command = Twist()
@@ -64,7 +47,7 @@ def follow(most: float, scan: LaserScan | None) -> None:
         if target is not None:
             error = wrapped(math.atan2(target[1] - y, target[0] - x) - heading)
             command.angular.z = max(-1.0, min(1.0, 1.5 * error))
-            command.linear.x = allowed(scan, most * max(0.0, 1 - abs(error)))
+            command.linear.x = allowed(scan.ranges, most * max(0.0, 1 - abs(error)))
     cmd.write(command)
 
 

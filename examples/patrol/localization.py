@@ -7,7 +7,7 @@ it follows the wheels alone, which drift: ``odom`` is then as good as it gets, a
 import json
 import math
 
-from beams import ANGLES, pose, put, read, wrapped
+from beams import fit, pose, put, read, wrapped
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from sensor_msgs.msg import LaserScan
@@ -40,19 +40,6 @@ def follow_wheels() -> None:
         heading = here[2] + turned
         here = here[0] + forward * math.cos(heading), here[1] + forward * math.sin(heading), wrapped(heading)
     rolled = now
-
-
-def fit(grid: OccupancyGrid, ranges, at) -> int:
-    """How many beams end at something that the map has."""
-    cell, width, hits = grid.info.resolution, grid.info.width, 0
-    for beam in range(0, len(ANGLES), 3):
-        if math.isfinite(ranges[beam]):
-            angle = at[2] + ANGLES[beam]
-            column = int((at[0] + ranges[beam] * math.cos(angle)) / cell)
-            row = int((at[1] + ranges[beam] * math.sin(angle)) / cell)
-            inside = 0 <= column < width and 0 <= row < grid.info.height
-            hits += inside and grid.data[row * width + column] > 50
-    return hits
 
 
 def match() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import random
 from collections.abc import Callable
 from dataclasses import replace
 from types import ModuleType
@@ -96,6 +97,29 @@ def test_progress_counts_the_way_along_the_route_over_laps_and_not_what_is_not_d
             state = hall.step(replace(state, speed=0.0, **at), 0.0, 0.0, STEP)
     assert state.progress == pytest.approx(2 * hall.LAP)
     assert driven(hall, state, 0.0, 0.0, 5.0).progress == state.progress
+
+
+def test_from_an_allowed_speed_it_stops_before_it_meets_someone_who_walks_up_to_it(
+    hall: Any, patrol: Callable[[str], ModuleType]
+) -> None:
+    stopping, beams = patrol("stopping"), patrol("beams")
+    drawn, hit_if_faster = random.Random(5), 0
+    for _ in range(120):
+        distance, bearing = drawn.uniform(0.7, 5.0), drawn.uniform(-1.5, 1.5)
+        x, y = 10.0 + distance * math.cos(bearing), 3.0 + distance * math.sin(bearing)
+        beyond = (10.0 + drawn.uniform(-0.5, 2.0), 3.0 + drawn.uniform(-0.3, 0.3))
+        aim = x + 3 * (beyond[0] - x), y + 3 * (beyond[1] - y)
+        person = hall.Person((x, y), aim, x, y, hall.PERSON_SPEED)
+        state = empty(hall, x=10.0, people=(person,))
+        speed = stopping.allowed(hall.cast(state, beams.ANGLES, 6.0), hall.TOP_SPEED)
+
+        def stopped(state: Any, speed: float) -> Any:
+            moving = driven(hall, replace(state, speed=speed), speed, 0.0, stopping.REACTION)
+            return driven(hall, moving, 0.0, 0.0, speed / hall.BRAKING + STEP)
+
+        assert stopped(state, speed).collisions == 0, (distance, bearing, beyond, speed)
+        hit_if_faster += stopped(state, speed + 1.0).collisions
+    assert hit_if_faster > 5  # so it is the speed that prevents it
 
 
 def test_the_wheels_drift_by_up_to_a_hundredth(hall: Any) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar, TypeVar
@@ -49,7 +50,10 @@ class Program:
 
 
 class SimulatedRelays(Simulator):
-    """A simulator with relays. ``programs``: by component. ``heard``: by instance, when (ns) and what it received."""
+    """A simulator with relays. ``programs``: by component. ``heard``: by instance, when (ns) and what it received.
+
+    ``exits``: by instance, to be called when its program has exited.
+    """
 
     name = "ros2"
     current: ClassVar[SimulatedRelays]
@@ -59,6 +63,7 @@ class SimulatedRelays(Simulator):
         SimulatedRelays.current = self
         self.programs = programs
         self.heard: dict[str, list[tuple[int, str]]] = {}
+        self.exits: dict[str, Callable[[], None]] = {}
         transport: Any = self.control
         self._foreign = ForeignNodes(folder, transport, lambda _: None)
 
@@ -81,7 +86,7 @@ class SimulatedRelay(RelayComponent):
     def __init__(self, order: RelayOrder) -> None:
         lab, program = SimulatedRelays.current, SimulatedRelays.current.programs[order.declaration.name]
         self.instance = find().instance or ""
-        running: Any = SimpleNamespace(process=SimpleNamespace(poll=lambda: None))
+        running: Any = SimpleNamespace(status=lambda: None, watch=partial(lab.exits.__setitem__, self.instance))
         super().__init__(order, running, RelayPlatform(joined, lambda _: Text, lambda *_: self._endpoints(program)))
         heard = lab.heard.setdefault(self.instance, [])
         for port in self.parts.inputs.values():

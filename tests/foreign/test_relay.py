@@ -146,6 +146,19 @@ def test_what_is_written_once_is_published_when_the_gate_opens(tmp_path: Path) -
     managed(tmp_path, ONCE, programs(rate=None), body)
 
 
+def test_a_relay_ends_in_order_when_its_program_has_exited(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: SimulatedRelays) -> None:
+        await asyncio.sleep(1)
+        simulator.exits["talker"]()
+        simulator.exits["talker"]()  # once more does nothing
+        await asyncio.sleep(1)
+        assert "talker" not in manager.configuration.instances
+        words = [event.words for event in manager.log()]
+        assert any("talker exited" in each for each in words), words
+
+    managed(tmp_path, TEXT, programs(), body)
+
+
 def test_a_node_with_another_type_is_refused(tmp_path: Path) -> None:
     other = programs()
     other["Listener"].type = "std_msgs/msg/Int32"
@@ -175,13 +188,13 @@ def order(folder: Path, *command: str, environment: dict[str, str | None] | None
     return RelayOrder.read(folder / "relays" / "talker.json")
 
 
-def in_a_process(folder: Path, body: str, before: str = "") -> subprocess.Popen[str]:
+def in_a_process(folder: Path, body: str) -> subprocess.Popen[str]:
     """Run ``body``, which has the ``program`` of the order in ``folder``, in a process."""
     text = (
-        "import os, signal, sys\nfrom pathlib import Path\n"
-        f"from midstride.foreign.relay import RelayedProgram, RelayOrder\n{before}\n"
+        "import os, signal, sys, threading\nfrom pathlib import Path\n"
+        "from midstride.foreign.relay import RelayedProgram, RelayOrder\n"
         f"program = RelayedProgram(RelayOrder.read(Path({str(folder / 'relays' / 'talker.json')!r})))\n"
-        f"print(program.process.pid, flush=True)\n{body}\n"
+        f"print(program.pid, flush=True)\n{body}\n"
     )
     return subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, text=True)
 
@@ -201,8 +214,8 @@ def test_the_program_ends_with_its_relay_however_that_ends(tmp_path: Path) -> No
 @pytest.mark.full
 def test_the_relay_ends_as_its_program_does(tmp_path: Path) -> None:
     order(tmp_path, "sh", "-c", '[ -z "$HOME" ] && exit $STATUS', environment={"STATUS": "7", "HOME": None})
-    before = "signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})"
-    with in_a_process(tmp_path, "signal.sigwait({signal.SIGTERM})\nsys.exit(program.end())", before) as relay:
+    body = "ended = threading.Event()\nprogram.watch(ended.set)\nended.wait()\nsys.exit(program.end())"
+    with in_a_process(tmp_path, body) as relay:
         assert relay.wait(60) == 7
 
 

@@ -115,7 +115,7 @@ def private_topics(component: ComponentSpec, instance: str) -> dict[str, str]:
 
 
 class RelayedProgram:
-    """The program, from its start to its end. ``ended`` is called, in a thread, when it has exited unexpectedly."""
+    """The program, from its start to its end."""
 
     def __init__(self, order: RelayOrder) -> None:
         """Start it, on the main thread and before there are others. Raises NodeError."""
@@ -130,28 +130,36 @@ class RelayedProgram:
                 os._exit(1)
 
         try:
-            self.process = subprocess.Popen(order.command, env=environment, preexec_fn=end_with_relay)
+            self._process = subprocess.Popen(order.command, env=environment, preexec_fn=end_with_relay)
         except OSError as error:
             raise NodeError(f"cannot start `{self.words}`: {error.strerror or error}") from None
-        self._ending = False
-        threading.Thread(target=self._watch, daemon=True).start()
+        self.pid = self._process.pid
 
-    def _watch(self) -> None:
-        self.process.wait()
-        if not self._ending:
-            os.kill(os.getpid(), signal.SIGTERM)  # end in order, so that the graph does not keep this node
+    def status(self) -> int | None:
+        """What it has exited with, 128 and the number for a signal, as in a shell; None while it runs."""
+        status = self._process.poll()
+        return status if status is None or status >= 0 else 128 - status
+
+    def watch(self, ended: Callable[[], None]) -> None:
+        """Have ``ended`` called, in a thread, when it has exited."""
+
+        def wait() -> None:
+            self._process.wait()
+            ended()
+
+        threading.Thread(target=wait, daemon=True).start()
 
     def end(self) -> int:
-        """End it, in bounded time; the status for the relay to exit with."""
-        by_itself = self.process.poll() is not None
-        self._ending = True
-        for ask, patience in ((None, _ENDS), (self.process.terminate, _GRACE), (self.process.kill, None)):
+        """End it, in bounded time; the status for the relay to exit with: that of a program that has exited."""
+        status = self.status()
+        # A signal to the relay's group has reached it already.
+        for ask, patience in ((None, _ENDS), (self._process.terminate, _GRACE), (self._process.kill, None)):
             if ask is not None:
                 ask()
             with contextlib.suppress(subprocess.TimeoutExpired):
-                status = self.process.wait(patience)
+                self._process.wait(patience)
                 break
-        return (status if status >= 0 else 128 - status) if by_itself else 0
+        return status or 0
 
 
 @dataclass(eq=False)
@@ -269,11 +277,11 @@ class RelayComponent:
             relay.subscribe(self.host)
         deadline = time.monotonic() + ENDPOINTS_TIMEOUT
         while missing := self._missing():
-            if (status := self.program.process.poll()) is not None:
-                raise NodeError(f"`{self.program.words}` has exited with status {status}")
+            self._require_running()
             if time.monotonic() >= deadline:
                 break
             time.sleep(_LOOK)
+        self._require_running()
         found = self._platform.graph(self.host, self.order)
         there = {(endpoint.output, endpoint.topic) for endpoint in found}
         absent = [port for port in missing if (self.component.has_output(port), self.order.topics[port]) not in there]
@@ -281,6 +289,10 @@ class RelayComponent:
         faults += differences(self.component, self.order.topics, self.order.node, found)
         if faults or missing:
             raise NodeError("; ".join(faults) or f"the messages of {', '.join(missing)} cannot be received")
+
+    def _require_running(self) -> None:
+        if (status := self.program.status()) is not None:
+            raise NodeError(f"`{self.program.words}` has exited with status {status}")
 
     def _missing(self) -> list[str]:
         """The ports for which the program has no endpoint."""
@@ -296,8 +308,9 @@ class RelayComponent:
         """Until it is stopped, or the program has exited. As :meth:`midstride.node.component.Component.start`."""
         context = find()
         self.host = host = self._platform.host(context)
-        program = ProgramFiles({}, context.started)
-        agent = Agent(self.parts, self.component, host, context.token, os.getpid(), None, program, context.diagnostics)
+        files = ProgramFiles({}, context.started)
+        agent = Agent(self.parts, self.component, host, context.token, os.getpid(), None, files, context.diagnostics)
+        self.program.watch(agent.stop)
         host.run(agent.main)
 
 
@@ -315,6 +328,6 @@ def run_relay(platform: RelayPlatform) -> NoReturn:
     except SystemExit:
         pass
     ended = 0 if program is None else program.end()
-    if ended:
+    if ended not in (0, 128 + signal.SIGTERM):  # else it has been asked to
         print(f"`{' '.join(order.command)}` has exited with status {ended}", file=sys.stderr, flush=True)
     sys.exit(ended or status)

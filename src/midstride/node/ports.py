@@ -34,7 +34,11 @@ Driven: TypeAlias = Literal["rate", "message", "none"]
 class GatePolicy(Protocol):
     """A cut in progress: decides, write by write, what passes a gate (midstride.node.cut)."""
 
-    def passes(self, link: OutputLink) -> bool: ...
+    def passes(self, link: OutputLink) -> bool:
+        """Whether what is written now may be published."""
+
+    def admits(self, link: OutputLink) -> bool:
+        """The same, and it will be: the other side of the cut publishes nothing from now on."""
 
     def publish(self, link: OutputLink, message: Any) -> bool:
         """Publish and count ``message`` if it passes; whether it does."""
@@ -104,6 +108,11 @@ class OutputLink:
     def lets_pass(self) -> bool:
         """Whether a message that is written now is published."""
         return not self.fenced and (self.open or (self.cut is not None and self.cut.passes(self)))
+
+    @property
+    def is_live(self) -> bool:
+        """The same for an author who acts on it."""
+        return not self.fenced and (self.open or (self.cut is not None and self.cut.admits(self)))
 
     @property
     def fenced(self) -> bool:

@@ -353,7 +353,8 @@ class LiveHandover:
                 # An old side that is busy with exporting its state does not hang.
                 failed = OldSideFailed if because is None else StepFailed
                 raise failed(f"{cut.new} did not {what}; {cut.old} continues{reason}")
-            if incoming.outcome != "done" or outgoing.outcome != "done":
+            # A new side that has published, and is still reporting it, has taken over if the old one knows.
+            if incoming.outcome not in ("done", "waiting") or outgoing.outcome != "done":
                 raise OldSideFailed(f"{cut.old} resumed before it learned that {cut.new} had published{reason}")
             self.states.ended(cut, incoming)
             if because is not None and self.configuration.component(cut.new).gate == "lifecycle":
