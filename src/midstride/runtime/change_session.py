@@ -22,6 +22,7 @@ from midstride.model.specification import Order, Specification
 from midstride.plan.change_builder import change_between, requested_change
 from midstride.plan.estimate import Estimate
 from midstride.plan.forms import PlanForm, PlanPreview
+from midstride.plan.overlap import overlap
 from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
 from midstride.plan.request import PlanRequest
@@ -204,7 +205,8 @@ class ChangeSession:
         outcome: OutcomeKind = "done"
         because = None
         try:
-            await executor.run(actions, preview.steps)
+            # Alloy judges the configurations of the sequence: a change that is verified takes one step after another.
+            await executor.run(actions, preview.steps, overlap(plan) if verifier is None else None)
             if target != system.specification:
                 self.store.write_specification(target)
             system.specification = target
@@ -257,6 +259,7 @@ class ChangeSession:
             outcome=outcome,
             plan=PlanForm.of(plan),
             seconds=round(seconds, 6),
+            steps=executor.times,
             fallen=degraded_seconds,
             swaps=swaps,
             late=executor.driver.late,

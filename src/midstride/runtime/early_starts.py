@@ -71,12 +71,14 @@ class EarlyStarts:
             self.check()
 
     async def stop(self) -> None:
-        """Start no further ones."""
+        """Start no further ones, and forget what has failed."""
         async with self._one:  # not between the start of a process and its record
             for task in self._tasks:
                 task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
         self._tasks.clear()
+        self._failed.clear()
+        self._failure = None
 
     async def _start_all(self, actions: Iterable[Create]) -> None:
         launcher, clock, started = self.driver.launcher, self.driver.backend.clock, dict[str, Create]()

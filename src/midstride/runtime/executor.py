@@ -27,6 +27,7 @@ from midstride.runtime.backend import Exited
 from midstride.runtime.early_starts import EarlyStarts, StartFailedEarly
 from midstride.runtime.events import counted
 from midstride.runtime.journal import JournalEntry
+from midstride.runtime.reports import StepTime
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.state_store import StateStore
 
@@ -38,13 +39,15 @@ Done = list[tuple[Action, Configuration]]
 
 @dataclass(slots=True)
 class _Run:
-    """The steps of one change, in words as soon as they begin, and those that are done."""
+    """The steps of one change, in words as soon as they begin, those that are done, and how long they took."""
 
     actions: Sequence[Action]
     forms: Sequence[AnyStep]
     overlap: Overlap
+    began: float  # steady s
     words: dict[int, str] = field(default_factory=dict)
     done: Done = field(default_factory=list)
+    times: dict[int, StepTime] = field(default_factory=dict)
     looked: int = 0  # how many numbers of steps have been looked up in ``overlap.starts``
 
     def name(self, index: int) -> str:
@@ -83,6 +86,8 @@ class Executor:
     entry: JournalEntry | None = None
     on_performed: Callable[[Action], Awaitable[None]] | None = None
     commanding: asyncio.Lock = field(default_factory=asyncio.Lock)
+    # The steps of the plan that were done, as measured.
+    times: list[StepTime] = field(default_factory=list)
     _starts: EarlyStarts = field(init=False)
 
     def __post_init__(self) -> None:
@@ -100,7 +105,7 @@ class Executor:
         Raises StepFailed after the roll-back; its ``outcome`` says whether that succeeded. If cancelled, it rolls back
         as well.
         """
-        run = _Run(actions, forms, overlap or one_by_one(actions))
+        run = _Run(actions, forms, overlap or one_by_one(actions), self.driver.backend.clock.steady())
         self.driver.leaving = {action.instance for action in actions if isinstance(action, Remove)}
         for indices in run.overlap.rounds:
             for index in indices:
@@ -120,6 +125,9 @@ class Executor:
                 failures = {actions.index(early.action): early.error}
             except (Exception, asyncio.CancelledError) as error:
                 failures = {indices[0]: error}
+            for index in sorted(run.times.keys() & indices):  # of a round when all of it has ended
+                self.driver.events.add("step_done", run.numbered(index, "done"), **run.position(index))
+                self.times.append(run.times[index])
             if failures:
                 await self._fail(indices, failures, run)
         await self._starts.stop()
@@ -136,13 +144,11 @@ class Executor:
             taking = [asyncio.ensure_future(self._take(index, run, place)) for place, index in enumerate(indices)]
             try:
                 await asyncio.wait(taking)
-            except asyncio.CancelledError:
-                await asyncio.wait(taking)
-                raise
-        for action, _ in run.done[-sum(task.exception() is None for task in taking) :]:
-            await self._performed(action)
-        found = ((index, task.exception()) for index, task in zip(indices, taking, strict=True))
-        return {index: error for index, error in found if error is not None}
+            finally:
+                errors = await asyncio.gather(*map(asyncio.shield, taking), return_exceptions=True)
+        for index in indices:
+            await self._performed(run.actions[index])
+        return {index: error for index, error in zip(indices, errors, strict=True) if error is not None}
 
     async def _take(self, index: int, run: _Run, place: int | None = None) -> None:
         """Carry out one step until everything is done that belongs to it; ``place``: in its round, unless alone."""
@@ -157,7 +163,7 @@ class Executor:
             await self.driver.settle()
         if self.after_step is not None:
             await self.after_step(self.system.configuration)
-        self.driver.events.add("step_done", run.numbered(index, "done"), **run.position(index))
+        run.times[index] = StepTime(index + 1, round(begun - run.began, 6), round(clock.steady() - begun, 6))
 
     async def _step(self, action: Action, done: Done, *, alone: bool) -> None:
         """Perform ``action`` and append it to ``done``.
@@ -195,7 +201,7 @@ class Executor:
         because = "; ".join(f"{run.name(index)}: {why}" for index, why in reasons.items())
         errors = list(failures.values())
         error = next((each for each in errors if isinstance(each, asyncio.CancelledError | Superseded)), errors[0])
-        failed = [place for place, index in enumerate(indices) if index in failures] or range(len(indices))
+        failed = [place for place, index in enumerate(indices) if index in failures]
         if isinstance(error, Superseded) or not (self.entry is None or await self.entry.failed(failed)):
             # What runs is the other manager's.
             await self._starts.stop()

@@ -310,10 +310,11 @@ class JournalEntry:
             await self.journal.write(("UPDATE changes SET swaps = ? WHERE number = ?", (form, self.number)))
 
     def _end_of_steps(self, outcome: OutcomeKind, places: Collection[int] = ()) -> list[Statement]:
-        """The statements for the steps begun last: ``outcome`` for those at ``places``, done for the others."""
+        """The statements for the steps begun last: ``outcome`` for those at ``places`` and those that are not done."""
         update = "UPDATE steps SET outcome = ?, seconds = ? WHERE change = ? AND number = ?"
-        outcomes = (outcome if place in places else "done" for place in range(len(self._steps)))
-        return [
-            (update, (ended, self._seconds.get(step), self.number, step + 1))
-            for step, ended in zip(self._steps, outcomes, strict=True)
-        ]
+        statements: list[Statement] = []
+        for place, step in enumerate(self._steps):
+            seconds = self._seconds.get(step)
+            ended = outcome if place in places or seconds is None else "done"
+            statements.append((update, (ended, seconds, self.number, step + 1)))
+        return statements

@@ -77,12 +77,21 @@ class FencedInstance(Report, frozen=True, kw_only=True):
     words: str
 
 
+class StepTime(Report, frozen=True):
+    """How long a step took, and when it began after the first one, in seconds. Steps that overlap are in one round."""
+
+    step: Annotated[int, Meta(description="its number in the plan, from 1")]
+    begun: float
+    seconds: float
+
+
 class Outcome(Report, frozen=True, kw_only=True):
     """The result of a change; `refused`: nothing was changed."""
 
     outcome: OutcomeKind
     plan: PlanForm | None = None
     seconds: float = 0.0
+    steps: Annotated[list[StepTime], Meta(description="those that were done, as measured")] = []
     fallen: Annotated[dict[str, float], Meta(description="measured seconds below the baseline")] = {}
     swaps: list[SwapReport] = []
     late: Annotated[
