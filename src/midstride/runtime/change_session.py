@@ -206,7 +206,8 @@ class ChangeSession:
         because = None
         try:
             # Alloy judges the configurations of the sequence: a change that is verified takes one step after another.
-            await executor.run(actions, preview.steps, overlap(plan) if verifier is None else None)
+            found = await asyncio.to_thread(overlap, plan) if verifier is None else None
+            await executor.run(actions, preview.steps, found)
             if target != system.specification:
                 self.store.write_specification(target)
             system.specification = target
