@@ -56,7 +56,8 @@ def test_the_report_sets_what_was_measured_beside_the_plan_where_steps_may_overl
     steps = [{"step": 1, "begun": 0.0, "seconds": 1.0}, {"step": 2, "begun": 1.0, "seconds": 0.5}]
     steps.append({"step": 3, "begun": 1.0, "seconds": 0.25})
     assert shown(render.outcome(done(plan=plan(makespan=1.12), steps=steps)))[1] == (
-        "Planned: 1.38 s one step after another, 1.12 s on the critical path. Measured: 1.50 s, for steps of 1.75 s in all."
+        "Planned: 1.38 s one step after another, 1.12 s on the critical path. "
+        "Measured: 1.50 s, for steps of 1.75 s in all."
     )
     assert len(shown(render.outcome(done(plan=plan(), steps=steps)))) == 2, "nothing may overlap"
 

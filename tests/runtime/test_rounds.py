@@ -35,10 +35,10 @@ class Ending:
         self._backend = b.backend
         b.backend.end = self._end  # type: ignore[method-assign]
 
-    async def _end(self, name: str, grace: float) -> None:
-        self.begun.append(name)
-        await self.may[name].wait()
-        await ScriptedBackend.end(self._backend, name, grace)
+    async def _end(self, instance: str, grace: float) -> None:
+        self.begun.append(instance)
+        await self.may[instance].wait()
+        await ScriptedBackend.end(self._backend, instance, grace)
 
     async def have_begun(self) -> None:
         while len(self.begun) < len(OLD):
@@ -137,8 +137,9 @@ def test_what_is_begun_at_once_is_durable_before_and_the_next_manager_says_which
     async def body(b: Bench) -> None:
         ending = Ending(b)
         b.executor.entry = await b.journal.begin(NewChange("apply", None, None, b.specification, 4))
-        actions = [Create(instance("fourth", LISTENER)), *REMOVALS]
-        b.startable(actions[0].instance)
+        fourth = instance("fourth", LISTENER)
+        b.startable(fourth)
+        actions = [Create(fourth), *REMOVALS]
         running = asyncio.ensure_future(b.executor.run(actions, overlap=Overlap(((0,), (1, 2, 3)), {0: [0]})))
         await ending.have_begun()
         [interrupted] = await b.journal.take_over()
