@@ -107,6 +107,7 @@ class ForeignAgent:
             commands.AwaitCutCommand: self._await_cut,
             commands.AwaitIdleCommand: self._await_idle,
             commands.FenceCommand: self._fence,
+            commands.HoldCommand: self._hold,
             commands.ModesCommand: self._modes,
         }
         if isinstance(self._cuts, ForeignCuts):
@@ -311,6 +312,10 @@ class ForeignAgent:
         else:
             self.node.enter_modes(command.modes, command.because)
         return commands.PreviousModes(before=before)
+
+    async def _hold(self, command: commands.HoldCommand) -> commands.Done:
+        """Its code makes its calls at any time, and its modes change without them."""
+        return commands.Done()
 
     async def _attach(self, command: commands.AttachCommand) -> commands.Attached:
         port, topic, record = command.port, command.topic, self.node.record

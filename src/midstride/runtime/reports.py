@@ -85,6 +85,14 @@ class StepTime(Report, frozen=True):
     seconds: float
 
 
+class ModeSkew(Report, frozen=True):
+    """Functionalities of several instances that support each other, and so changed their modes in one step."""
+
+    kind: Annotated[str, Meta(description="`degrade` or `upgrade`")]
+    functionalities: list[str]
+    seconds: Annotated[float, Meta(description="between the first and the last of them, as measured")]
+
+
 class Outcome(Report, frozen=True, kw_only=True):
     """The result of a change; `refused`: nothing was changed."""
 
@@ -92,6 +100,7 @@ class Outcome(Report, frozen=True, kw_only=True):
     plan: PlanForm | None = None
     seconds: float = 0.0
     steps: Annotated[list[StepTime], Meta(description="those that were done, as measured")] = []
+    skews: list[ModeSkew] = []
     fallen: Annotated[dict[str, float], Meta(description="measured seconds below the baseline")] = {}
     swaps: list[SwapReport] = []
     late: Annotated[
