@@ -62,6 +62,11 @@ def test_the_report_sets_what_was_measured_beside_the_plan_where_steps_may_overl
     assert len(shown(render.outcome(done(plan=plan(), steps=steps)))) == 2, "nothing may overlap"
 
 
+def test_how_far_apart_the_members_of_a_group_changed_their_modes_is_reported() -> None:
+    skews = [{"kind": "degrade", "functionalities": ["a.work", "b.work"], "seconds": 0.00152}]
+    assert shown(render.outcome(done(skews=skews)))[1] == "Degrade of a.work and b.work: within 1.5 ms."
+
+
 def test_what_stays_lower_is_reported() -> None:
     """`midstride remove` of what the brake relies on: it was meant to fall, and it has fallen."""
     assert shown(render.outcome(done())) == ["Done in 270 ms.", "Nothing fell below its level."]

@@ -80,7 +80,7 @@ work.set_normal_mode(normal, rate=2, inputs=inputs, outputs=[out])
 work.set_degraded_mode(lambda: None)
 comp.start()
 """
-MEMBERS = frozenset({"estimator.work", "corrector.work"})
+MEMBERS = {"estimator.work", "corrector.work"}
 WITHOUT_CAMERA = PlanRequest(remove=("camera",))
 
 
