@@ -11,7 +11,8 @@ from midstride.errors import BackendError, StartFailed, StepFailed
 from midstride.model.action import Attach, Create, Remove
 from midstride.model.configuration import Configuration
 from midstride.plan.overlap import Overlap, one_by_one
-from midstride.runtime.backend import Exited
+from midstride.runtime.backend import Exited, Handle, Launch
+from midstride.runtime.journal import Journal
 from midstride.runtime.journal_records import NewChange
 from tests.model import build
 from tests.runtime.scripted import LISTENER, TALKER, Bench, ScriptedBackend, bench, instance
@@ -215,5 +216,33 @@ def test_a_process_that_cannot_start_before_its_turn_leaves_nothing(tmp_path: Pa
         with pytest.raises(StepFailed, match=r"^create two \(Talker\): cannot start `./nosuch`"):
             await b.executor.run(actions, overlap=Overlap(one_by_one(actions).rounds, {0: [0, 2, 3]}))
         assert b.backend.running == {"listener"} and b.saved() == []
+
+    bench(build.system({"listener": LISTENER}, ["listener.in /chatter"], modes={}), tmp_path, body)
+
+
+@pytest.mark.parametrize("launched", [False, True])
+def test_a_manager_that_is_superseded_leaves_no_process_that_it_has_started_ahead(
+    launched: bool, tmp_path: Path
+) -> None:
+    """The other one takes over before the start, or while the process is being started."""
+
+    async def body(b: Bench) -> None:
+        other = Journal(b.journal.path, b.backend.name)
+        b.executor.entry = await b.journal.begin(NewChange("apply", None, None, b.specification, 3))
+        start = b.backend.start
+
+        async def start_and_lose(launch: Launch) -> Handle:
+            if (launch.instance == "two") == launched:
+                await other.take_over()
+            return await start(launch)
+
+        b.backend.start = start_and_lose  # type: ignore[method-assign]
+        overlap = Overlap(one_by_one(CREATE_ATTACH_CREATE).rounds, {0: [0, 2]})
+        with pytest.raises(StepFailed, match="nothing is rolled back, since another manager has taken over"):
+            await b.executor.run(CREATE_ATTACH_CREATE, overlap=overlap)
+        assert [launch.instance for launch in b.backend.launches] == (["one", "two"] if launched else ["one"])
+        assert "two" not in b.backend.running
+        other.close()
+        b.journal.close()
 
     bench(build.system({"listener": LISTENER}, ["listener.in /chatter"], modes={}), tmp_path, body)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from midstride.errors import MidstrideError
+from midstride.errors import MidstrideError, Superseded
 from midstride.model.action import Create
 from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.pacing import room_for_a_start
@@ -28,10 +28,14 @@ class StartFailedEarly(Exception):
 
 @dataclass(slots=True)
 class EarlyStarts:
-    """Those of one change. What is started is saved, so that the next manager finds it."""
+    """Those of one change. What is started is saved, so that the next manager finds it.
+
+    ``require_lease`` raises Superseded if another manager has taken over.
+    """
 
     driver: ActionDriver
     store: StateStore
+    require_lease: Callable[[], Awaitable[None]]
     _one: asyncio.Lock = field(default_factory=asyncio.Lock)
     _tasks: list[asyncio.Task[None]] = field(default_factory=list)
     _failed: asyncio.Event = field(default_factory=asyncio.Event)
@@ -39,13 +43,36 @@ class EarlyStarts:
 
     async def start(self, action: Create) -> None:
         """Start the process of a creation unless it is starting already. Raises StartFailed."""
-        instance, system = action.instance, self.driver.system
         async with self._one:
-            if instance.name in system.configuration.instances:
-                return
-            if await self.driver.start(instance):
-                system.started(instance.name)
-                self.store.write_instance(instance, self.driver.launcher.handles.get(instance.name))
+            await self._start(action)
+
+    async def _start(self, action: Create) -> bool:
+        instance, system = action.instance, self.driver.system
+        if instance.name in system.configuration.instances or not await self.driver.start(instance):
+            return False
+        system.started(instance.name)
+        self.store.write_instance(instance, self.driver.launcher.handles.get(instance.name))
+        return True
+
+    async def _start_ahead(self, action: Create) -> None:
+        """As ``start``, before its step. Raises Superseded: then this manager leaves no process that it has started.
+
+        Before each step its intent is written, which only the manager with the lease can. Here, nothing is.
+        """
+        async with self._one:
+            await self.require_lease()
+            started = await self._start(action)
+            try:
+                await self.require_lease()
+            except Superseded:
+                if started:
+                    await self.driver.launcher.abandon(action.instance.name)
+                raise
+
+    async def at_rest(self) -> None:
+        """Wait until no process is just being started ahead of its step."""
+        async with self._one:
+            pass
 
     def begin(self, actions: Iterable[Create]) -> None:
         """Start the processes of ``actions`` one after another, and return at once."""
@@ -85,13 +112,15 @@ class EarlyStarts:
         for action in actions:
             await room_for_a_start(clock, launcher.starting)
             try:
-                await self.start(action)
-            except MidstrideError:
-                await clock.sleep(START_AGAIN)  # meanwhile its own step may try it, and fail with the reason
                 try:
-                    await self.start(action)
-                except MidstrideError as error:
-                    return self._fail(action, error)
+                    await self._start_ahead(action)
+                except Superseded:
+                    raise
+                except MidstrideError:
+                    await clock.sleep(START_AGAIN)  # meanwhile its own step may try it, and fail with the reason
+                    await self._start_ahead(action)
+            except MidstrideError as error:
+                return self._fail(action, error)
             started[action.instance.name] = action
         if (exited := await launcher.first_exit(started)) is not None:
             name, failure = exited

@@ -91,7 +91,11 @@ class Executor:
     _starts: EarlyStarts = field(init=False)
 
     def __post_init__(self) -> None:
-        self._starts = EarlyStarts(self.driver, self.store)
+        self._starts = EarlyStarts(self.driver, self.store, self._require_lease)
+
+    async def _require_lease(self) -> None:
+        if self.entry is not None:
+            await self.entry.require_lease()
 
     @property
     def system(self) -> RunningSystem:
@@ -125,6 +129,7 @@ class Executor:
                 failures = {actions.index(early.action): early.error}
             except (Exception, asyncio.CancelledError) as error:
                 failures = {indices[0]: error}
+            await self._starts.at_rest()
             for index in sorted(run.times.keys() & indices):  # of a round when all of it has ended
                 self.driver.events.add("step_done", run.numbered(index, "done"), **run.position(index))
                 self.times.append(run.times[index])

@@ -272,6 +272,10 @@ class JournalEntry:
         rows = ((self.number, step + 1, each) for step, each in zip(self._steps, words, strict=True))
         await self.journal.write(*before, *((insert, row) for row in rows))
 
+    async def require_lease(self) -> None:
+        """Raises Superseded if another manager has taken over. A disk that refuses everything cannot tell."""
+        await self.journal.write()
+
     def took(self, seconds: float, estimates: str | None, place: int = 0) -> None:
         """A step is done, the one at ``place`` of those that were begun last; that is recorded with the next ones.
 
