@@ -11,6 +11,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import shutil
+import signal
 import socket
 import tempfile
 from functools import cache
@@ -41,6 +42,11 @@ def _claimed_domain() -> int:
 os.environ["ROS_DOMAIN_ID"] = str(_claimed_domain())
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ.setdefault("ROS_LOG_DIR", os.path.join(tempfile.gettempdir(), "midstride-ros-log"))
+
+# Processes that tests start are ended with SIGINT as well, which a script's background job ignores, and so do its
+# children.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # A deadline per example would fail on a busy machine; pytest's time-out bounds each test instead.
 # The same examples in each run; the long one looks for new ones.

@@ -27,6 +27,7 @@ class Terminal:
         self._environment = {**midstride.environment, "TERM": "xterm-256color"}
         self._seen = ""
         self._read = 0
+        self._open = True
         self.status: int | None = None
 
     def __enter__(self) -> Terminal:
@@ -41,6 +42,11 @@ class Terminal:
 
     def press(self, keys: str) -> None:
         os.write(self._fd, keys.encode())
+
+    def close(self) -> None:
+        """Close the terminal's window."""
+        os.close(self._fd)
+        self._open = False
 
     def until(self, words: str) -> str:
         """What is shown up to and with ``words``. Fails where they do not come."""
@@ -80,4 +86,5 @@ class Terminal:
         if self.status is None:
             os.kill(self._pid, signal.SIGKILL)
             os.waitpid(self._pid, 0)
-        os.close(self._fd)
+        if self._open:
+            os.close(self._fd)

@@ -395,6 +395,19 @@ def test_dev_swaps_what_is_saved_and_refuses_what_is_faulty(midstride: Midstride
         time.sleep(0.02)
 
 
+@pytest.mark.full
+def test_dev_stops_its_system_when_the_terminal_is_closed(midstride: Midstride, project: Path) -> None:
+    with Terminal(midstride, "dev", str(project / "talker.stride"), "--backend", "sim") as terminal:
+        terminal.until("Swapping on save; Ctrl-C stops the system.")
+        manager = midstride.manager("talker")
+        terminal.close()
+        deadline = time.monotonic() + 40
+        while alive(manager):
+            assert time.monotonic() < deadline, "the manager does not end"
+            time.sleep(0.02)
+    assert "no system is running" in midstride("status").err
+
+
 def test_dev_attaches_to_a_running_system_and_leaves_it_running(midstride: Midstride, project: Path) -> None:
     file = str(project / "talker.stride")
     assert midstride("up", file, "--backend", "sim", "-d").status == 0

@@ -18,6 +18,8 @@ from midstride.cli import main
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "talker" / "talker.stride"
 COMMAND = [sys.executable, "-m", "midstride", "up", str(EXAMPLE), "--backend", "sim", "--stop-on-exit"]
+# As a shell script runs `command &`.
+BACKGROUND = ["sh", "-c", 'trap "" INT QUIT; exec "$@"', "sh", *COMMAND]
 PATIENCE = 60.0
 
 
@@ -42,12 +44,16 @@ def midstride(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_stops_the_system(folder: Path, number: signal.Signals) -> None:
+@pytest.mark.parametrize(
+    ("number", "command"),
+    [(signal.SIGINT, COMMAND), (signal.SIGTERM, COMMAND), (signal.SIGTERM, BACKGROUND)],
+    ids=["SIGINT", "SIGTERM", "SIGTERM of a background job"],
+)
+def test_a_signal_stops_the_system(folder: Path, number: signal.Signals, command: list[str]) -> None:
     output = folder / "output"
     with output.open("w") as stream:
         environment = {**os.environ, "XDG_RUNTIME_DIR": str(folder), "PYTHONUNBUFFERED": "1"}
-        process = subprocess.Popen(COMMAND, env=environment, stdout=stream, stderr=subprocess.STDOUT)
+        process = subprocess.Popen(command, env=environment, stdout=stream, stderr=subprocess.STDOUT)
     try:
         wait(lambda: "talker is up" in output.read_text())
         assert process.poll() is None and midstride(folder, "status").returncode == 0

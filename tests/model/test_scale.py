@@ -130,7 +130,7 @@ def test_judgements_do_not_depend_on_the_size_of_the_system(monkeypatch: pytest.
 
 
 def test_a_topic_of_many_publishers_is_walked_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All of them fall, one after another; whoever reads it asks every time."""
+    """All of them fall, one after another; each reader asks every time."""
     crowd = 300
     lame = component("Lame", {"in": at(5)}, ["out"], [mode("normal", [at(5)], out=at(5)), mode("degraded")])
     kinds: dict[str, ComponentSpec] = {"Lame": lame, "Sink": sink()}

@@ -16,11 +16,11 @@ from midstride.errors import BackendError
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import initial
+from midstride.model.wording import counted
 from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
 from midstride.runtime.backend import Exited
 from midstride.runtime.change_session import ChangeSession
-from midstride.runtime.events import counted
 from midstride.runtime.measure import WINDOW_PERIODS
 from midstride.runtime.reports import Outcome
 from midstride.runtime.runtime_verification import Verifier

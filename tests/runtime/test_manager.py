@@ -150,7 +150,7 @@ def test_a_crash_lowers_whom_it_must_and_the_next_plan_restores(tmp_path: Path) 
     managed("obstacle", tmp_path, body)
 
 
-def test_a_crash_lowers_whoever_can_be_reached_and_later_the_others(tmp_path: Path) -> None:
+def test_a_crash_lowers_what_can_be_reached_and_later_the_others(tmp_path: Path) -> None:
     """The source is gone; the sink, which the filter feeds, does not answer. The filter is lowered all the same."""
 
     async def body(manager: Manager, simulator: Simulator) -> None:
@@ -164,7 +164,7 @@ def test_a_crash_lowers_whoever_can_be_reached_and_later_the_others(tmp_path: Pa
         status = await manager.status()
         assert not status.valid, "the sink's mode is not known"
         (sink,) = [row for row in status.components if row.name == "sink"]
-        assert (sink.reachable, sink.pid) == (False, 4711), "whoever is to kill it needs its number"
+        assert (sink.reachable, sink.pid) == (False, 4711), "the number is needed to kill it"
         await asyncio.sleep(60)
         assert (await manager.change(PlanRequest(remove=("filter",)))).outcome == "done"
         assert (await manager.peek("sink")).functionalities["use"].mode == "degraded"
@@ -400,7 +400,7 @@ def test_a_component_that_does_not_come_is_named_and_the_rest_goes_on(
     assert "talker_2" in str(outcome.because) and because in str(outcome.because)
 
 
-def test_whoever_relies_on_one_that_has_degraded_by_itself_is_lowered_at_once(tmp_path: Path) -> None:
+def test_what_relies_on_a_component_that_has_degraded_by_itself_is_lowered_at_once(tmp_path: Path) -> None:
     """The talker's code raises after a while; nobody gives a command."""
     script = tmp_path / "breaking.py"
     program = (EXAMPLES / "talker" / "talker.py").read_text(encoding="utf-8")

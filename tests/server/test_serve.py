@@ -163,7 +163,7 @@ class Changing(ScriptedManager):
 
 
 async def told_to_end_in_a_change(manager: Changing, workspace: Workspace) -> httpx.Response:
-    """SIGTERM while a change is under way; what whoever asked for the change is answered."""
+    """SIGTERM while a change is under way; what the client that asked for the change gets as an answer."""
     async with serving(manager, workspace) as (client, server):
         await client.get("/up")
         changing = asyncio.ensure_future(client.post("/change", json={"request": {"remove": ["talker"]}}))
@@ -190,7 +190,7 @@ def test_a_change_under_way_when_the_manager_is_told_to_end_is_taken_back_first(
 def test_a_change_that_takes_long_to_take_back_still_has_an_answer(
     workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The doors do not wait for ever; whoever asked is told why, and not of an internal error."""
+    """The doors do not wait for ever; the client gets the reason, not an internal error."""
     monkeypatch.setattr("midstride.server.connections.LAST_ANSWERS", 1)
 
     async def test() -> None:

@@ -11,6 +11,7 @@ from midstride.capture.observed import ObservedEndpoint, ObservedGraph
 from midstride.capture.rates import MeasuredRate, measured
 from midstride.lang.token_stream import RESERVED
 from midstride.model.contract import DEFAULT_QOS, QoS
+from midstride.model.wording import counted
 
 FUNCTIONALITY: Final = "main"
 SHORT: Final = 70
@@ -89,7 +90,7 @@ def _measured(graph: ObservedGraph, endpoint: ObservedEndpoint) -> tuple[Measure
     if times is None:
         return None, "rate not measured: several nodes publish on the topic"
     if (rate := measured(times)) is None:
-        return None, f"rate not measured: {len(times)} message{'' if len(times) == 1 else 's'} in {graph.seconds:.3g} s"
+        return None, f"rate not measured: {counted(len(times), 'message')} in {graph.seconds:.3g} s"
     return rate, str(rate)
 
 

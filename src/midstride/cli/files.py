@@ -1,15 +1,16 @@
-"""Reads specifications from files, in the Stride language or in JSON. Errors name the file."""
+"""Reads specifications from files, in the Stride language or in JSON, and writes files. Errors name the file."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
 from midstride.codec.reading import parse_json
 from midstride.codec.specification import decode_specification
-from midstride.errors import SpecificationError
+from midstride.errors import MidstrideError, SpecificationError
 from midstride.model.diagnostics import suggestion
 from midstride.model.specification import Specification
 
@@ -64,6 +65,27 @@ def load(path: Path) -> Specification:
 def require_file(path: Path) -> None:
     """Raises SpecificationError if the file cannot be read, with the name that was probably meant."""
     _text(path)
+
+
+def require_new(path: Path | None) -> None:
+    """Raises MidstrideError if there is such a file: nothing is overwritten that a user may have edited."""
+    if path is not None and path.exists():
+        raise MidstrideError(f"{path} exists; remove it, or choose another file")
+
+
+def write(path: Path, text: str) -> None:
+    """Write a text file. Raises MidstrideError if that fails."""
+    with written(path):
+        path.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def written(path: Path) -> Iterator[None]:
+    """Raises MidstrideError if ``path`` cannot be written in the block."""
+    try:
+        yield
+    except OSError as error:
+        raise MidstrideError(f"cannot write {path}: {error.strerror}") from None
 
 
 def _is_stride(path: Path) -> bool:

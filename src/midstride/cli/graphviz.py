@@ -9,6 +9,7 @@ from pathlib import Path
 
 import click
 
+from midstride.cli.files import written
 from midstride.errors import MidstrideError
 
 # Graphviz is quick on diagrams that a person can read.
@@ -28,10 +29,8 @@ def write(path: Path, dot: Callable[[], str], mermaid: Callable[[], str]) -> Non
     kind = kind_of(path)
     text = mermaid() if kind == "mmd" else dot()
     data = _graphviz(text, kind) if kind in {"svg", "png"} else text.encode()
-    try:
+    with written(path):
         path.write_bytes(data)
-    except OSError as error:
-        raise MidstrideError(f"cannot write {path}: {error.strerror}") from None
 
 
 def _graphviz(text: str, kind: str) -> bytes:

@@ -14,7 +14,7 @@ from midstride.cli.render import Document, seconds, table
 
 # How many characters the longest plan takes.
 WIDTH: Final = 60
-# Without colour, too, each is told from the others.
+# They differ without colour as well.
 AT_LEVEL, DEGRADED, UNSERVED = "─", "▒", "█"
 LEGEND: Final = f"{AT_LEVEL} at its level or above   {DEGRADED} degraded   {UNSERVED} no instance serves it"
 

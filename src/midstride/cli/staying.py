@@ -20,15 +20,21 @@ SILENCE = 5.0
 
 @contextmanager
 def ended_by_signals() -> Iterator[None]:
-    """SIGTERM and SIGHUP interrupt the block as Ctrl-C does. Who is ended by a launch gets SIGINT, then SIGTERM."""
+    """SIGTERM and SIGHUP interrupt the block as Ctrl-C does. A launch ends its processes with SIGINT, then SIGTERM."""
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
     for number in before:
-        signal.signal(number, lambda *_: signal.raise_signal(signal.SIGINT))
+        signal.signal(number, _interrupt)
     try:
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _interrupt(*_: object) -> None:
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a job that a script has started in the background
+        raise KeyboardInterrupt
+    signal.raise_signal(signal.SIGINT)
 
 
 def stay(client: Client, system: str) -> int:

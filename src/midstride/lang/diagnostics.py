@@ -13,6 +13,7 @@ from typing import Any
 from midstride.lang.source import Span
 from midstride.model.diagnostics import Severity
 from midstride.model.printable import on_one_line, printable
+from midstride.model.wording import counted
 
 # A file in another language would produce an error per line.
 MAX_DIAGNOSTICS = 100
@@ -192,5 +193,5 @@ def render(diagnostics: Iterable[Diagnostic]) -> str:
     if not listed:
         return ""
     numbers = {kind: sum(diagnostic.severity == kind for diagnostic in listed) for kind in ("error", "warning")}
-    counts = [f"{number} {kind}{'' if number == 1 else 's'}" for kind, number in numbers.items() if number]
+    counts = [counted(number, kind) for kind, number in numbers.items() if number]
     return "\n\n".join([*(diagnostic.render() for diagnostic in listed), ", ".join(counts)])

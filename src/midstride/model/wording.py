@@ -1,4 +1,4 @@
-"""The wording of actions: the same wherever an action is shown, be it in a plan, a report, a refusal or a proof.
+"""The wording of actions and counts: the same wherever one is shown, in a plan, a report, a refusal or a proof.
 
 Plain strings go in, since what is shown is sometimes an action, sometimes a step of a JSON document.
 """
@@ -49,3 +49,8 @@ def lowered(functionality: str, mode: str | None, instead_of: str | None) -> str
 def parameters(instance: str, values: Mapping[str, object]) -> str:
     """``set gain = 2.0, label = 'left' on filter``"""
     return f"set {', '.join(f'{name} = {value!r}' for name, value in sorted(values.items()))} on {instance}"
+
+
+def counted(count: int, what: str) -> str:
+    """``1 step``, ``2 steps``."""
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
+from midstride.model.wording import counted
 from midstride.node.host import Host
 
 # The share of the promised messages that is due.
@@ -75,7 +76,7 @@ class Shortfall:
         """How much has come in how many seconds: nothing since the last message, or too little for longer."""
         if 2 * self.silent >= self.periods:
             return "nothing", self.silent / rate
-        return f"{self.came} message{'' if self.came == 1 else 's'}", self.periods / rate
+        return counted(self.came, "message"), self.periods / rate
 
     def exceeds(self, periods: float, slow: bool = True) -> bool:
         """Whether it has been silent for more than so many periods or, with ``slow``, too slow for longer."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 from immutables import Map
 
-from midstride.model.action import Swap
+from midstride.model.action import Action, Create, Remove, Swap
 from midstride.model.component import ComponentSpec, FunctionalityRef, ParameterValue, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import DEFAULT_SECONDS, Specification, handover_seconds
@@ -92,6 +92,11 @@ class Change:
             if kind == "handover":
                 found = found.plus(handover_seconds(timing, "probation"))
         return found.plus(handover_seconds(timing, "watch_after")) if kind == "handover" else found
+
+    def estimate_of(self, action: Action) -> Estimate:
+        """How long ``action`` takes."""
+        created = isinstance(action, Create | Remove)
+        return self.estimate(action.kind, self.component_of(*action.instances()) if created else None)
 
     def sibling(self, connector: str) -> str | None:
         """The old connector of a topic whose contract changes, given the new one; else None."""

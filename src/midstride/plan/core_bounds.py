@@ -94,7 +94,7 @@ class RoleBounds:
     def _least_absences(self, state: int, resource: int) -> float:
         """The least that the bounds grow by, for the roles that must be absent at some time to make room.
 
-        Whoever is absent is so from now on and takes no room, and whoever is not is replaced in the best order.
+        A role that is absent stays so and takes no room; each other one is replaced in the best order.
         """
         usage, free = self.part.usage, self.part.free[resource]
         waiting: dict[int, None] = {}

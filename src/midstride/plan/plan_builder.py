@@ -67,10 +67,7 @@ class PlanBuilder:
         configuration, meter, monitor, numbered = self.configuration, self.meter, self.monitor, self.numbered
         for number, action in enumerate(actions, start=len(numbered) + 1):
             roles = tuple(dict.fromkeys(self.change.role_of(name) for name in action.instances()))
-            component = action.instance.component if isinstance(action, Create) else None
-            if isinstance(action, Remove):
-                component = configuration.component(action.instance)
-            estimate = self.change.estimate(action.kind, component)
+            estimate = self.change.estimate_of(action)
             step = Step(action, estimate.seconds, roles, mode_changes(configuration, action), estimate.between)
             numbered = numbered.set(number, step)
             configuration = action.effect(configuration)

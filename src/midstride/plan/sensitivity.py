@@ -12,10 +12,11 @@ from typing import Final
 from immutables import Map
 
 from midstride.plan.change import Change
+from midstride.plan.core_plan import Budget
 from midstride.plan.disruption import Levels
 from midstride.plan.estimate import Estimate
+from midstride.plan.minimal import minimal
 from midstride.plan.plan import Plan
-from midstride.plan.registry import planner
 
 # So many uncertain durations are tried, those with the widest spread first.
 TRIED: Final = 4
@@ -30,8 +31,9 @@ def sensitivity(plan: Plan) -> str | None:
     """
     if plan.disruption == 0 or plan.strategy != "minimal":
         return None
+    budget = Budget()  # for all variations together: a change waits for them
     for what, seconds, estimate, change in _variations(plan):
-        other = planner(plan.strategy)(change)
+        other = minimal(change, budget)
         own = _retimed(plan, change).disruption
         if own - other.disruption > _SHARE * own:
             return (
@@ -59,10 +61,5 @@ def _variations(plan: Plan) -> Iterator[tuple[str, float, Estimate, Change]]:
 
 def _retimed(plan: Plan, change: Change) -> Plan:
     """The same steps, with the durations of ``change``."""
-    steps = []
-    for step in plan.steps:
-        component = None
-        if step.action.kind in ("create", "remove"):
-            component = change.component_of(*step.action.instances())
-        steps.append(replace(step, seconds=change.seconds(step.action.kind, component)))
+    steps = [replace(step, seconds=change.estimate_of(step.action).seconds) for step in plan.steps]
     return Plan.of(plan.strategy, steps, Levels(change))

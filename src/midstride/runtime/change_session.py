@@ -19,6 +19,7 @@ from midstride.model.action import Action, Upgrade
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Order, Specification
+from midstride.model.wording import counted
 from midstride.plan.change_builder import change_between, requested_change
 from midstride.plan.estimate import Estimate
 from midstride.plan.forms import PlanForm, PlanPreview
@@ -33,7 +34,7 @@ from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.crash_during_change import CrashResponse
 from midstride.runtime.degradation_timer import DegradationTimer
-from midstride.runtime.events import EventLog, counted
+from midstride.runtime.events import EventLog
 from midstride.runtime.executor import Executor
 from midstride.runtime.fencing import DEFAULT_WAIT
 from midstride.runtime.journal import Journal, JournalEntry

@@ -49,8 +49,3 @@ class EventLog:
                 await waker.wait()
         finally:
             self._wakers.discard(waker)
-
-
-def counted(count: int, what: str) -> str:
-    """``1 step``, ``2 steps``."""
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"

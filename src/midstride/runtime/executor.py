@@ -20,12 +20,12 @@ from midstride.errors import BackendError, MidstrideError, StepFailed, Supersede
 from midstride.model.action import Action, Create, Degrade, Handover, Remove, SetParameters
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
+from midstride.model.wording import counted
 from midstride.plan.overlap import Overlap, one_by_one
 from midstride.plan.step_forms import AnyStep
 from midstride.runtime.action_driver import ActionDriver, by_instance
 from midstride.runtime.backend import Exited
 from midstride.runtime.early_starts import EarlyStarts, StartFailedEarly
-from midstride.runtime.events import counted
 from midstride.runtime.journal import JournalEntry
 from midstride.runtime.reports import StepTime
 from midstride.runtime.running_system import RunningSystem

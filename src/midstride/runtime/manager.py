@@ -23,6 +23,7 @@ from midstride.errors import ManagerError, MidstrideError
 from midstride.model.component import ParameterValue
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification, initial
+from midstride.model.wording import counted
 from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
 from midstride.runtime import status
@@ -33,7 +34,7 @@ from midstride.runtime.change_session import ChangeSession
 from midstride.runtime.component_client import ComponentClient, ComponentEvent
 from midstride.runtime.discovery_watch import DiscoveryWatch
 from midstride.runtime.disk import DISK, Disk
-from midstride.runtime.events import EventLog, counted
+from midstride.runtime.events import EventLog
 from midstride.runtime.executor import Executor
 from midstride.runtime.fencing import DEFAULT_WAIT
 from midstride.runtime.history import History, SpecificationVersion

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 from midstride.errors import CommandRefused, MidstrideError, ProtocolError, Unreachable
 from midstride.model.component import FunctionalityRef, PortRef
@@ -69,7 +70,7 @@ async def recover(
         raise Unreachable("; ".join(hanging))
     for name in await launcher.end_orphans(found):
         events.add("ended", f"stopped {name}, which an earlier manager had just started")
-    found = await _settled(found, client)
+    found = await _settled(found, launcher, client, events)
     redundant = _redundant(found)
     for name in redundant:
         events.add("ended", f"stopped {name}, which an earlier manager had left half done")
@@ -94,18 +95,33 @@ async def recover(
 
 
 async def _settled(
-    found: Mapping[str, tuple[Instance, ComponentState]], client: ComponentClient
+    found: Mapping[str, tuple[Instance, ComponentState]], launcher: Launcher, client: ComponentClient, events: EventLog
 ) -> dict[str, tuple[Instance, ComponentState]]:
-    """``found`` once no cut of the earlier manager is under way.
+    """``found`` once no cut of the earlier manager is under way, without those that have exited meanwhile.
 
     One that is would close and open gates beside this manager's own changes: its moment may be seconds ahead. The new
     sides are first, so that they do not write when the old ones do again.
     """
-    for new in (True, False):
-        for name in found:
-            with suppress(CommandRefused):  # a node without Midstride's API, whose agent has done so by itself
-                await client.read(name, SettleCutsCommand(new=new))
-    return {name: (instance, await client.observe(name)) for name, (instance, _) in found.items()}
+
+    async def settle(name: str, *, new: bool) -> None:
+        with suppress(CommandRefused):  # a node without Midstride's API, whose agent has done so by itself
+            await client.read(name, SettleCutsCommand(new=new))
+
+    settled = dict(found)
+    for ask in (partial(settle, new=True), partial(settle, new=False), client.observe):
+        for name, (instance, state) in list(settled.items()):
+            try:
+                answer = await ask(name)
+            except Unreachable:  # the earlier manager had just told it to exit, or it has crashed
+                handle = launcher.handles.get(name)
+                if await launcher.adopt(handle or Handle(name), owned=handle is not None) is None:
+                    events.add("gone", f"{name} is no longer running")
+                    await launcher.abandon(name)
+                    del settled[name]
+                    continue
+                answer = await ask(name)
+            settled[name] = (instance, answer or state)
+    return settled
 
 
 def _redundant(found: dict[str, tuple[Instance, ComponentState]]) -> list[str]:

@@ -14,11 +14,12 @@ from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 
 from midstride.model.respawn import RespawnPolicy
+from midstride.model.wording import counted
 from midstride.plan.request import PlanRequest
 from midstride.runtime.attempts import Attempts
 from midstride.runtime.backend import Exited
 from midstride.runtime.clock import Clock
-from midstride.runtime.events import EventLog, counted
+from midstride.runtime.events import EventLog
 from midstride.runtime.reports import Outcome, RespawnStatus
 from midstride.runtime.running_system import RunningSystem
 

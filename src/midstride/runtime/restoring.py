@@ -20,11 +20,12 @@ from midstride.model.configuration import Configuration
 from midstride.model.contract import Predicate, satisfies
 from midstride.model.respawn import RespawnPolicy
 from midstride.model.rules import Evaluator
+from midstride.model.wording import counted
 from midstride.plan.request import PlanRequest
 from midstride.runtime.attempts import Attempts
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import SILENCE, ComponentClient
-from midstride.runtime.events import EventLog, counted
+from midstride.runtime.events import EventLog
 from midstride.runtime.reports import Outcome
 from midstride.runtime.running_system import RunningSystem
 from midstride.wire.state import ComponentState, FunctionalityState, LinkState

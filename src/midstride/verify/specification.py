@@ -20,6 +20,7 @@ from typing import Any, Final
 import psutil
 
 from midstride.errors import AlloyFailed
+from midstride.model.wording import counted
 from midstride.verify import library
 from midstride.verify.library import AlloyCommand
 from midstride.verify.run import Alloy, SolverOutcome, fast_solver
@@ -64,7 +65,7 @@ class Checked:
         if len(self.task.commands) > 1:
             checks = [command.scope for command in self.task.commands if command.kind == "check"]
             runs = len(self.task.commands) - len(checks)
-            return f"{_counted(len(checks), 'check')} to scope {max(checks, default=0)}, {_counted(runs, 'run')}"
+            return f"{counted(len(checks), 'check')} to scope {max(checks, default=0)}, {counted(runs, 'run')}"
         (command,) = self.task.commands
         if command.kind == "run":
             return f"can happen, at scope {command.scope}"
@@ -80,10 +81,6 @@ class Checked:
             "because": self.because,
             "seconds": round(self.seconds, 3),
         }
-
-
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def tasks(scope: int, modules: Sequence[str] | None = None) -> list[Task]:

@@ -10,10 +10,11 @@ from midstride.backends import ros2
 from midstride.capture.insertion import insert, nodes_without_ports
 from midstride.capture.observed import ObservedGraph
 from midstride.capture.standalone import draft
-from midstride.cli.files import require_file
+from midstride.cli.files import require_file, require_new, write
 from midstride.cli.output import json_option, print_json, wants_json
 from midstride.errors import MidstrideError
 from midstride.lang.files import read_text
+from midstride.model.wording import counted
 
 
 @click.command("capture")
@@ -31,8 +32,8 @@ def capture_command(seconds: float, into: Path | None, output: Path | None, rate
     """
     if into is not None:
         require_file(into)
-    if output is not None and output.exists() and output != into:
-        raise MidstrideError(f"{output} exists; remove it, or choose another file")
+    if output != into:
+        require_new(output)
     nodes = () if into is None else nodes_without_ports(read_text(into), str(into))
     graph = ros2.observe(seconds, nodes)
     if not graph.endpoints:
@@ -44,10 +45,7 @@ def capture_command(seconds: float, into: Path | None, output: Path | None, rate
     else:
         text = draft("captured", graph, rates)
     if target is not None:
-        try:
-            target.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise MidstrideError(f"cannot write {target}: {error.strerror}") from None
+        write(target, text)
     _report(text, target, graph, added, left)
     return 0
 
@@ -73,5 +71,4 @@ def _report(text: str, target: Path | None, graph: ObservedGraph, added: list[st
     for type_ in sorted(graph.unreadable):
         click.echo(f"{type_}: its package is not here, so rates are not measured", err=True)
     where = f" in {target}" if target is not None else ""
-    count = f"{len(added)} node{'' if len(added) == 1 else 's'}{where}"
-    click.echo(f"{count} with {len(endpoints)} port{'' if len(endpoints) == 1 else 's'}", err=True)
+    click.echo(f"{counted(len(added), 'node')}{where} with {counted(len(endpoints), 'port')}", err=True)

@@ -15,6 +15,7 @@ from midstride.codec.schema import specification_schema
 from midstride.codec.specification import decode_specification, encode_specification
 from midstride.generate.drawing import to_dot, to_mermaid
 from midstride.generate.view import view
+from midstride.model.wording import counted
 from midstride.plan.impact import impacts
 from midstride.plan.specification_diff import differences
 
@@ -65,7 +66,7 @@ def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
         heading = f"{mark}{impact.role} ({impact.component})"
         click.echo(f"{heading}: {f'loss {impact.loss:g}' if impact.impacted else 'nothing else degrades'}")
         for fall in impact.impacted:
-            levels = f"{fall.levels} mode{'' if fall.levels == 1 else 's'}"
+            levels = counted(fall.levels, "mode")
             click.echo(f"  {fall.functionality}: {fall.before} -> {fall.after} ({levels}, weight {fall.weight:g})")
             for reason in fall.because[:1]:
                 click.echo(f"    {reason}")

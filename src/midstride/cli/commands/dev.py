@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -19,6 +20,7 @@ from midstride.cli.dev.specification import WatchedSpecification
 from midstride.cli.output import console, json_option, wants_json
 from midstride.cli.render import UNKNOWN, seconds, time_of_day
 from midstride.cli.shutdown import shut_down
+from midstride.cli.staying import ended_by_signals
 from midstride.errors import SpecificationError
 from midstride.runtime.workspace import Workspace
 
@@ -28,6 +30,7 @@ from midstride.runtime.workspace import Workspace
 @backend_option("The platform, where the system is not running yet.")
 @platform_options(spares=1)
 @json_option
+@ended_by_signals()
 def dev_command(
     file: Path, backend: str, use_sim_time: bool, no_middleware_settings: bool, no_diagnostics: bool, spares: int
 ) -> int:
@@ -36,7 +39,7 @@ def dev_command(
     Watched are FILE, what it includes, its parameter files, and the programs with the modules that they import. Code
     that does not start, raises or stays silent is not let in: the old code goes on. With --json, each swap is a line.
 
-    Ctrl-C ends a system that this command has started; one that was running already goes on.
+    Ctrl-C, or the end of the terminal, ends a system that this command has started; one that was running goes on.
     """
     arguments = manager_arguments(file, backend, use_sim_time, no_middleware_settings, no_diagnostics, spares)
     specification = WatchedSpecification(file)
@@ -60,7 +63,8 @@ def dev_command(
         pass
     finally:
         if started:
-            screen.say(f"Stopping {workspace.name} …", "dim")
+            with suppress(OSError):  # the terminal may be closed
+                screen.say(f"Stopping {workspace.name} …", "dim")
             shut_down(workspace.name)
     return 0
 

@@ -9,7 +9,7 @@ from typing import Final
 
 import click
 
-from midstride.cli.files import require_file
+from midstride.cli.files import require_file, written
 from midstride.cli.output import json_option, print_json, wants_json
 from midstride.errors import MidstrideError, SpecificationError
 from midstride.generate.merge import Merged, digest, merge_component, merge_copy, merge_empty, merge_whole
@@ -93,13 +93,11 @@ def _existing(path: Path) -> str | None:
 
 
 def _write(path: Path, text: str, executable: bool) -> None:
-    try:
+    with written(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
         if executable:
             path.chmod(path.stat().st_mode | 0o111)
-    except OSError as error:
-        raise MidstrideError(f"cannot write {path}: {error.strerror}") from None
 
 
 def _record(output: Path) -> dict[str, str]:

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import click
 
-from midstride.cli.files import require_file
+from midstride.cli.files import require_file, require_new, write
 from midstride.cli.output import json_option, print_json, wants_json
-from midstride.errors import MidstrideError
 from midstride.launch_files.importing import Imported, import_launch_file
+from midstride.model.wording import counted
 
 
 @click.command("import")
@@ -26,15 +26,11 @@ def import_command(file: Path, arguments: tuple[str, ...], output: Path | None, 
     trees below DIR, if that is given before the command: `midstride --include-path DIR import FILE`.
     """
     require_file(file)
-    if output is not None and output.exists():
-        raise MidstrideError(f"{output} exists; remove it, or choose another file")
+    require_new(output)
     folder = output.parent if output is not None else Path()
     imported = import_launch_file(file, _arguments(arguments), os.environ, folder, run_python)
     if output is not None:
-        try:
-            output.write_text(imported.text, encoding="utf-8")
-        except OSError as error:
-            raise MidstrideError(f"cannot write {output}: {error.strerror}") from None
+        write(output, imported.text)
     if wants_json():
         _print_document(imported, output)
         return 0
@@ -59,12 +55,8 @@ def _arguments(words: tuple[str, ...]) -> dict[str, str]:
 def _summary(imported: Imported, output: Path | None) -> str:
     counts = ", ".join(f"{count} {kind}" for kind, count in imported.findings.counts().items())
     where = f" in {output}" if output is not None else ""
-    left = f"{_number(len(imported.findings), 'finding')} ({counts})" if counts else "no findings"
-    return f"{_number(imported.nodes, 'node')}{where} from {_number(imported.files, 'launch file')}; {left}"
-
-
-def _number(count: int, word: str) -> str:
-    return f"{count} {word}{'' if count == 1 else 's'}"
+    left = f"{counted(len(imported.findings), 'finding')} ({counts})" if counts else "no findings"
+    return f"{counted(imported.nodes, 'node')}{where} from {counted(imported.files, 'launch file')}; {left}"
 
 
 def _print_document(imported: Imported, output: Path | None) -> None:

@@ -10,11 +10,11 @@ from typing import Any, Final
 import click
 
 from midstride.cli import graphviz
-from midstride.cli.files import in_file, load, read_json
+from midstride.cli.files import in_file, load, read_json, write
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.systems import find, system_option
 from midstride.codec.configuration import decode_configuration
-from midstride.errors import MidstrideError, PlanRefused, SpecificationError
+from midstride.errors import PlanRefused, SpecificationError
 from midstride.verify.checking import AlloyOptions, verify_configuration, verify_plan, verify_specification
 from midstride.verify.diagram import chain_lines, to_dot, to_mermaid
 from midstride.verify.verdict import Answer, Verdict
@@ -113,15 +113,11 @@ def _verify_live(system: str | None, options: AlloyOptions) -> Verdict:
 
 
 def _writer(output: Path | None) -> Callable[[str], None]:
-    def write(text: str) -> None:
-        if output is None:
-            return
-        try:
-            output.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise MidstrideError(f"cannot write {output}: {error.strerror}") from None
+    def save(text: str) -> None:
+        if output is not None:
+            write(output, text)
 
-    return write
+    return save
 
 
 def lines(verdict: Verdict) -> list[tuple[str, str]]:
