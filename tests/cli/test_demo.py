@@ -40,8 +40,9 @@ def in_virtual_time(name: str) -> tuple[list[examples.DemoStep], list[dict[str, 
 def test_every_example_has_a_demo() -> None:
     folder = examples.examples_folder()
     with_programs = {path.parent.name for path in folder.glob("*/*.py")}
-    assert tuple(sorted(with_programs)) == EVERY
+    assert sorted(with_programs) == sorted((*EVERY, "patrol"))
     assert {path.parent.name for path in folder.glob("*/demo.json")} == with_programs
+    assert examples.find("patrol").program == folder / "patrol" / "demo.py"
 
 
 @pytest.mark.usefixtures("environment")
@@ -143,6 +144,17 @@ def test_on_ros_2(midstride: Midstride, name: str) -> None:
         if any(step["action"] == "handover" for step in act["plan"]["steps"]):
             assert nothing_lost(act["swaps"]), act["swaps"]
             assert not any(act["fallen"].values())
+
+
+@pytest.mark.ros2
+@pytest.mark.long
+@pytest.mark.timeout(300)
+def test_the_patrol_on_ros_2(midstride: Midstride) -> None:
+    done = midstride("demo", "patrol", "--backend", "ros2", "--json", timeout=280)
+    acts = done.json["acts"]
+    assert len(acts) == 8
+    assert [(act["name"], act["came_to"], act["collisions"]) for act in acts if act["outcome"] != "done"] == []
+    assert done.status == 0
 
 
 @pytest.mark.ros2

@@ -287,3 +287,11 @@ def test_a_first_slot_that_was_late_is_in_the_report() -> None:
         "Nothing fell below its level.",
         "The first slot of counter_2 was 250 ms late; its state moved before.",
     ]
+
+
+def test_verbose_status_lists_the_topics_that_are_no_ports() -> None:
+    component = {"name": "talker_2", "simulated_time": False, "run": "talker", "node": "/talker", "log_file": None}
+    component |= {"undeclared": ["publishes on /debug (std_msgs/msg/String)"]}
+    middleware = {"name": "rmw", "set": {}, "kept": {}, "notes": []}
+    lines = shown(render_status.platform({"components": [component], "middleware": middleware, "spares": {"kept": 0}}))
+    assert lines[-1].startswith("talker_2 publishes on /debug (std_msgs/msg/String): no port states that")

@@ -98,7 +98,7 @@ class _Transport:
 
     def __init__(self, control: SimulatedControl) -> None:
         self._control = control
-        self.address, self.present = control.address, control.present
+        self.address, self.present, self.claim = control.address, control.present, control.claim
 
     async def listen(self, instance: str, serve: Serve) -> StopListening:
         process: Any = _Process()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from midstride.backends.ros2.foreign_nodes import ForeignNodes, ros_arguments
 from midstride.codec.specification import decode_specification, encode_specification
 from midstride.errors import StepFailed
 from midstride.foreign.page import Page
+from midstride.foreign.relay import RelayOrder
 from midstride.generate.project import project
 from midstride.lang.load import load
 from midstride.model.action import Swap
@@ -23,7 +25,7 @@ from midstride.model.configuration import Configuration
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.specification_diff import differences
-from midstride.runtime.agreed_cut import early_publishers, publishers_found, require_baton, require_found
+from midstride.runtime.agreed_cut import early_publishers, has_gate, publishers_found, require_baton, require_found
 from midstride.runtime.backend import Launch
 from midstride.wire.commands import Attached, AwaitMatchCommand
 from midstride.wire.sockets import SocketFolder
@@ -129,6 +131,33 @@ def test_what_the_program_is_started_with(tmp_path: Path) -> None:
     ]
 
 
+def test_a_relayed_program_gets_private_topics_for_its_outputs(tmp_path: Path) -> None:
+    specification = parsed(TEXT.partition("component Other")[0].replace("gate preload", "gate relay"), tmp_path)
+    launch, component = launched("Talker", specification, "robot1"), specification.components["Talker"]
+
+    async def scenario() -> None:
+        nodes = ForeignNodes(tmp_path / "gates", SocketFolder(tmp_path / "components"), lambda _: None)
+        path = nodes.prepare_relay(launch, component, "/robot1/talker", ["program", "--loud"], {"A": "1"})
+        order = RelayOrder.read(path)
+        private = {port: f"/_midstride/relay/robot1/talker/{port}" for port in ("out", "log")}
+        assert (order.node, order.topics, order.environment) == ("/robot1/talker", private, {"A": "1"})
+        assert order.command[:9] == [
+            *("program", "--loud", "--ros-args", "-r", "__node:=talker", "-r", "__ns:=/robot1", "-r"),
+            f"chatter:={private['out']}",
+        ]
+        assert f"~/log:={private['log']}" in order.command  # although its port is attached to nothing
+        assert nodes.runs("/robot1/talker")
+        await nodes.close()
+        # The next manager knows the node of the program as well.
+        another = ForeignNodes(tmp_path / "gates", SocketFolder(tmp_path / "components"), lambda _: None)
+        await another.adopt("robot1/talker")
+        assert another.runs("/robot1/talker") and another.names == {"/robot1/talker"}
+        another.gone("robot1/talker")
+        assert not another.runs("/robot1/talker") and not path.exists()
+
+    asyncio.run(scenario())
+
+
 def test_its_page_is_prepared_before_it_starts(
     tmp_path: Path, gate_library: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -166,13 +195,18 @@ def test_a_hand_over_is_between_two_that_can_be_held_back(tmp_path: Path) -> Non
     with pytest.raises(StepFailed, match=words):
         require_baton(both, "talker", "talker_2")
     ours = replace(unmodified, name="talker_3", component=replace(unmodified.component, gate=None))
-    mixed = both.with_instance(ours)
-    require_baton(mixed, "talker", "talker_3")
-    require_baton(mixed, "talker_3", "talker")
+    relayed = replace(unmodified, name="talker_4", component=replace(unmodified.component, gate="relay"))
+    mixed = both.with_instance(ours).with_instance(relayed)
+    for pair in pairwise(("talker", "talker_3", "talker_4", "talker", "talker_4", "talker_3", "talker")):
+        require_baton(mixed, *pair)
+        assert has_gate(mixed, *pair) == ("talker" in pair)  # the others agree on a slot
     with pytest.raises(StepFailed, match="talker_3 uses Midstride's API and talker_2 has `gate none`"):
         require_baton(mixed, "talker_3", "talker_2")
+    with pytest.raises(StepFailed, match="talker_4 has `gate relay`, so talker_2 cannot be held back for the other"):
+        require_baton(mixed, "talker_2", "talker_4")
     port = initial(specification).attached_ports("talker")[0][0]
     assert early_publishers(both, [port]) == 1
+    assert early_publishers(mixed, [PortRef("talker_4", "out")]) == 0
 
 
 class Counting:

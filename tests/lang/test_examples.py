@@ -9,7 +9,7 @@ import pytest
 from midstride.lang import format_text, load, render
 
 ROOT = Path(__file__).parents[2] / "examples"
-SYSTEMS = ("talker", "filter", "obstacle", "autoware_control")
+SYSTEMS = ("talker", "filter", "obstacle", "autoware_control", "patrol")
 
 
 @pytest.mark.parametrize("path", sorted(ROOT.glob("*/*.stride")), ids=lambda path: path.stem)

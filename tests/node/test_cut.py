@@ -13,6 +13,7 @@ from midstride.node.host import Host, MessageInfo
 from midstride.node.message_times import MessageTimes
 from midstride.node.ports import Output, OutputLink
 from midstride.node.trigger import InfoSet
+from midstride.wire.pipe import PipeClaim
 
 from .author import String
 
@@ -133,7 +134,7 @@ def test_a_set_of_messages_is_as_new_as_its_newest() -> None:
 
 
 def incoming(*links: OutputLink, latches: tuple[OutputLink, ...] = ()) -> IncomingCut:
-    side = IncomingCut(links, T, Clocks().host, latches)
+    side = IncomingCut(links, T, Clocks().host, PipeClaim({}, "cut"), latches)
     side.arm(T)
     return side
 
@@ -174,7 +175,7 @@ def test_the_new_side_continues_the_grid_it_is_given() -> None:
 
 def outgoing(owner: Owner, clocks: Clocks) -> tuple[OutgoingCut, OutputLink]:
     link, _ = link_of(owner)
-    side = OutgoingCut([link], T, clocks.host)
+    side = OutgoingCut([link], T, clocks.host, PipeClaim({}, "cut"))
     side.arm()
     return side, link
 
@@ -192,7 +193,7 @@ def test_a_fast_clock_leaves_a_call_real_time_to_be_late_in() -> None:
     """At 50x, two periods of 20 ms are less than 1 ms."""
     clocks = Clocks(T + 10**9)
     clocks.simulated_time, clocks.real = True, 0
-    side = OutgoingCut([link_of(Owner())[0]], T, clocks.host)
+    side = OutgoingCut([link_of(Owner())[0]], T, clocks.host, PipeClaim({}, "cut"))
     side.arm()
     assert not side.passed()
     clocks.real += int(GRACE * 0.9e9)
@@ -231,7 +232,7 @@ def test_messages_that_reach_the_old_side_are_watched_until_it_is_relieved() -> 
 def test_of_one_publisher_a_newer_message_shows_that_all_older_have_arrived(in_order: bool) -> None:
     owner, clocks = Owner(driven="message", rate=None), Clocks(T)
     link, _ = link_of(owner)
-    side = OutgoingCut([link], T, clocks.host, in_order=in_order)
+    side = OutgoingCut([link], T, clocks.host, PipeClaim({}, "cut"), in_order=in_order)
     side.arm()
     owner.watch(T)
     assert not side.passed(), "a message of the moment itself says nothing about others of that moment"

@@ -254,12 +254,69 @@ def test_a_frozen_old_side_learns_late_and_does_not_take_up_again(tmp_path: Path
     in_lab(tmp_path, main)
 
 
+def test_where_every_report_is_lost_the_old_side_does_not_write_again(tmp_path: Path) -> None:
+    """It waits for as long as it would wait for a new side that has died; then it sees that this one has not."""
+
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
+        simulator.faults.fail_next("old", "taken", "lost_request", 1000)
+        await cut_at(lab, await next_slot(lab, 0.2), resume_after=0.5)
+        assert await outcomes(lab, timeout=20.0) == ("done", "done")
+        await lab.sleep(1.0)
+        words = sides(await lab.received("sink"))
+        assert words == sorted(words, reverse=True) and {"old", "new"} == set(words)
+
+    in_lab(tmp_path, main)
+
+
+def test_a_new_side_that_was_stopped_over_the_cut_writes_nothing_once_the_old_one_does(tmp_path: Path) -> None:
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
+        simulator.faults.fail_next("old", "taken", "lost_request", 1000)
+        await cut_at(lab, await next_slot(lab, 0.2), resume_after=0.5)
+        simulator.faults.freeze("new", 1.5)
+        assert await outcomes(lab) == ("resumed", "cancelled")
+        await lab.sleep(1.0)
+        assert set(sides(await lab.received("sink"))) == {"old"}
+
+    in_lab(tmp_path, main)
+
+
+async def reopened(lab: Lab) -> bool:
+    return bool((await lab.port("old", "out", TOPIC))["gate"] == "open")
+
+
+@pytest.mark.parametrize("how", ["is killed", "is detached", "is cancelled"])
+def test_an_old_side_that_is_cancelled_waits_until_the_new_one_cannot_write(how: str, tmp_path: Path) -> None:
+    """As where the manager could not reach the new side."""
+
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
+        await cut_at(lab, await next_slot(lab, 0.2))
+        assert await outcomes(lab) == ("done", "done")
+        assert "can still write" in await lab.refusal("old", "cancel_cut", cut="cut")
+        await lab.sleep(1.0)
+        assert not await reopened(lab)
+        if how == "is killed":
+            simulator.faults.kill("new")
+        elif how == "is detached":
+            await lab.change("new", "detach", port="out", topic=TOPIC)
+        else:
+            await lab.change("new", "cancel_cut", cut="cut")
+        await lab.eventually("the old side writes again", lambda: reopened(lab))
+        words = sides(await lab.received("sink"))
+        assert words == sorted(words, reverse=True), "the new one writes until the old one may"
+
+    in_lab(tmp_path, main)
+
+
 def test_a_late_duplicate_of_taken_changes_nothing(tmp_path: Path) -> None:
     async def main(lab: Lab, simulator: Simulator) -> None:
         await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
         await cut_at(lab, await next_slot(lab, 0.2))
         assert await outcomes(lab) == ("done", "done")
         assert await lab.read("old", "taken", cut="cut") == {"resumed": False}
+        await lab.change("new", "cancel_cut", cut="cut")
         await lab.change("old", "cancel_cut", cut="cut")
         assert await lab.read("old", "taken", cut="cut") == {"resumed": True}
         assert await lab.read("old", "taken", cut="unheard of") == {"resumed": True}

@@ -66,6 +66,25 @@ def test_a_simulation_that_starts_again_before_the_new_side_has_written_has_the_
     in_lab(tmp_path, main)
 
 
+def test_a_clock_that_goes_back_a_little_right_after_the_cut_leaves_one_writer(tmp_path: Path) -> None:
+    """The old side learns that the new one has written when its own clock shows that T has not come."""
+
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await driven(lab, simulator)
+        at = await next_slot(lab, 0.2)
+        await cut_at(lab, at)
+        await lab.sleep((at - (await lab.read("old", "grid", port="out"))["now"]) / 1e9 - 0.02)
+        simulator.faults.freeze("old", 0.05)
+        await lab.sleep(0.04)
+        simulator.time.drive(1.0, at=at - SECOND // 2)
+        assert await outcomes(lab) == ("done", "done")
+        assert await gates(lab) == ["closed", "open"]
+        words = sides(await lab.received("sink"))
+        assert set(words[words.index("new") :]) == {"new"}
+
+    in_lab(tmp_path, main)
+
+
 def test_while_the_clock_stands_still_nothing_is_due_and_the_new_side_is_not_late(tmp_path: Path) -> None:
     async def main(lab: Lab, simulator: Simulator) -> None:
         await driven(lab, simulator)

@@ -18,11 +18,23 @@ from midstride.model.contract import satisfies
 from midstride.model.specification import Keep, Limit, Order, initial
 from midstride.plan.change import Change
 from midstride.plan.constraints import in_force
+from tests.plan.exhaustive import Choice, Detoured
 
 PROGRAM = """
 time(0..n).
+% -- detours: some roles' nodes are moved, or have a stand-in ---------------------------------------------------
+{ chosen(D) : detour(D, R) }.
+:- stand_in(D, R), stand_in(E, R), chosen(D), chosen(E), D < E.
+:- #count{ R : chosen(D), detour(D, R) } > k.
+needed(O) :- op(O), not optional(O), not dropped(O).
+needed(O) :- part_of(O, D), chosen(D).
+optional(O) :- part_of(O, _).
+dropped(O) :- instead_of(O, D), chosen(D).
+:- create(O, I), remove(P, I), at(O, T), at(P, U), U <= T.
+:- attach(O, P, K), detach(Q, P, K), at(O, T), at(Q, U), U <= T.
+
 % -- every difference is made once; several at once are a hand-over -------------------------------------------
-{ at(O, T) : T = 1..n } = 1 :- op(O).
+{ at(O, T) : T = 1..n } = 1 :- needed(O).
 used(T) :- at(_, T).
 :- used(T), T > 1, not used(T - 1).
 handover(T) :- at(O, T), at(P, T), O < P.
@@ -34,10 +46,10 @@ done(O, T) :- at(O, U), time(T), T >= U.
 % -- the structure ----------------------------------------------------------------------------------------------
 live(I, T) :- time(T), live0(I), not gone(I, T).
 gone(I, T) :- remove(O, I), done(O, T).
-live(I, T) :- create(O, I), done(O, T).
+live(I, T) :- create(O, I), done(O, T), not gone(I, T).
 attached(P, K, T) :- time(T), attached0(P, K), not off(P, K, T).
 off(P, K, T) :- detach(O, P, K), done(O, T).
-attached(P, K, T) :- attach(O, P, K), done(O, T).
+attached(P, K, T) :- attach(O, P, K), done(O, T), not off(P, K, T).
 :- attached(P, K, T), port(P, I), not live(I, T).
 :- capped(G, C), time(T), #sum{ 1, P, K : attached(P, K, T), counts(P, K, G) } > C.
 :- capacity(R, C), time(T), #sum{ A, I : live(I, T), holds(I, R, A) } > C.
@@ -74,20 +86,29 @@ UNIT = 1000
 
 
 class AnswerSets:
-    """The least disruption of a change by clingo. ``limit`` constraints count only where they allow no time at all."""
+    """The least disruption of a change by clingo. ``limit`` constraints count only where they allow no time at all.
 
-    def __init__(self, change: Change) -> None:
-        self.change = change
+    ``detours``: of how many roles there may be.
+    """
+
+    def __init__(self, change: Change, detours: int = 0) -> None:
+        self.change, self.roles = change, detours
         self.facts: list[str] = []
         self.instances: dict[str, Instance] = dict(change.start.instances)
         self.instances |= {instance.name: instance for instance in change.coming}
         self.numbers: dict[object, int] = {}
         self.number_of_ops = 0
+        roles = sorted(change.target.nodes) if detours else ()
+        self.choices = [choice for role in roles for choice in Detoured(change).choices(role)]
+        self.instances |= {choice.instance.name: choice.instance for choice in self.choices}
         self._write()
 
     def optimum(self) -> float | None:
         """The least disruption; None where no plan meets the constraints."""
-        control = clingo.Control(["--opt-strategy=usc", "-c", f"n={self.number_of_ops}"], message_limit=0)
+        sizes = (f"n={self.number_of_ops}", f"k={self.roles}")
+        control = clingo.Control(
+            ["--opt-strategy=usc", *(word for size in sizes for word in ("-c", size))], message_limit=0
+        )
         control.add("base", [], PROGRAM + "\n".join(self.facts))
         control.ground([("base", [])])
         best: list[int] | None = None
@@ -183,19 +204,51 @@ class AnswerSets:
             yield self._op(("remove", name), name)
             self._fact("remove", ("remove", name), name)
             self._fact("seconds", ("remove", name), _scaled(change.seconds("remove", change.component_of(name))))
-        for kind, sign, pairs in (("attach", 1, change.attached), ("detach", -1, change.detached)):
+        for kind, pairs in (("attach", change.attached), ("detach", change.detached)):
             for port, connector in pairs:
-                op = (kind, port, connector)
-                yield self._op(op, port.instance)
-                self._fact(kind, op, port, connector)
-                if change.is_output(port):
-                    self._fact("swappable", op)
-                    self._fact("topic_of", op, connector, sign)
+                yield self._attachment((kind, port, connector), port, connector)
+        sizes = dict[str, list[int]]()
+        for choice in self.choices:
+            before = self.number_of_ops
+            yield from self._choice(choice)
+            sizes.setdefault(choice.role, []).append(self.number_of_ops - before)
+            self.number_of_ops = before
+        # Of each role at most all; of so many roles the largest.
+        self.number_of_ops += sum(sorted(map(sum, sizes.values()))[-self.roles :]) if sizes else 0
+
+    def _choice(self, choice: Choice) -> Iterator[tuple[tuple[object, ...], str]]:
+        change, new = self.change, choice.instance
+        self._fact("detour", choice, choice.role)
+        if not choice.moved:
+            self._fact("stand_in", choice, choice.role)
+        create, remove = ("create", new.name), ("remove", choice.leaving)
+        gone = self.instances[choice.leaving].component
+        ops = [self._op(create, new.name), self._op(remove, choice.leaving)]
+        self._fact("create", create, new.name)
+        self._fact("seconds", create, _scaled(change.seconds("create", new.component)))
+        self._fact("remove", remove, choice.leaving)
+        self._fact("seconds", remove, _scaled(change.seconds("remove", gone)))
+        for kind, pairs in (("attach", choice.attached), ("detach", choice.detached)):
+            ops += [self._attachment((kind, *pair, choice), *pair) for pair in pairs]
+        for op, _ in ops:
+            self._fact("part_of", op, choice)
+        for kind, direct in (("attach", change.attached), ("detach", change.detached)):
+            for port, connector in direct:
+                if port.instance == choice.moved:
+                    self._fact("instead_of", (kind, port, connector), choice)
+        yield from ops
+
+    def _attachment(self, op: tuple[object, ...], port: PortRef, connector: str) -> tuple[tuple[object, ...], str]:
+        self._fact(str(op[0]), op, port, connector)
+        if self.instances[port.instance].component.has_output(port.port):
+            self._fact("swappable", op)
+            self._fact("topic_of", op, connector, 1 if op[0] == "attach" else -1)
+        return self._op(op, port.instance)
 
     def _op(self, op: tuple[object, ...], instance: str) -> tuple[tuple[object, ...], str]:
         self.number_of_ops += 1
         self._fact("op", op)
-        return op, self.change.role_of(instance)
+        return op, self.instances[instance].role
 
     def _limits(self) -> None:
         context = self.change.start.context

@@ -8,17 +8,19 @@ whether one lets nothing fall. :class:`Constrained` keeps to the user's constrai
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import count
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations, count, product
+
+from immutables import Map
 
 from midstride.model.best import best
-from midstride.model.component import FunctionalityRef, FunctionalitySpec, PortRef
-from midstride.model.configuration import Configuration
+from midstride.model.component import ComponentSpec, FunctionalityRef, FunctionalitySpec, PortRef
+from midstride.model.configuration import Configuration, Instance
 from midstride.model.contract import satisfies
 from midstride.model.rules import publishers_count
 from midstride.model.specification import Constraint, Keep, Limit, Order
-from midstride.plan.change import Change
+from midstride.plan.change import Attachment, Change
 from midstride.plan.constraints import in_force
 
 NO_PORT = PortRef("", "")
@@ -120,10 +122,10 @@ class Exhaustive:
             ):
                 yield state | {op}
         for op in self.removes:
-            if op not in state and not configuration.attached_ports(op.name):
+            if op not in state and op.name in configuration.instances and not configuration.attached_ports(op.name):
                 yield state | {op}
         for op in self.detaches:
-            if op not in state:
+            if op not in state and configuration.is_attached(op.port, op.connector):
                 yield state | {op}
         ready = [op for op in self.attaches if op not in state and op.name in configuration.instances]
         for op in ready:
@@ -145,7 +147,8 @@ class Exhaustive:
             if configuration.is_output(new.port)
             and satisfies(configuration.guarantee(new.port), configuration.context.connectors[new.connector].guarantee)
             for old in self.detaches
-            if old not in state and old.connector == new.connector and configuration.is_output(old.port)
+            if old not in state and old.connector == new.connector
+            if configuration.is_attached(old.port, old.connector) and configuration.is_output(old.port)
         ]
         together: set[State] = {frozenset()}
         for swap in swaps:
@@ -182,6 +185,103 @@ class Exhaustive:
                     known[after] = total
                     heapq.heappush(queue, (total, next(tie), after))
         return None
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One thing that a role may do besides: ``instance`` comes and ``leaving`` goes, with these attachments.
+
+    A node that is moved: ``moved`` is its instance, which is neither attached nor detached otherwise then.
+    """
+
+    role: str
+    instance: Instance
+    leaving: str
+    attached: tuple[Attachment, ...]
+    detached: tuple[Attachment, ...]
+    moved: str = ""
+
+
+class Detoured:
+    """The least disruption of any plan in which up to two roles make a detour, as docs/semantics.md section 6 says.
+
+    Every set of detours is tried, each with every order of what is to be done then.
+    """
+
+    def __init__(self, change: Change, most: int = 11, roles: int = 2) -> None:
+        self.change, self.most, self.roles = change, most, roles
+
+    def optimum(self) -> float | None:
+        """None where there is no plan. Raises TooLarge where a set of detours makes more than ``most`` differences."""
+        found = (Exhaustive(change, self.most).optimum() for change in self.changes())
+        return min((least for least in found if least is not None), default=None)
+
+    def changes(self) -> Iterator[Change]:
+        by_role = [list(self._detours(role)) for role in sorted(self.change.target.nodes)]
+        for number in range(self.roles + 1):
+            for some in combinations(filter(None, by_role), number):
+                for chosen in product(*some):
+                    yield self._with([choice for detour in chosen for choice in detour])
+
+    def _detours(self, role: str) -> Iterator[tuple[Choice, ...]]:
+        choices = list(self.choices(role))
+        moves = [choice for choice in choices if choice.moved]
+        yield from ((choice,) for choice in choices)
+        yield from ((move, choice) for move in moves for choice in choices if not choice.moved)
+
+    def choices(self, role: str) -> Iterator[Choice]:
+        start, target = self.change.specification, self.change.target
+        if role not in start.nodes or role not in target.nodes:
+            return
+        for kept in self.change.start.instances_of(role):
+            if kept.name not in self.change.leaving:
+                new = target.instance(role, f"{role}_moved")
+                detached = self.change.start.attached_ports(kept.name)
+                yield Choice(role, new, kept.name, self._topics(new), tuple(detached), kept.name)
+        old, new_component = start.component_of(role), target.component_of(role)
+        both = set(old.functionalities) & set(new_component.functionalities)
+        for name in sorted(set(start.components) | set(target.components)):
+            component = target.components.get(name) or start.components[name]
+            is_other = not component.same_body(old) and not component.same_body(new_component)
+            if self._fits(role, component) and is_other and both and both <= set(component.functionalities):
+                stand_in = Instance(f"{role}_as_{name}", role, component, Map())
+                topics = self._topics(stand_in)
+                yield Choice(role, stand_in, stand_in.name, topics, topics)
+
+    def _fits(self, role: str, component: ComponentSpec) -> bool:
+        target = self.change.target
+        for port, topics in target.nodes[role].attachments.items():
+            if port not in component.ports():
+                return False
+            for topic in topics:
+                guarantee = target.connectors[topic].guarantee
+                if port in component.inputs:
+                    fits = satisfies(guarantee, component.inputs[port])
+                else:
+                    fits = satisfies(component.owner(port).modes[0].guarantee(port), guarantee)
+                if not fits:
+                    return False
+        return True
+
+    def _topics(self, instance: Instance) -> tuple[Attachment, ...]:
+        return tuple(
+            (PortRef(instance.name, port), self.change.identities.get(topic, topic))
+            for port, topics in self.change.target.nodes[instance.role].attachments.items()
+            for topic in topics
+        )
+
+    def _with(self, choices: Iterable[Choice]) -> Change:
+        change = self.change
+        for each in choices:
+            change = replace(
+                change,
+                coming=(*change.coming, each.instance),
+                leaving=(*change.leaving, each.leaving),
+                attached=(*(pair for pair in change.attached if pair[0].instance != each.moved), *each.attached),
+                detached=(*(pair for pair in change.detached if pair[0].instance != each.moved), *each.detached),
+                stand_ins=change.stand_ins.set(each.instance.name, each.instance),
+            )
+        return change
 
 
 class Constrained(Exhaustive):

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from immutables import Map
 
-from midstride.model.component import Resource
-from midstride.model.specification import Specification, initial
+from midstride.model.component import FunctionalityRef, Resource
+from midstride.model.specification import Limit, Specification, initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.estimate import Estimate
 from midstride.plan.forms import decode_plan, encode_plan
@@ -61,6 +61,14 @@ def test_a_plan_that_is_best_only_as_expected_says_so() -> None:
     # What is stated is true: the other plan is made, and costs that.
     slow = planned(spread | {"create NewA": Estimate.exactly(5.0)})
     assert words.endswith(f"{slow.disruption:.3g}.")
+
+
+def test_a_duration_with_which_no_plan_meets_the_constraints_is_no_objection() -> None:
+    start, target = two_on_one_device()
+    limits = tuple(Limit(FunctionalityRef(role, "work"), seconds) for role, seconds in (("a", 3.0), ("b", 0.1)))
+    spread = {"create NewA": Estimate(1.0, 0.8, 5.0), "create NewB": Estimate.exactly(1.5)}
+    plan = planner("minimal")(change_between(initial(start), start, replace(target, constraints=limits), spread))
+    assert sensitivity(plan) is None
 
 
 def test_a_plan_that_is_best_in_any_case_says_nothing() -> None:

@@ -318,5 +318,11 @@ def test_a_program_without_the_api_is_started_on_its_topics_under_its_own_name(t
             {"out": "/image"},
         )
         assert not b.launcher.takes_spare(gated)
+        b.backend.name = "ros1"
+        with pytest.raises(StartFailed, match=r"`gate preload`\), and the back end ros1 has `gate relay` only"):
+            await b.launcher.start(changed(gated, name="front/camera_3"))
+        relayed = changed(CAMERA, component=changed(CAMERA.component, gate="relay"), name="front/camera_4")
+        assert await b.launcher.start(relayed)
+        assert b.backend.launches[-1].node == "front/camera_4_relay"
 
     bench(NOTHING, tmp_path, body)

@@ -34,7 +34,14 @@ class Recorder:
             self.rows.append(Receipt(at, source, self.numbers[publisher], publisher))
 
     def observe(
-        self, begun: float, ended: float, *, last: int | None = None, known: bool = True, resumed: bool = False
+        self,
+        begun: float,
+        ended: float,
+        *,
+        last: int | None = None,
+        known: bool = True,
+        resumed: bool = False,
+        own_slots: bool = False,
     ) -> SwapReport:
         rows = self.rows if known else [structs.replace(row, publisher=None) for row in self.rows]
         return report(
@@ -48,6 +55,7 @@ class Recorder:
                 grid_period=0.02,
                 last_number=last,
                 resumed=resumed,
+                own_slots=own_slots,
             )
         )
 
@@ -89,6 +97,20 @@ def test_open_then_close_shows_as_duplicates(known: bool) -> None:
             recorder.write("new", slot)
     seen = recorder.observe(35, 80, known=known)
     assert (seen.missed, seen.duplicates) == (0, 2)
+
+
+def test_a_program_with_its_own_slots_may_write_early_and_not_beside_the_old_one() -> None:
+    early, beside = Recorder(), Recorder()
+    for slot in range(80):
+        (early.write("old", slot) if slot < 41 else early.write("new", slot - 0.6))
+        if slot < 42:
+            beside.write("old", slot)
+        if slot >= 40:
+            beside.write("new", slot - 0.4)
+    assert early.observe(35, 78).duplicates == 1
+    seen = early.observe(35, 78, own_slots=True)
+    assert (seen.missed, seen.duplicates) == (0, 0)
+    assert beside.observe(35, 78, own_slots=True).duplicates == 2
 
 
 def test_a_stall_of_the_new_one_shows_as_missed() -> None:

@@ -13,7 +13,7 @@ from immutables import Map
 
 from midstride.backends.simulator import Simulator
 from midstride.errors import BackendError, CommandRefused, ManagerError, PlanRefused
-from midstride.model.component import ParameterSpec, ParameterValue
+from midstride.model.component import ParameterSpec, ParameterValue, Resource
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
@@ -119,6 +119,30 @@ def test_a_value_set_by_a_tool_travels_to_the_replacement(folder: Path, strategy
         assert await values(manager, "talker_2") == ({"gain": 1.7, "label": "plain"}, {"gain": 2.5})
 
     scenario(folder, body, tuned(folder, declares=declares))
+
+
+def test_a_value_travels_past_a_stand_in_that_lacks_the_parameter(folder: Path) -> None:
+    specification = tuned(folder)
+    components = specification.components
+    for name in ("Talker", "NewTalker"):
+        components = components.set(name, changed(components[name], resource_usage=Map(gpu=1.0)))
+    lacking = source().replace('gain = comp.parameter("gain", 1.5, on_change=check)', "").replace("{gain.value}", "")
+    (folder / "Light.py").write_text(lacking)
+    light = changed(
+        components["Talker"], name="Light", run=f"python3 {folder / 'Light.py'}", resource_usage=Map(), parameters=Map()
+    )
+    resources = Map(gpu=Resource("gpu", 1.0))
+    specification = changed(specification, components=components.set("Light", light), resources=resources)
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        await set_by_a_tool(simulator, "talker", "gain", 1.7)
+        outcome = await manager.change(changed(REPLACE, detours=True))
+        assert (outcome.outcome, fates(outcome)) == ("done", {"gain": "kept"}), outcome.because
+        assert outcome.plan is not None and outcome.plan.detours
+        assert [each.stand_in for each in outcome.plan.detours] == ["Light"]
+        assert await values(manager, "talker_2") == ({"gain": 1.7, "label": "plain"}, {"gain": 2.5})
+
+    scenario(folder, body, specification)
 
 
 def test_the_new_program_reads_the_kept_value_before_it_starts(folder: Path) -> None:

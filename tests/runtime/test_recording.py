@@ -20,6 +20,7 @@ from tests.runtime.scripted import LISTENER, TALKER, TIMEOUT, UNREACHABLE, Bench
 
 OUT, NEW_OUT, IN = build.port("talker.out"), build.port("talker_2.out"), build.port("listener.in")
 NEW = instance("talker_2", TALKER, "talker")
+STAND_IN, STAND_IN_OUT = instance("talker_3", TALKER, "talker"), build.port("talker_3.out")
 SWAP = Handover((Swap("/chatter", OUT, NEW_OUT),))
 REPLACEMENT = [Create(NEW), SWAP, Remove("talker")]
 SECOND = 1_000_000_000
@@ -39,6 +40,15 @@ START_RECORDING, STOP_RECORDING = (RecordCommand(inputs=["in"], on=on) for on in
         ),
         ([Detach(OUT, "/chatter"), Attach(OUT, "/chatter")], [Exchange("/chatter", OUT, OUT)]),
         ([Detach(OUT, "/chatter"), Remove("talker")], []),
+        (  # over a stand-in
+            [
+                Create(STAND_IN),
+                Handover((Swap("/chatter", OUT, STAND_IN_OUT),)),
+                Create(NEW),
+                Handover((Swap("/chatter", STAND_IN_OUT, NEW_OUT),)),
+            ],
+            [Exchange("/chatter", OUT, NEW_OUT)],
+        ),
         ([Create(NEW), Attach(NEW_OUT, "/chatter")], []),
         ([Detach(IN, "/chatter"), Attach(IN, "/chatter")], []),
         ([Detach(OUT, "/chatter"), Create(NEW), Attach(NEW_OUT, "/other")], []),

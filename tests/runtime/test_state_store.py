@@ -161,6 +161,7 @@ def test_a_manager_after_which_another_has_taken_over_saves_nothing_more(path: P
     first, second = begun(path), StateStore(path)
     first.write_instance(TALKER, HANDLE)
     second.take_over()
+    assert first.superseded, "it is known before a write has failed"
     first.remove_instance("talker")
     with pytest.raises(ManagerError, match="another manager of this system has taken over"):
         first.require()

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+import random
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from midstride.simulation.invariants import Invariants
+from midstride.simulation.invariants import Invariants, received
+from midstride.simulation.oracle import Oracle, Shown
+from midstride.simulation.scenario import rover
 from midstride.simulation.stand_in import StandIn
+from midstride.wire.state import LinkState
 
 
 def publisher(instance: str, pid: int) -> Any:
@@ -38,3 +42,13 @@ def test_two_processes_that_take_turns_are_both_heard(heard: list[Any], violatio
     for process in heard:
         invariants.on_publish(SimpleNamespace(topic="/chatter", owner=process))  # type: ignore[arg-type]
     assert found == violations
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_a_component_must_notice_the_silence_of_what_it_has_received(count: int) -> None:
+    """An input that has never received anything is not watched."""
+    process = publisher("detector", 1)
+    process._published = SimpleNamespace(ports={"in": {"/scan": LinkState(gate=None, count=count)}})
+    specification = rover(random.Random(0)).specification
+    shown = Shown("detector", "", specification.components["Detector"], (("detect", "normal"),), (("in", "/scan"),))
+    assert Oracle([specification]).reflex_applies(shown, "detect", received(process)) is bool(count)

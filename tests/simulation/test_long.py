@@ -26,7 +26,6 @@ WITHIN = 1000
 MASKED = {
     "handover not undone": "the new side ends with the roll-back, and its closed attachments with it",
     "lost reply not repeated": "probably: the manager takes over what the component reports",
-    "new side not closed": "it shows only if four reports in succession are lost; at most three are drawn",
 }
 STEPS = ("create", "remove", "attach", "detach", "degrade", "upgrade", "handover", "set")
 BRANCHES = ("done", "refused", "rolled_back", "failed", "manager killed", "recovered")

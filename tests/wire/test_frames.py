@@ -151,7 +151,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
         GatedWrites(gated=3, wrong_type="a String", failed=True),
     ),
     (
-        AwaitRateCommand(port="out", topic="/t", rate=10.0, window=1.0, until="met", timeout=1.5),
+        AwaitRateCommand(port="out", topic="/t", rate=10.0, window=1.0, until="met", timeout=1.5, known_clock=True),
         RateVerdict(reached=True, rate=9.5, pause=0.2, failed=True),
     ),
     (AwaitMatchCommand(port="in", topic="/t", peers=2, timeout=1.5), Attached(matched=1)),

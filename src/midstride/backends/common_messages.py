@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
+
+from midstride.errors import NodeError
 
 COMMON: Final = {"std_msgs": "String", "geometry_msgs": "Twist", "sensor_msgs": "Image", "nav_msgs": "Odometry"}
 
@@ -18,6 +21,16 @@ def types(library: str) -> Iterator[Any]:
         if _folder(package) == _folder(library):
             with suppress(ImportError, AttributeError):
                 yield getattr(import_module(f"{package}.msg"), name)
+
+
+def message_class(name: str) -> type:
+    """The class of a message type, such as `std_msgs/msg/String`. Raises NodeError where it is not installed."""
+    package, _, kind = name.replace("/msg/", "/").partition("/")
+    try:
+        found: type = getattr(import_module(f"{package}.msg"), kind)
+    except (ImportError, AttributeError):
+        raise NodeError(f"the message type {name} is not installed for {sys.executable}") from None
+    return found
 
 
 def _folder(package: str) -> Path | None:

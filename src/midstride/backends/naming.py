@@ -1,8 +1,11 @@
-"""Names that are the same on either ROS."""
+"""Names of nodes and topics, the same on either ROS."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
+
+from midstride.model.component import ComponentSpec
 
 # Where ROS's tools expect diagnostics.
 DIAGNOSTICS: Final = "/diagnostics"
@@ -19,3 +22,20 @@ def full(instance: str, namespace: str = "") -> str:
     """The full name of an instance's node: ``/front/camera``."""
     name, inside = split(instance, namespace)
     return f"{inside.rstrip('/')}/{name}"
+
+
+def topics_of(component: ComponentSpec, node: str, attached: Mapping[str, str]) -> dict[str, str]:
+    """By port, the full name of the topic that a program without Midstride's API uses; ``attached``: of those that are.
+
+    ``node`` is the full name of its node.
+    """
+    return {port: attached.get(port) or _resolved(component.topic_of(port), node) for port in component.ports()}
+
+
+def _resolved(topic: str, node: str) -> str:
+    """The full name of a topic that a node names."""
+    if topic.startswith("/"):
+        return topic
+    if topic.startswith("~"):
+        return f"{node}/{topic.lstrip('~/')}"
+    return f"{split(node)[1].rstrip('/')}/{topic}"

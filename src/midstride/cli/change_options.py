@@ -11,7 +11,11 @@ import click
 STRATEGIES = ("minimal", "paper", "quiesce", "stop")
 
 
-def strategy_option(function: Any) -> Any:
+def strategy_options(function: Any) -> Any:
+    summary = (
+        "With strategy minimal: also try to move nodes that stay, and stand-ins that exist during the change only."
+    )
+    detours = click.option("--detours", is_flag=True, help=summary)
     return click.option(
         "--strategy",
         type=click.Choice(STRATEGIES),
@@ -19,7 +23,7 @@ def strategy_option(function: Any) -> Any:
         show_default=True,
         help="minimal hands over; paper follows the paper's algorithm; quiesce first degrades everything affected; "
         "stop stops everything, and starts it again.",
-    )(function)
+    )(detours(function))
 
 
 def wait_option(function: Any) -> Any:

@@ -21,9 +21,11 @@ import psutil
 from midstride import backends
 from midstride.backends.simulator import Simulator
 from midstride.cli.example import Demo, repository
+from midstride.model.specification import Specification
 from midstride.runtime.backend import Backend
 from midstride.runtime.manager import Manager
 from midstride.runtime.reaper import Reaper
+from midstride.runtime.reports import UpReport
 from midstride.runtime.workspace import Workspace
 
 # How long a real ROS 2 process takes to start and be discovered (s); the simulator must not look faster.
@@ -31,11 +33,23 @@ COLD_START = 0.6
 _MARK = "MIDSTRIDE_DEMO"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class DemoEnvironment:
+    """``manager`` is the one that ends the components in the end."""
+
     manager: Manager
     backend: Backend
     workspace: Workspace
+    folder: Path
+
+    def use(self, specification: Specification) -> None:
+        """Have the manager, which has not brought it up yet, manage this."""
+        self.manager = Manager(specification, self.backend, self.workspace, self.folder)
+
+    async def new_manager(self) -> UpReport:
+        """Another manager takes over, once the one before was closed."""
+        self.use(self.manager.specification)
+        return await self.manager.up()
 
 
 @asynccontextmanager
@@ -52,13 +66,14 @@ async def demo_environment(example: Demo, backend: str) -> AsyncIterator[DemoEnv
             Simulator(starting=COLD_START) if backend == "sim" else backends.make(backend, workspace, guardian=reaper)
         )
         manager = Manager(example.specification, platform, workspace, example.folder)
+        environment = DemoEnvironment(manager, platform, workspace, example.folder)
         try:
-            yield DemoEnvironment(manager, platform, workspace)
+            yield environment
         finally:
             try:
-                await manager.down()
+                await environment.manager.down()
             finally:
-                await manager.close()
+                await environment.manager.close()
                 if isinstance(platform, Simulator):
                     await platform.shutdown()
 

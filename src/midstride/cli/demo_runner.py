@@ -34,7 +34,7 @@ async def run_demo(example: Demo, backend: str, out: Console) -> list[Document]:
     Raises MidstrideError if the system does not come up, CancelledError on SIGINT and SIGTERM. Every process that
     it started has ended when this returns or raises.
     """
-    with _cancelled_by_signals() as interrupted:
+    with cancelled_by_signals() as interrupted:
         async with demo_environment(example, backend) as environment:
             out.print(f"[bold]{escape(example.title)}[/bold]  [dim](examples/{example.name}, on {backend})[/dim]")
             async with _progress(environment, example, out):
@@ -118,7 +118,7 @@ def _comparison(example: Demo, outcomes: list[Document]) -> Table:
 
 
 @contextmanager
-def _cancelled_by_signals() -> Iterator[asyncio.Event]:
+def cancelled_by_signals() -> Iterator[asyncio.Event]:
     """The first signal sets the event and cancels this task. Later ones are ignored: the demo is already stopping."""
     loop, task, interrupted = asyncio.get_running_loop(), asyncio.current_task(), asyncio.Event()
     assert task is not None

@@ -30,7 +30,10 @@ class DemoStep:
 
 @dataclass(frozen=True, slots=True)
 class Demo:
-    """An example. ``subscriber`` is the role whose log shows the change from a subscriber's side."""
+    """An example. ``subscriber`` is the role whose log shows the change from a subscriber's side.
+
+    ``program``: the Python file whose ``run(example, backend, console)`` is the demo, where the steps alone are not.
+    """
 
     name: str
     folder: Path
@@ -38,6 +41,7 @@ class Demo:
     specification: Specification
     subscriber: str
     steps: tuple[DemoStep, ...]
+    program: Path | None = None
 
 
 def known_examples() -> dict[str, Path]:
@@ -79,6 +83,7 @@ def read(folder: Path) -> Demo:
             steps=tuple(
                 DemoStep(str(act["name"]), str(act["says"]), decode_request(act["request"])) for act in document["acts"]
             ),
+            program=folder.resolve() / document["program"] if "program" in document else None,
         )
     except (KeyError, TypeError) as error:
         why = f"it has no {error}" if isinstance(error, KeyError) else error

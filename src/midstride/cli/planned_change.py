@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from midstride.cli import completion
-from midstride.cli.change_options import parse_new_node, parse_pair, strategy_option
+from midstride.cli.change_options import parse_new_node, parse_pair, strategy_options
 
 
 def planned_change_options(function: Any) -> Any:
@@ -24,7 +24,7 @@ def planned_change_options(function: Any) -> Any:
         click.option("--to", type=click.Path(path_type=Path), metavar="NEW", help="Change to the specification NEW."),
     ):
         function = option(function)
-    return strategy_option(function)
+    return strategy_options(function)
 
 
 def planned_change(
@@ -34,6 +34,7 @@ def planned_change(
     added: tuple[str, ...],
     removed: tuple[str, ...],
     strategy: str,
+    detours: bool,
 ) -> dict[str, Any]:
     """The change that the options describe, without NEW, as the document of a request. Raises UsageError."""
     single = replaced or restarted or added or removed
@@ -47,4 +48,5 @@ def planned_change(
         "add": [parse_new_node(shlex.split(text)) for text in added],
         "remove": list(removed),
         "strategy": strategy,
+        "detours": detours,
     }

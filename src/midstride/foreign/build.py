@@ -41,7 +41,7 @@ def library(environment: Mapping[str, str] = os.environ) -> Path:
     if command is None:
         raise StartFailed(
             "`gate preload` needs a C compiler, and there is none on the PATH: install one "
-            "(`apt-get install gcc libc6-dev`), name it in CC, or write `gate none`"
+            "(`apt-get install gcc libc6-dev`), name it in CC, or write `gate relay`, which needs none"
         )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -52,10 +52,13 @@ def library(environment: Mapping[str, str] = os.environ) -> Path:
                 arguments, env=dict(environment), capture_output=True, text=True, timeout=TIMEOUT, check=False
             )
             if done.returncode:
-                raise StartFailed(f"the gate cannot be compiled: `{' '.join(arguments)}` says\n{done.stderr.strip()}")
+                raise StartFailed(
+                    "the gate cannot be compiled; write `gate relay`, which needs no compiler, or correct what "
+                    f"`{' '.join(arguments)}` says\n{done.stderr.strip()}"
+                )
             output.replace(path)
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise StartFailed(f"the gate cannot be compiled: {error}; or write `gate none`") from None
+        raise StartFailed(f"the gate cannot be compiled: {error}; or write `gate relay`") from None
     return path
 
 

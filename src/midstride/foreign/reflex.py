@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from midstride.foreign.node import ForeignNode
-from midstride.model.component import Assumption, FunctionalitySpec, InputAlternatives, Mode
+from midstride.model.component import Assumption, ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import satisfies
 from midstride.node.shortfall import LONG_FLOOR, tolerated_periods
 
@@ -47,13 +47,16 @@ def _silence(node: ForeignNode, functionality: str, port: str) -> str | None:
 
 def _supported(node: ForeignNode, functionality: FunctionalitySpec, mode: Mode, silent: Iterable[str]) -> bool:
     return all(
-        any(port in node.record.links and port not in silent for port in _inputs(node, functionality, assumption))
+        any(
+            port in node.record.links and port not in silent
+            for port in inputs_of(node.component, functionality, assumption)
+        )
         for assumption in mode.assumptions
     )
 
 
-def _inputs(node: ForeignNode, functionality: FunctionalitySpec, assumption: Assumption) -> Sequence[str]:
+def inputs_of(component: ComponentSpec, functionality: FunctionalitySpec, assumption: Assumption) -> Sequence[str]:
     """The inputs that may satisfy ``assumption``."""
     if isinstance(assumption, InputAlternatives):
         return assumption.inputs
-    return [name for name in functionality.inputs if satisfies(node.component.inputs[name], assumption)]
+    return [name for name in functionality.inputs if satisfies(component.inputs[name], assumption)]

@@ -64,12 +64,12 @@ class ComponentParser(ContractParser):
         return syntax.Run(command, package, startup, gate, self.since(start))
 
     def _gate(self) -> syntax.Name | None:
-        gate, start = self.name("`preload`, `lifecycle` or `none` after `gate`"), self.i - 1
+        gate, start = self.name("`preload`, `relay`, `lifecycle` or `none` after `gate`"), self.i - 1
         if gate.text == "lifecycle" and self.accept_word("preload"):
             return syntax.Name("lifecycle preload", self.since(start))
         if gate.text in GATES:
             return gate
-        help = "use `preload`, `lifecycle`, `lifecycle preload` or `none`"
+        help = "use `preload`, `relay`, `lifecycle`, `lifecycle preload` or `none`"
         self.reporter.report("E120", gate.span, f"`{gate.text}` is not a kind of gate", help=help)
         return None
 

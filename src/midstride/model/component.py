@@ -23,9 +23,9 @@ ParameterValue: TypeAlias = "bool | int | float | str | list[bool] | list[int] |
 # What every node of ROS 2 has: it may be set for a node although its component does not declare it.
 ROS_PARAMETERS: Final[Mapping[str, ParameterValue]] = {"use_sim_time": False}
 
-# What holds back the outputs of a program that does not use Midstride's API: a preloaded library, the lifecycle of its
-# ROS 2 node, both, or nothing.
-Gate: TypeAlias = Literal["preload", "lifecycle", "lifecycle preload", "none"]
+# What holds back the outputs of a program that does not use Midstride's API: a preloaded library, a process that passes
+# on its messages, the lifecycle of its ROS 2 node, with or without the library, or nothing.
+Gate: TypeAlias = Literal["preload", "relay", "lifecycle", "lifecycle preload", "none"]
 GATES: Final[tuple[Gate, ...]] = get_args(Gate)
 
 _KINDS: Final[Mapping[type, str]] = {bool: "boolean", int: "integer", float: "float", str: "string"}
@@ -263,9 +263,14 @@ class ComponentSpec:
         return self.gate in ("preload", "lifecycle preload")
 
     @property
+    def has_agent(self) -> bool:
+        """Whether its process carries out commands itself: its program uses Midstride's API, or a relay runs it."""
+        return self.gate in (None, "relay")
+
+    @property
     def counts_messages(self) -> bool:
-        """Whether it is known what its nodes publish and receive: by their own count, or by that of the library."""
-        return self.gate is None or self.preloads
+        """Whether it is known what its nodes publish and receive: by their own count, or by that of a gate."""
+        return self.has_agent or self.preloads
 
     @property
     def has_lifecycle(self) -> bool:
@@ -295,6 +300,13 @@ class ComponentSpec:
         """The type and QoS of the real endpoint (rule M3), or None where no mode guarantees anything."""
         stated = (mode.guarantees.get(output) for mode in self.owner(output).modes)
         return next(((guarantee.type, guarantee.qos) for guarantee in stated if guarantee is not None), None)
+
+    def type_of(self, port: str) -> str | None:
+        """The message type of a port; None where no mode guarantees anything for an output."""
+        if port in self.inputs:
+            return self.inputs[port].type
+        endpoint = self.output_endpoint(port)
+        return None if endpoint is None else endpoint[0]
 
     def stated_rate(self, port: str, modes: Mapping[str, str]) -> float | None:
         """The rate (Hz) that an input assumes, or that an output guarantees in the mode of its functionality.

@@ -111,6 +111,11 @@ class Agent:
                 # Requests that wait for a set-up that has failed are never answered.
                 await self._server.close(CLOSE_TIMEOUT if self._ready.is_set() else 0.0)
 
+    def stop(self) -> None:
+        """End in order, on any thread. Does nothing if it ends already."""
+        if self._loop is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._stopping.set)
+
     def _register(self) -> None:
         """Report what the component declares to every manager that connects."""
         self._ready.set()

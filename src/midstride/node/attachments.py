@@ -199,7 +199,7 @@ class Attachments:
             port.links = (*port.links, inlet)
             return inlet
         link = OutputLink(port, topic, self.host.create_publisher(topic, port.type, port.qos), times)
-        if port.last is not None and (port.latched or port.owner.driven == "none"):
+        if port.last is not None and (port.latched or port.relayed or port.owner.driven == "none"):
             link.write_gated(port.last)  # a mode that writes once, on entry, may have written while unattached
         port.wrong_type = None
         port.links = (*port.links, link)

@@ -49,6 +49,8 @@ class BatonCut(GatePolicy):
         word = self.seat.word()
         return word.holder == self.seat.me or (word.successor == self.seat.me and word.state is BatonState.LAID)
 
+    admits = passes
+
     def publish(self, link: OutputLink, message: Any) -> bool:
         if not self.seat.begin(self.links.index(link)):
             return False

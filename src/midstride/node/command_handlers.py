@@ -85,7 +85,7 @@ class CommandHandlers:
         self._fencing = Fencing(self._attachments, self.host, self._data, self._runners, self.changed)
         self._handlers: dict[type[Command[Any]], Handler] = {
             commands.AttachCommand: self._attachments.attach,
-            commands.DetachCommand: self._attachments.detach,
+            commands.DetachCommand: self._detach,
             commands.GateCommand: self._attachments.gate,
             commands.AwaitMatchCommand: self._attachments.await_match,
             commands.AwaitRateCommand: self._attachments.await_rate,
@@ -155,6 +155,7 @@ class CommandHandlers:
         because = "released: it no longer has a manager"
         await self._modes(commands.ModesCommand(modes=modes, timeout=timeout, because=because), None)
         await self._attachments.close_all(timeout)
+        self._handovers.give_back()
         self._handovers.disconnect()
 
     async def end(self) -> None:
@@ -189,6 +190,11 @@ class CommandHandlers:
             if self.host.steady() >= deadline:
                 raise CommandRefused(f"user code did not return within {timeout:g} s{self._busy_words()}")
             await self.host.sleep(0.01)
+
+    async def _detach(self, command: commands.DetachCommand) -> commands.Detached:
+        detached = await self._attachments.detach(command)
+        self._handovers.give_back()
+        return detached
 
     # -- state -------------------------------------------------------------------------------------
 

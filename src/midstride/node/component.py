@@ -219,7 +219,7 @@ class Component:
         outputs = self._parts.outputs.values()
         if not outputs:
             return any(port.attached for port in self._parts.inputs.values())
-        return any(link.lets_pass for port in outputs for link in port.links)
+        return any(link.is_live for port in outputs for link in port.links)
 
     def declaration(self) -> model.ComponentSpec:
         """The component in the model's terms. Raises NodeError where it is incomplete."""

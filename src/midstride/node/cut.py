@@ -4,8 +4,9 @@ docs/semantics.md section 7, *The cut is agreed, not chased*. Both publishers kn
 slot of the time grid whose call made it, or to the newest message that it answers, or else to the moment it is made.
 The old side passes what belongs before T (of messages: up to T), the new side the rest. So neither clocks nor
 scheduling decide, and every write passes exactly one gate. A call so late that it accounts for several slots belongs
-to the first of them on the old side and to the last on the new one, so that T is written, if late. This module runs on
-the data thread; :mod:`midstride.node.cut_protocol` runs on the control thread.
+to the first of them on the old side and to the last on the new one, so that T is written, if late. The new side claims
+the cut before its first write, and the old one before it writes again: only one of them can. This module runs on the
+data thread; :mod:`midstride.node.cut_protocol` runs on the control thread.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from midstride.node.ports import GatePolicy, OutputLink, OutputOwner
 from midstride.node.trigger import InfoSet
 from midstride.wire.commands import CutClock, LastWrite
 from midstride.wire.state import GateState
+from midstride.wire.transport import CutClaim
 
 # How long after T a message published before it may still be in transit (s).
 GRACE: Final = 0.05
@@ -79,6 +81,7 @@ class _Side(GatePolicy):
     links: Sequence[OutputLink]
     at: int
     host: Host
+    claim: CutClaim
     clock: CutClock = field(default="ros", kw_only=True)
     written: dict[OutputLink, Written] = field(default_factory=dict, init=False)
 
@@ -93,8 +96,11 @@ class _Side(GatePolicy):
     def driven_by_messages(self) -> bool:
         return any(runner.driven == "message" for runner in self._runners)
 
+    def admits(self, link: OutputLink) -> bool:
+        return self.passes(link)
+
     def publish(self, link: OutputLink, message: Any) -> bool:
-        if not self.passes(link):
+        if not self.admits(link):
             return False
         link.publish(message)
         link.count += 1
@@ -163,6 +169,12 @@ class OutgoingCut(_Side):
                 self._set_gates(False)
         return self.over
 
+    def finish(self) -> None:
+        """Write nothing more, although T has not come: it had, and the clock was set back."""
+        self.over = True
+        self.relieved()
+        self._set_gates(False)
+
     def reopen(self) -> None:
         """Write again: the new side has not taken over in time, or the cut is cancelled."""
         self.over = True
@@ -220,6 +232,7 @@ class IncomingCut(_Side):
     """The new side. ``written`` holds each link's first write."""
 
     latches: Sequence[OutputLink]
+    refused = False  # the old side has the claim, and writes again
 
     def arm(self, epoch: int | None) -> None:
         for link in self.links:
@@ -231,13 +244,21 @@ class IncomingCut(_Side):
     def passes(self, link: OutputLink) -> bool:
         return belongs_after(link.output.owner, self.at, self.host, slot=1, clock=self.clock)
 
+    def admits(self, link: OutputLink) -> bool:
+        return self.passes(link) and self._claimed()
+
+    def _claimed(self) -> bool:
+        self.refused = not self.claim.take()
+        return not self.refused
+
     def shows(self, link: OutputLink) -> GateState:
         return "open" if link in self.written else "closed"
 
     def latch(self) -> None:
         """For late joiners, publish the last gated message of each output that has written nothing since T."""
         for link in self.latches:
-            if link.cut is self and link not in self.written and link.write_last_gated():
+            due = link.cut is self and link not in self.written and link.last_gated is not None
+            if due and self._claimed() and link.write_last_gated():
                 self.wrote(link)
 
     def conclude(self) -> None:
@@ -245,6 +266,13 @@ class IncomingCut(_Side):
 
     def close(self) -> None:
         self._set_attached(False)
+        self.claim.give_back()
+
+    def abandon(self) -> bool:
+        """Close, unless it has written; whether it is closed."""
+        if not self.written:
+            self.close()
+        return not self.written
 
     def first(self) -> dict[str, LastWrite | None]:
         found: dict[str, LastWrite | None] = dict.fromkeys(map(str, self.links))

@@ -1,18 +1,20 @@
 """The control thread's part in a cut: waiting for T, the report of the first write, and resuming.
 
 Each side of a cut is one task, which ends with the outcome that `await_cut` returns. It does not need the manager, so
-the topic does not depend on the manager's being alive.
+the topic does not depend on the manager's being alive. Which side writes after T is decided by the claim of the cut;
+the report only lets the old side know early.
 """
 
 from __future__ import annotations
 
 import abc
 import asyncio
+import contextlib
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import ClassVar, Final
 
-from midstride.errors import BackendError
+from midstride.errors import BackendError, CommandRefused
 from midstride.node.cut import GRACE, IncomingCut, OutgoingCut
 from midstride.node.host import Host
 from midstride.node.state_transfer import StateExport, StateImport
@@ -27,6 +29,8 @@ REPORT_ATTEMPTS: Final = 20
 JUMP: Final = 1.0
 # A new side may be late by so much, however fast the ROS clock runs (s).
 SHORTEST_SILENCE: Final = 0.1
+# How often an old side that was asked to write again looks whether the new one has ended (s).
+SLOW_TICK: Final = 0.05
 # How often a side that waits for T looks at the clock, and at what has happened meanwhile (s).
 LONGEST_WAIT: Final = 0.01
 
@@ -51,25 +55,18 @@ class _CutTask(abc.ABC):
         """Whether this side will not write at T."""
         return False
 
-    @property
-    @abc.abstractmethod
-    def _handed_over(self) -> bool:
-        """Whether the new side has taken over, as far as this one knows."""
-
     @abc.abstractmethod
     async def cancel(self) -> None: ...
 
+    @abc.abstractmethod
     async def settle(self) -> None:
         """Return once it has an outcome; cancel it unless the new side has taken over."""
-        if self._going() and not self._handed_over:
-            await self.cancel()
-        await self.finished.wait()
 
-    def _jumped_back(self) -> bool:
+    def _jumped_back(self, by: float = JUMP) -> bool:
         """Whether the clock of the cut has been set back since this was first asked: a simulation has started again."""
         now = self.side.now()
         self._latest = max(self._latest, now)
-        return self._latest - now > JUMP * 1e9
+        return self._latest - now > by * 1e9
 
     async def _until(self, at: int) -> None:
         """Wait until ``at`` on the clock of the cut, which may not run like the steady one; less long if it fails."""
@@ -100,7 +97,10 @@ class CutOutTask(_CutTask):
         await self._until(self.side.at)
         passed_at = self.host.steady()
         while self._going():
-            if self._jumped_back() and not self._taken:
+            if self._failed():
+                await self._end("done", self.side.finish)
+                return
+            if self._jumped_back() and self._may_resume():
                 await self._end("resumed", self.side.reopen)
                 return
             passed = self.side.over or await self.host.on_data(self.side.passed)
@@ -112,10 +112,14 @@ class CutOutTask(_CutTask):
                     return
             if passed and self._taken:
                 await self._end("done", self.side.relieved)
-            elif not self._taken and self._given_up(passed_at):
+            elif not self._taken and self._given_up(passed_at) and self._may_resume():
                 await self._end("resumed", self.side.reopen)
             else:
                 await (self.host.sleep(TICK) if self.export is None else self.export.pause())
+
+    def _failed(self) -> bool:
+        """Whether the new side has written, and the clock was set back before this side noticed T."""
+        return self._taken and self.side.now() < self.side.at and self._jumped_back(0.0)
 
     def _given_up(self, passed_at: int) -> bool:
         if self.export is not None and self.export.given_up(self.resume_after):
@@ -153,20 +157,44 @@ class CutOutTask(_CutTask):
 
     async def taken(self, failed: bool) -> bool:
         """The new side has written, or has failed. Returns whether this one writes again."""
-        if failed and self._going():
-            await self.cancel()
         if self.outcome in ("resumed", "cancelled"):
             return True
-        if not self._taken:
-            self._taken, self.side.taken_at = True, self.host.steady()
+        if failed:
+            await self.cancel()
+            return True
+        self._note_taken()
         return False
 
-    @property
-    def _handed_over(self) -> bool:
-        return self._taken
+    def _note_taken(self) -> None:
+        if not self._taken:
+            self._taken, self.side.taken_at = True, self.host.steady()
+
+    def _may_resume(self) -> bool:
+        """Whether this side may write again; else the new one has taken over, even if its report is lost."""
+        if self._taken:
+            return False
+        if not self.side.claim.take():
+            self._note_taken()
+        return not self._taken
 
     async def cancel(self) -> None:
+        """Raises CommandRefused where the new side has taken over, and has not given up."""
+        if not self.side.claim.take():
+            self._note_taken()
+            raise CommandRefused("the new side has taken over, and can still write")
         await self._end("cancelled", self.side.reopen)
+
+    async def cancel_later(self) -> None:
+        """As soon as the new side has given up, or its process has ended."""
+        while self.outcome in (None, "done"):
+            await self.host.sleep(SLOW_TICK)
+            with contextlib.suppress(CommandRefused):
+                await self.cancel()
+
+    async def settle(self) -> None:
+        if self._going() and self._may_resume():
+            await self._end("cancelled", self.side.reopen)
+        await self.finished.wait()
 
     def result(self) -> CutResult:
         because = None if self.export is None else self.export.because
@@ -190,7 +218,7 @@ class CutInTask(_CutTask):
         if self.state is not None and self._going():
             await self.state.settled()
         waited_from = self.host.steady()
-        while self.side.links and self._going() and not self.side.written and not self._failed():
+        while self.side.links and self._going() and not self._is_decided():
             # A message in transit at T may still make the new side write; nothing else will.
             waited = (self.host.steady() - waited_from) / 1e9
             if not latched and waited > (GRACE if self.side.driven_by_messages else 0.0):
@@ -198,8 +226,10 @@ class CutInTask(_CutTask):
                 await self.host.on_data(self.side.latch)
             else:
                 await self.host.sleep(TICK)
-        failed, self._reporting = self._failed(), True
-        if self._going() and (await self._resumed(failed) or failed):
+        if (self._failed() or self.side.refused) and await self._abandon(report=not self.side.refused):
+            return
+        self._reporting = True
+        if self._going() and await self._resumed(failed=False):
             await self._end("cancelled", self._close)
         if self._going():
             self.outcome = "done"
@@ -218,6 +248,14 @@ class CutInTask(_CutTask):
         if self.state is not None:
             self.state.end(self, done=False)
 
+    @property
+    def is_detached(self) -> bool:
+        """Whether it had attachments, and has none left."""
+        return bool(self.side.links) and not any(link in link.output.links for link in self.side.links)
+
+    def _is_decided(self) -> bool:
+        return bool(self.side.written) or self.side.refused or self._failed()
+
     def _failed(self) -> bool:
         """Whether, before the first write, the author's code has raised, the clock jumped back, or no state came."""
         if self.state is not None and self.state.failed:
@@ -228,7 +266,7 @@ class CutInTask(_CutTask):
     async def _resumed(self, failed: bool) -> bool:
         """Report to the old side until it answers; whether it has resumed. One that cannot be reached has not."""
         for _ in range(REPORT_ATTEMPTS):
-            if not self._going():
+            if not failed and not self._going():
                 return False
             try:
                 return await self.report(REPORT_TIMEOUT, failed)
@@ -236,14 +274,24 @@ class CutInTask(_CutTask):
                 await self.host.sleep(REPORT_TIMEOUT / 5)
         return False
 
-    @property
-    def _handed_over(self) -> bool:
-        return self._reporting
-
     async def cancel(self) -> None:
         if self.state is not None:
             await self.state.cancel()
         await self._end("cancelled", self._close)
+
+    async def settle(self) -> None:
+        if self._going() and not self._reporting:
+            await self._abandon(report=False)
+        await self.finished.wait()
+
+    async def _abandon(self, report: bool) -> bool:
+        """Cancel this side unless it has written; whether it is cancelled. A hung call delays nothing."""
+        if self.side.claim.renounce() or await self.host.on_data(self.side.abandon):
+            self.outcome = "cancelled"
+            if report:
+                await self._resumed(failed=True)
+            await self.cancel()
+        return self.outcome == "cancelled"
 
     def result(self) -> CutResult:
         because = None if self.state is None else self.state.problem

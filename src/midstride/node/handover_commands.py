@@ -25,6 +25,7 @@ from midstride.wire.channel import Channel, result_of
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply
 from midstride.wire.state import GateState
+from midstride.wire.transport import CutClaim
 
 R = TypeVar("R")
 Side: TypeAlias = CutOutTask | CutInTask | BatonTask
@@ -71,17 +72,21 @@ class HandoverCommands:
     async def grid(self, command: commands.GridCommand) -> commands.Grid:
         if command.port is None:
             return commands.Grid(trigger="none", clock="message", now=reading(self.host, "message"))
-        owner = self.attachments.output(command.port).owner
-        rate, topic = owner.rate, command.topic
+        output = self.attachments.output(command.port)
+        owner, topic = output.owner, command.topic
+        rate = owner.rate
         clock: commands.CutClock = "ros" if rate is not None or comparable(self.host, "ros", "message") else "message"
         simulated = clock == "ros" and self.host.simulated_time
         endpoint = None if topic is None else self.attachments.link(command.port, topic).endpoint
+        epoch, period = (None, None) if rate is None else (rate.slot, rate.period)
+        if output.relayed and clock == "ros" and (found := output.observed_grid()) is not None:
+            epoch, period = found
         return commands.Grid(
             trigger=owner.driven,
             clock=clock,
             speed=self.host.clock_history.speed(self.host.steady()) if simulated else 1.0,
-            epoch=None if rate is None else rate.slot,
-            period=None if rate is None else rate.period,
+            epoch=epoch,
+            period=period,
             now=reading(self.host, clock),
             readers=None if endpoint is None else endpoint.matched(),
             reader_ids=[] if endpoint is None else sorted(endpoint.reader_ids()),
@@ -113,7 +118,7 @@ class HandoverCommands:
             return await self._join(command, links, command.seat)
         export = None if command.state is None else self._export(command.state)
         in_order = export is not None and _in_order(links)
-        side = OutgoingCut(links, command.at, self.host, in_order=in_order, clock=command.clock)
+        side = OutgoingCut(links, command.at, self.host, self._claim(command), in_order=in_order, clock=command.clock)
 
         def arm() -> None:
             side.arm()
@@ -131,7 +136,7 @@ class HandoverCommands:
         if command.seat is not None:
             return await self._join(command, links, command.seat)
         latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
-        side = IncomingCut(links, command.at, self.host, latches, clock=command.clock)
+        side = IncomingCut(links, command.at, self.host, self._claim(command), latches, clock=command.clock)
         state = None if command.state is None else self._import(command.state, command.peer, command.address)
 
         def arm() -> None:
@@ -167,8 +172,14 @@ class HandoverCommands:
         return commands.Done()
 
     async def cancel_cut(self, command: commands.CancelCutCommand) -> commands.Done:
-        for side in self._sides.get(command.cut, []):
-            await side.cancel()
+        # A new side first: the old one cannot write while that does.
+        for side in sorted(self._sides.get(command.cut, []), key=lambda side: not side.new):
+            try:
+                await side.cancel()
+            except CommandRefused:
+                if isinstance(side, CutOutTask):
+                    self._start(side.cancel_later())
+                raise
         return commands.Done()
 
     async def settle_cuts(self, command: commands.SettleCutsCommand) -> commands.Done:
@@ -249,6 +260,17 @@ class HandoverCommands:
             state = StateImport(transfer, self.hooks, self.answering, self.host, self.runners, peer, request)
             self._imports = {transfer.id: state}
         return self._imports[transfer.id]
+
+    def _claim(self, command: commands.CutOutCommand | commands.CutInCommand) -> CutClaim:
+        if self.host.transport is None:
+            raise CommandRefused("this component runs without a control socket, so it hands nothing over")
+        return self.host.transport.claim(command.cut)
+
+    def give_back(self) -> None:
+        """New sides without any attachment left have nothing to write."""
+        for side in (side for sides in self._sides.values() for side in sides):
+            if isinstance(side, CutInTask) and side.is_detached:
+                side.side.claim.give_back()
 
     def _links_of(
         self, command: commands.CutOutCommand | commands.CutInCommand, kind: type, gate: GateState

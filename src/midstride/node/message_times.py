@@ -54,10 +54,14 @@ class MessageTimes:
         self._append(now)
         return now
 
+    def last(self) -> int | None:
+        """When the last message came or went (ns); None if there was none."""
+        times = self._times
+        return times[-1] if times else None
+
     def age(self) -> float | None:
         """Seconds since the last message; None if there was none."""
-        times = self._times
-        return _age(times[-1] if times else 0, self._now())
+        return _age(self.last() or 0, self._now())
 
     def measured(self, window: float) -> Measured:
         """What was measured in the last ``window`` seconds, or since the first message that is kept.

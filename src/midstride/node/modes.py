@@ -38,7 +38,8 @@ def approximate(slop: float, queue: int = 10) -> Approximate:
 
 @dataclass(frozen=True, slots=True)
 class DeclaredMode:
-    """One mode, checked. ``handlers`` maps inputs to functions where messages drive it."""
+    """One mode, checked. ``handlers`` maps inputs to functions where messages drive it; ``function`` is then called
+    with sets of messages (``sync``), or once, on entry."""
 
     name: str
     driven: Driven

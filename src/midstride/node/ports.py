@@ -24,6 +24,9 @@ REMEMBERED: Final = 64
 # How many it keeps while it records; the oldest are dropped first.
 RECORDED: Final = 200_000
 
+# How long after a message of a program outside a cut is, as a share of its period: more than its jitter.
+AFTER: Final = 0.25
+
 Listener = Callable[[Any, Any], None]
 Driven: TypeAlias = Literal["rate", "message", "none"]
 
@@ -31,7 +34,11 @@ Driven: TypeAlias = Literal["rate", "message", "none"]
 class GatePolicy(Protocol):
     """A cut in progress: decides, write by write, what passes a gate (midstride.node.cut)."""
 
-    def passes(self, link: OutputLink) -> bool: ...
+    def passes(self, link: OutputLink) -> bool:
+        """Whether what is written now may be published."""
+
+    def admits(self, link: OutputLink) -> bool:
+        """The same, and it will be: the other side of the cut publishes nothing from now on."""
 
     def publish(self, link: OutputLink, message: Any) -> bool:
         """Publish and count ``message`` if it passes; whether it does."""
@@ -101,6 +108,11 @@ class OutputLink:
     def lets_pass(self) -> bool:
         """Whether a message that is written now is published."""
         return not self.fenced and (self.open or (self.cut is not None and self.cut.passes(self)))
+
+    @property
+    def is_live(self) -> bool:
+        """The same for an author who acts on it."""
+        return not self.fenced and (self.open or (self.cut is not None and self.cut.admits(self)))
 
     @property
     def fenced(self) -> bool:
@@ -248,6 +260,8 @@ class Output(_Port[OutputLink]):
         self.unattached = 0
         # The last message of a transient-local output, else the last one that was written while unattached.
         self.latched = qos.effective().durability == "transient_local"
+        # Whether a program outside writes it, on a grid that is only known by its messages (midstride.foreign.relay).
+        self.relayed = False
         self.last: Any = None
         self.wrong_type: str | None = None
         self.fields = FieldChecks()
@@ -284,6 +298,17 @@ class Output(_Port[OutputLink]):
                 link.write_gated(message)
         if links and self.fields.active:
             self.fields.sample(message, now)
+
+    def observed_grid(self) -> tuple[int, float] | None:
+        """Where messages come at a steady rate: a moment shortly after one of them (ns), and their period (s).
+
+        A cut at such a moment leaves the new side the whole period that follows.
+        """
+        for link in self.links if self.rate is not None else ():
+            measured = link.times.measured(window_of(self.rate))
+            if measured.rate and (last := link.times.last()):
+                return last + int(AFTER / measured.rate * 1e9), 1 / measured.rate
+        return None
 
     @property
     def count(self) -> int:

@@ -32,6 +32,7 @@ from midstride.wire import commands
 from midstride.wire.channel import result_of
 from midstride.wire.commands import Command, CutClock
 from midstride.wire.frames import Reply
+from midstride.wire.transport import CutClaim
 
 # How often a side checks whether a cut has passed, and async calls have ended (s).
 TICK: Final = 0.002
@@ -267,6 +268,8 @@ class StateImport(_Transfer):
     failed: bool = field(default=False, init=False)
     _imported: bool = field(default=False, init=False)
     _open: bool = field(default=False, init=False)
+    # Where no output is cut: the first call claims what a first write does otherwise.
+    _claim: CutClaim | None = field(default=None, init=False)
     # As the old side reports them.
     _handled: dict[str, int] = field(default_factory=dict, init=False)
     _since: int = field(default=0, init=False)
@@ -274,6 +277,10 @@ class StateImport(_Transfer):
 
     def __post_init__(self) -> None:
         self._yields = self.answering.gate.yields
+
+    def arm(self, links: Iterable[OutputLink], side: OutgoingCut | IncomingCut) -> None:
+        super().arm(links, side)
+        self._claim = None if side.links else side.claim
 
     def admit(self, runner: FunctionalityRunner, call: Call) -> Admission:
         origin = self._origin(runner, call)
@@ -327,6 +334,8 @@ class StateImport(_Transfer):
         """The first outcome counts."""
         if self._settled.is_set():
             return
+        if not failed and self._claim is not None and not self._claim.take():
+            problem, failed = "the old component has resumed", True
         self.problem, self.failed = problem, failed
         self._settled.set()
         if not failed:

@@ -104,10 +104,18 @@ class _Listening:
 
 
 class OnMessage(_Listening):
-    """Called for every message of its inputs."""
+    """Called for every message of its inputs; ``on_entry`` is called before, once."""
 
-    def __init__(self, runner: Caller, handlers: tuple[tuple[Input, Function], ...]) -> None:
+    def __init__(
+        self, runner: Caller, handlers: tuple[tuple[Input, Function], ...], on_entry: Function | None = None
+    ) -> None:
         super().__init__(runner, [(port, self._handler(runner, function)) for port, function in handlers])
+        self._on_entry = on_entry
+
+    def begin(self) -> None:
+        super().begin()
+        if self._on_entry is not None:
+            self._runner.request(self._on_entry, (), None, None)
 
     @staticmethod
     def _handler(runner: Caller, function: Function) -> Listener:
@@ -167,7 +175,7 @@ Trigger: TypeAlias = OnEntry | OnRate | OnMessage | OnSet
 
 def trigger_of(mode: DeclaredMode, runner: Caller, host: Host) -> Trigger:
     if mode.driven == "message":
-        return OnSet(runner, host, mode) if mode.sync is not None else OnMessage(runner, mode.handlers)
+        return OnSet(runner, host, mode) if mode.sync is not None else OnMessage(runner, mode.handlers, mode.function)
     assert mode.function is not None
     if mode.period is not None:
         return OnRate(runner, host, mode.function, mode.period)

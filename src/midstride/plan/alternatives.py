@@ -38,7 +38,7 @@ def alternatives(plan: Plan) -> list[Alternative]:
 
 
 def _alternatives(plan: Plan) -> Iterator[Alternative]:
-    levels, change = Levels(plan.change), plan.change
+    levels, change = Levels(plan.change), plan.change.direct or plan.change
     longest = {each.functionality: None for each in sorted(plan.degradations, key=lambda each: -each.seconds)}
     for name in list(longest)[:TRIED]:
         ref = FunctionalityRef.parse(name)
@@ -49,7 +49,8 @@ def _alternatives(plan: Plan) -> Iterator[Alternative]:
         mode = modes[counted.baseline].name
         target = replace(change.target, constraints=(*change.target.constraints, Keep(ref, mode)))
         try:
-            other = planner(plan.strategy)(replace(change, target=target))
+            plans = planner(plan.strategy, detours=plan.proof_space == "detours")
+            other = plans(replace(change, target=target))
         except PlanRefused as error:
             yield Alternative(name, mode, None, [], str(error))
         else:

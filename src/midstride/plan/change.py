@@ -22,6 +22,19 @@ from midstride.plan.estimate import Estimate
 Attachment = tuple[PortRef, str]
 
 
+@dataclass(frozen=True, slots=True, order=True)
+class Detour:
+    """What one role does beyond the structural differences (docs/semantics.md section 6).
+
+    ``moved``: a node that stays is replaced by a new instance with the same declaration, so that it may be absent for a
+    time. ``stand_in``: the component of an instance that exists during the plan only; None: there is none.
+    """
+
+    role: str
+    moved: bool = False
+    stand_in: str | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class Change:
     """From ``start``, where ``specification`` runs, to a structure of ``target``.
@@ -30,7 +43,9 @@ class Change:
     capacities and environment. ``baseline`` is ``best`` of it in its original context, ``final`` ``best`` of the
     target. ``pending`` are the functionalities of ``start`` that could be in a better mode, ``lowered`` those that are
     in a worse mode than in ``baseline``. ``measured`` holds how long steps took in earlier runs, by kind
-    (``attach``) or by kind and component (``create Talker``).
+    (``attach``) or by kind and component (``create Talker``). ``detours`` are part of the other fields already;
+    ``stand_ins`` are the instances among ``coming`` that are also ``leaving``, by name; ``direct`` is the same change
+    without detours.
     """
 
     specification: Specification
@@ -50,6 +65,9 @@ class Change:
     identities: Map[str, str] = field(default_factory=Map)
     renamed: tuple[Instance, ...] = ()
     measured: Map[str, Estimate] = field(default_factory=Map)
+    detours: tuple[Detour, ...] = ()
+    stand_ins: Map[str, Instance] = field(default_factory=Map)
+    direct: Change | None = None
 
     def instances(self) -> list[str]:
         """The instances with structural changes."""
@@ -58,7 +76,7 @@ class Change:
 
     def instance(self, name: str) -> Instance:
         """The instance of that name, which runs at the start or comes. Raises KeyError where none does."""
-        return self.start.instances.get(name) or self.final.instances[name]
+        return self.start.instances.get(name) or self.stand_ins.get(name) or self.final.instances[name]
 
     def role_of(self, instance: str) -> str:
         return self.instance(instance).role

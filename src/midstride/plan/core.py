@@ -64,7 +64,7 @@ class Part:
     """What is free of each scarce resource at the start."""
     topics: tuple[Topic, ...] = ()
     live: tuple[int, ...] = ()
-    """For each action, the bit of the creation that must be done before it (0: none)."""
+    """For each action, the bits of those without which it is not possible; a stand-in has to serve before it goes."""
     after: tuple[int, ...] = ()
     """For each action, the bits that the user's orders put before it."""
     of_instance: dict[str, int] = field(default_factory=dict)
@@ -189,6 +189,19 @@ def _part(
         if attach & outputs:
             topics.append(Topic(slots, attach & outputs, detach & outputs))
     creation = {op.instance: 1 << bit for bit, op in enumerate(ops) if op.kind == "create"}
+
+    def first(op: Op) -> int:
+        if op.kind == "attach":
+            return creation.get(op.instance, 0)
+        if op.kind == "create" or op.instance not in change.stand_ins:
+            return 0
+        return sum(
+            1 << bit
+            for bit, each in enumerate(ops)
+            if each.instance == op.instance and each.kind in ("create", "attach")
+            if each.port is None or op.port is None or each.attachment == op.attachment
+        )
+
     return Part(
         ops=ops,
         roles=roles,
@@ -196,7 +209,7 @@ def _part(
         usage=tuple(map(tuple, usage)),
         free=tuple(free),
         topics=tuple(topics),
-        live=tuple(creation.get(op.instance, 0) if op.kind == "attach" else 0 for op in ops),
+        live=tuple(map(first, ops)),
         after=tuple(
             sum(of_role[order.first] for order in dict.fromkeys(orders) if order.then == role) for role in roles
         ),

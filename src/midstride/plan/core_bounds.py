@@ -80,7 +80,7 @@ class RoleBounds:
         for place, mask in enumerate(self.masks):
             creates = [bit for bit in _bits(mask) if part.ops[bit].kind == "create"]
             removes = [bit for bit in _bits(mask) if part.ops[bit].kind == "remove"]
-            if len(creates) == len(removes) == 1:
+            if len(creates) == len(removes) == 1 and not part.live[removes[0]]:
                 (create,), (remove,) = creates, removes
                 absent = part.seconds[remove] * self._loss(place, 1 << remove) + self._least(place, 1 << remove)
                 yield _Replacement(
@@ -109,7 +109,7 @@ class RoleBounds:
             amount = usage[bit][resource]
             if state >> bit & 1:
                 free -= amount
-            elif amount < 0 and 1 << bit not in waiting:
+            elif amount < 0 and 1 << bit not in waiting and self._is_possible(bit, state):
                 free -= amount  # leaves when it likes
         order = [
             (each.remove, each.old[resource], each.new[resource])
@@ -159,11 +159,17 @@ class RoleBounds:
         if own == mask:
             best = 0.0
         for bit in _bits(mask & ~own):
+            if not self._is_possible(bit, own):
+                continue
             after, op = own | 1 << bit, self.part.ops[bit]
             lost = self._loss_with_room(place, own, bit) if op.kind == "create" else self._loss(place, after)
             best = min(best, lost * self.part.seconds[bit] + self._least(place, after))
         table[own] = best
         return best
+
+    def _is_possible(self, bit: int, done: int) -> bool:
+        """Whether what the action is about has been created."""
+        return not self.part.live[bit] & self.timed & ~done
 
     def _state(self, place: int, own: int) -> int:
         """The state in which everything but one role is as favourable as it can be."""
@@ -185,8 +191,9 @@ class RoleBounds:
         """The states of a role, each with what it takes of each resource, compared with the start."""
         mask = own = self.masks[place]
         while True:
-            used = [sum((self.part.usage[bit][r] for bit in _bits(own)), 0) for r in range(len(self.part.free))]
-            yield own, tuple(used)
+            if all(self._is_possible(bit, own) for bit in _bits(own)):
+                used = [sum((self.part.usage[bit][r] for bit in _bits(own)), 0) for r in range(len(self.part.free))]
+                yield own, tuple(used)
             if not own:
                 return
             own = (own - 1) & mask

@@ -14,7 +14,7 @@ from midstride.model.best import rebalanced
 from midstride.model.component import FunctionalityRef, InputAlternatives, Mode, PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.contract import satisfies
-from midstride.plan.change import Change
+from midstride.plan.change import Attachment, Change
 from midstride.plan.core import Op, Part
 from midstride.plan.disruption import Counted, Levels
 
@@ -37,6 +37,18 @@ def fullest(change: Change) -> Configuration:
     return configuration.with_modes(rebalanced(configuration, seeds))
 
 
+def cone(full: Configuration, tied: Iterable[str]) -> list[FunctionalityRef]:
+    """The functionalities that can be lowered: of the ``tied`` instances, and downstream of them."""
+    pending = [ref for name in tied for ref in full.instances[name].functionality_refs()]
+    seen = dict.fromkeys(pending)
+    while pending:
+        for ref in full.downstream(pending.pop()):
+            if ref not in seen:
+                seen[ref] = None
+                pending.append(ref)
+    return list(seen)
+
+
 _ALWAYS: Final = 1 << 30
 
 
@@ -57,7 +69,7 @@ class PartLosses:
         self.part, self.levels, self.full = part, levels, full
         self.cache: dict[int, float] = {}
         self.equivalent = self._equivalent(change)
-        self._refs = self._cone()
+        self._refs = cone(full, part.of_instance)
         self._number = {ref: index for index, ref in enumerate(self._refs)}
         self._compile()
 
@@ -85,6 +97,8 @@ class PartLosses:
         part = self.part
         start, target = change.specification, change.target
         for old, new in change.replaced.items():
+            if old in change.stand_ins or new in change.stand_ins:
+                continue  # that one does not stay whole
             role = change.role_of(old)
             one, other = change.component_of(old), change.component_of(new)
             alike = (
@@ -101,21 +115,13 @@ class PartLosses:
                 found.append((gone | come, gone, come))
         return found
 
-    def _cone(self) -> list[FunctionalityRef]:
-        """The functionalities that can be lowered: of the tied instances, and downstream of them."""
-        pending = [ref for name in self.part.of_instance for ref in self.full.instances[name].functionality_refs()]
-        seen = dict.fromkeys(pending)
-        while pending:
-            for ref in self.full.downstream(pending.pop()):
-                if ref not in seen:
-                    seen[ref] = None
-                    pending.append(ref)
-        return list(seen)
-
     def _compile(self) -> None:
         full, part = self.full, self.part
         # Tied attachments of outputs are numbered; -1 stands for one that is there as long as its instance.
-        self._attachments = {op.attachment: n for n, op in enumerate(part.ops) if op.port is not None}
+        self._attachments: dict[Attachment, int] = {}
+        for bit, op in enumerate(part.ops):
+            if op.port is not None:
+                self._attachments.setdefault(op.attachment, bit)  # a stand-in's is made and undone: one number
         self._top = [full.modes[ref] for ref in self._refs]
         self._outputs: list[list[tuple[int, int, int]]] = [[] for _ in self._refs]  # topic, last good mode, attachment
         self._readers: list[list[int]] = []
@@ -222,7 +228,7 @@ class PartLosses:
                 if self.part.ops[bit].port is None:
                     gone.update(concerned)
                 else:
-                    detached.add(bit)
+                    detached.add(self._attachments[self.part.ops[bit].attachment])
         pending: list[int] = []
 
         def withdraw(topic: int) -> None:

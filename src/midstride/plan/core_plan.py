@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
+from typing import Final
 
 from midstride.model.action import Swap
 from midstride.model.component import FunctionalityRef
@@ -23,6 +24,8 @@ from midstride.plan.disruption import Levels
 from midstride.plan.plan_builder import PlanBuilder
 from midstride.plan.search_state import SearchState
 
+_EPSILON: Final = 1e-7
+
 
 class Budget:
     """How long the search may take: in states, where the result must not depend on the machine, or in seconds."""
@@ -32,10 +35,14 @@ class Budget:
     ) -> None:
         self._states, self._clock, self._end = states, clock, clock() + seconds
 
-    def is_used_up(self) -> bool:
-        """Counts one state more."""
-        self._states -= 1
+    def is_used_up(self, states: int = 1) -> bool:
+        """Counts so many states more."""
+        self._states -= states
         return self._states < 0 or self._clock() > self._end
+
+    def end(self) -> None:
+        """Nothing more is to be searched."""
+        self._states = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +54,16 @@ class CoreResult:
 
 
 def search_core(
-    levels: Levels, constraints: Sequence[Constraint], budget: Budget, ignored: Collection[str] = ()
+    levels: Levels,
+    constraints: Sequence[Constraint],
+    budget: Budget,
+    ignored: Collection[str] = (),
+    most: float = inf,
 ) -> CoreResult:
     """The lower bound, and the actions of a way through all parts that costs the least known.
 
-    The resources and topics that are ``ignored`` count as large enough.
+    The resources and topics that are ``ignored`` count as large enough. The search ends where the bound reaches
+    ``most``; then there are no actions.
     """
     change = levels.change
     keeps = _keeps(levels, constraints)
@@ -68,9 +80,19 @@ def search_core(
     }
     searches = [PartSearch(part, PartLosses(change, part, levels, full), keeps, limits) for part in found]
     # The beam does not count the seconds of limits, so under limits there is no way known at first.
+    least = sum(search.bounds.of(0) for search in searches)
+    if least >= most - _EPSILON:
+        return CoreResult(least, None)
     results = [PartResult(0.0) if limits else search.beam() for search in searches]
     for index, search in enumerate(searches):
-        results[index] = search.run(budget.is_used_up, results[index])
+        known = results[index]
+        left = most - sum(result.lower_bound for result in results) + known.lower_bound
+        result = search.run(budget.is_used_up, PartResult(known.lower_bound, left) if left < known.cost else known)
+        if result.lower_bound < result.cost - _EPSILON:
+            budget.end()
+        if result.lower_bound >= left - _EPSILON:
+            return CoreResult(most, None)
+        results[index] = replace(known, lower_bound=result.lower_bound) if result.cost == left < known.cost else result
     bound = sum(result.lower_bound for result in results)
     if any(result.cost == inf for result in results):
         return CoreResult(bound, None)
@@ -157,12 +179,15 @@ def _done(state: SearchState, op: Op, move: tuple[Op, ...]) -> SearchState:
         new = state.builder.change.replaced.get(op.instance)
         if new is not None:
             state = state.without_swaps(new)
+        if op.instance in state.builder.change.stand_ins:
+            state = state.giving_up(op.instance)
         return state.remove([op.instance], [pair for pair in state.detaches if pair[0].instance == op.instance])
     if any(each.kind == "remove" and each.instance == op.instance for each in move):
         return state  # comes with the removal
     port, connector = op.attachment
     for new, swaps in state.swaps.items():
-        swap = next((s for s in swaps if op.attachment in ((s.new, s.connector), (s.old, s.connector))), None)
+        ports = ((swap, swap.new if op.kind == "attach" else swap.old) for swap in swaps)
+        swap = next((swap for swap, its in ports if (its, swap.connector) == op.attachment), None)
         if swap is not None:
             both = {(each.port, each.connector) for each in move}
             if (swap.new, connector) in both and all(map(state.can_take_over, swaps)):

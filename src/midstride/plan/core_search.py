@@ -91,8 +91,8 @@ class PartSearch:
         return found
 
     def _is_due(self, bit: int, state: int) -> bool:
-        """Whether the user's orders allow an action now."""
-        after = self.part.after[bit]
+        """Whether what an action is about exists, and the user's orders allow it now."""
+        after = self.part.after[bit] | self.part.live[bit]
         return state & after == after
 
     def _fits(self, bit: int, state: int) -> bool:
@@ -115,7 +115,7 @@ class PartSearch:
             low = waiting & -waiting
             waiting ^= low
             bit = low.bit_length() - 1
-            if state & part.live[bit] != part.live[bit] or not self._is_due(bit, state):
+            if not self._is_due(bit, state):
                 continue
             topic = self._topic_of.get(bit)
             if topic is None:

@@ -11,6 +11,7 @@ from midstride.codec.form import Document, FiniteNumber, encode, field
 from midstride.codec.parameter import values_of
 from midstride.codec.reading import decode, under
 from midstride.codec.specification import SpecificationForm
+from midstride.errors import PlanRefused
 from midstride.model.best import best
 from midstride.model.component import FunctionalityRef
 from midstride.model.component_rules import component_rules
@@ -19,10 +20,11 @@ from midstride.model.diagnostics import Problem
 from midstride.model.name_checks import specification_names
 from midstride.model.specification import Specification
 from midstride.plan.alternatives import Alternative, alternatives
-from midstride.plan.change import Change
+from midstride.plan.change import Change, Detour
 from midstride.plan.change_builder import change_between
+from midstride.plan.detours import with_detours
 from midstride.plan.explain import Degradation, LevelShift
-from midstride.plan.plan import Plan
+from midstride.plan.plan import Plan, ProofSpace
 from midstride.plan.runtime_values import RuntimeValue
 from midstride.plan.state import left_behind
 from midstride.plan.step_forms import (
@@ -53,6 +55,26 @@ Standing: TypeAlias = Annotated[
 ]
 
 
+class DetourForm(PlanPart, frozen=True, kw_only=True):
+    """What one role does beyond the change: it moves away and back, or has a stand-in, or both."""
+
+    what: ClassVar[str] = "a detour"
+
+    role: str
+    moved: Annotated[bool, field("a boolean", "a node that stays is replaced by one like it")]
+    stand_in: Annotated[str | None, field("a component", "of the instance that exists during the plan only")]
+
+    @classmethod
+    def of(cls, detour: Detour) -> DetourForm:
+        return cls(role=detour.role, moved=detour.moved, stand_in=detour.stand_in)
+
+    def detour(self) -> Detour:
+        return Detour(self.role, self.moved, self.stand_in)
+
+
+Detours: TypeAlias = Annotated[list[DetourForm], field("a list of detours", "what is done beyond the change itself")]
+
+
 class PlanCosts(PlanPart, frozen=True, kw_only=True):
     """What a plan costs and why."""
 
@@ -62,6 +84,9 @@ class PlanCosts(PlanPart, frozen=True, kw_only=True):
     proved_minimal: bool
     disruption: Annotated[FiniteNumber, field("a disruption", "in weighted functionality-seconds")]
     lower_bound: FiniteNumber
+    proof_space: Annotated[ProofSpace, field("`direct` or `detours`", "the plans that the lower bound speaks of")] = (
+        "direct"
+    )
     makespan: Annotated[FiniteNumber, field("a makespan", "the critical path of the steps, in seconds")]
     seconds: Annotated[FiniteNumber, field("a number of seconds", "one step after another")]
     between: Between | UnsetType = UNSET
@@ -84,6 +109,7 @@ class PlanPreview(PlanCosts, frozen=True, kw_only=True):
     parameters: RuntimeValues | UnsetType = UNSET
     own_state: OwnState | UnsetType = UNSET
     remarks: Remarks | UnsetType = UNSET
+    detours: Detours | UnsetType = UNSET
 
     @classmethod
     def of(cls, plan: Plan) -> PlanPreview:
@@ -102,6 +128,7 @@ class PlanForm(PlanCosts, frozen=True, kw_only=True):
     parameters: RuntimeValues | UnsetType = UNSET
     own_state: OwnState | UnsetType = UNSET
     remarks: Remarks | UnsetType = UNSET
+    detours: Detours | UnsetType = UNSET
 
     @classmethod
     def of(cls, plan: Plan, **more: Any) -> PlanForm:
@@ -116,6 +143,7 @@ def _fields(plan: Plan) -> dict[str, Any]:
         "proved_minimal": plan.proved_minimal,
         "disruption": plan.disruption,
         "lower_bound": plan.lower_bound,
+        "proof_space": plan.proof_space,
         "makespan": plan.makespan,
         "seconds": plan.seconds,
         "between": plan.between or UNSET,
@@ -127,6 +155,7 @@ def _fields(plan: Plan) -> dict[str, Any]:
         "standing": _standing(plan.change.origin) or UNSET,
         "parameters": list(plan.parameters) or UNSET,
         "remarks": list(plan.remarks) or UNSET,
+        "detours": [DetourForm.of(detour) for detour in plan.change.detours] or UNSET,
         "own_state": left_behind(plan.change, (step.action for step in plan.steps)) or UNSET,
     }
 
@@ -161,6 +190,10 @@ def decode_plan(document: object) -> Plan:
     standing = {} if form.standing is UNSET else form.standing
     origin = _started(start, {} if form.running is UNSET else form.running, standing)
     change = change_between(origin, start, target)
+    try:
+        change = with_detours(change, (each.detour() for each in (form.detours or ())))
+    except KeyError as error:
+        raise PlanRefused(f"a detour is about {error.args[0]}, which is not there") from None
     known = dict(change.start.instances)
     return Plan(
         strategy=form.strategy,
@@ -174,6 +207,7 @@ def decode_plan(document: object) -> Plan:
         fallen=tuple(FunctionalityRef.parse(text) for text in form.fallen),
         parameters=() if form.parameters is UNSET else tuple(form.parameters),
         remarks=() if form.remarks is UNSET else tuple(form.remarks),
+        proof_space=form.proof_space,
     )
 
 

@@ -47,6 +47,10 @@ class Candidate:
     breaches: tuple[Breach, ...]
 
     @property
+    def disruption(self) -> float:
+        return self.key[1]
+
+    @property
     def makespan(self) -> float:
         return self.key[3]
 
@@ -83,7 +87,9 @@ def minimal(change: Change, budget: Budget | None = None) -> Plan:
 def _best(levels: Levels, constraints: Sequence[Constraint], budget: Budget) -> tuple[Candidate | None, float]:
     """The best plan found, and a lower bound on the disruption of any."""
     core = search_core(levels, constraints, budget)
-    along = _along(core, levels, constraints)
+    along = cheapest_along(core, levels, constraints)
+    if levels.change.detours:  # the search by moves knows no instance that comes and goes
+        return along, core.lower_bound
     return _find(levels, constraints, along, few=sum(map(len, core.moves or ())) > _MANY), core.lower_bound
 
 
@@ -103,7 +109,7 @@ def _limits(levels: Levels, constraints: Sequence[Constraint]) -> list[str]:
     return [*_no_room(change, named), *_no_slots(change, named)]
 
 
-def _along(core: CoreResult, levels: Levels, constraints: Sequence[Constraint]) -> Candidate | None:
+def cheapest_along(core: CoreResult, levels: Levels, constraints: Sequence[Constraint]) -> Candidate | None:
     """The best plan along the core's moves, with hand-overs unless these lose more."""
     if not core.moves:
         return None
@@ -135,10 +141,11 @@ def _no_slots(change: Change, topics: Sequence[str]) -> Iterator[str]:
 
 
 def _relevant(change: Change, found: Candidate | None, constraints: Iterable[Constraint]) -> list[Constraint]:
-    """The constraints that concern the roles that the plan touches."""
+    """The constraints that concern the roles that the plan touches; all, where there is none."""
+    if found is None:
+        return list(constraints)
     touched = {change.role_of(name) for name in change.instances()}
-    if found is not None:
-        touched.update(role for step in found.steps for role in step.roles)
+    touched.update(role for step in found.steps for role in step.roles)
     return [constraint for constraint in constraints if touched.intersection(roles_of(constraint))]
 
 

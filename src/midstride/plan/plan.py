@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, Literal, TypeAlias
 
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
@@ -19,6 +19,8 @@ from midstride.plan.step import Step
 
 _EPSILON: Final = 1e-6
 
+ProofSpace: TypeAlias = Literal["direct", "detours"]
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -27,6 +29,7 @@ class Plan:
     ``disruption`` is in weighted functionality-seconds, ``makespan`` the critical path of the
     steps that do not commute, ``seconds`` the plain sum. ``fallen`` names roles' functionalities
     that are ever below the baseline. ``proved_minimal`` is claimed only where it is proved.
+    ``proof_space``: the plans that ``lower_bound`` speaks of, without detours or with them as well.
     ``parameters``: what becomes of the values that were set at run time. ``remarks``: what it does besides, and why.
     """
 
@@ -41,6 +44,7 @@ class Plan:
     fallen: tuple[FunctionalityRef, ...]
     parameters: tuple[RuntimeValue, ...] = ()
     remarks: tuple[str, ...] = ()
+    proof_space: ProofSpace = "direct"
 
     @classmethod
     def of(

@@ -9,8 +9,10 @@ from typing import Final, TypeAlias
 
 from immutables import Map
 
+from midstride.errors import PlanRefused
 from midstride.plan.change import Change
 from midstride.plan.core_plan import Budget
+from midstride.plan.detour_search import minimal_with_detours
 from midstride.plan.minimal import minimal
 from midstride.plan.paper import paper
 from midstride.plan.plan import Plan
@@ -24,12 +26,15 @@ Planner: TypeAlias = Callable[[Change], Plan]
 STRATEGIES: Final[Mapping[str, Planner]] = Map({"minimal": minimal, "paper": paper, "quiesce": quiesce, "stop": stop})
 
 
-def planner(name: str = "minimal", within: float | None = None) -> Planner:
-    """The planner of that name. Raises PlanRefused for an unknown one.
+def planner(name: str = "minimal", within: float | None = None, *, detours: bool = False) -> Planner:
+    """The planner of that name. Raises PlanRefused for an unknown one, or one that makes no ``detours``.
 
     ``within`` is for ``minimal`` alone: from now on, how many seconds it may search for the proof.
     """
     require("strategy", name, STRATEGIES)
-    if name == "minimal" and within is not None:
-        return partial(minimal, budget=Budget(inf, within))
-    return STRATEGIES[name]
+    if name != "minimal":
+        if detours:
+            raise PlanRefused(f"the strategy {name} makes no detours; minimal does")
+        return STRATEGIES[name]
+    chosen = minimal_with_detours if detours else minimal
+    return chosen if within is None else partial(chosen, budget=Budget(inf, within))

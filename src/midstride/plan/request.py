@@ -19,6 +19,7 @@ class PlanRequest:
     A role in ``replace`` or ``restart`` gets a new instance, also of the same component: its program may have changed.
     ``restart`` may accompany a whole specification.
     With ``declared_parameters``, parameter values that were set at run time are not kept.
+    ``detours``: the strategy ``minimal`` also tries to move nodes that stay, and stand-ins.
     ``explain``: a plan that is only shown says what it would cost to keep what it degrades.
     ``restore``: only raise these functionalities of instances, to these modes.
     """
@@ -30,6 +31,7 @@ class PlanRequest:
     to: Specification | None = None
     components: tuple[ComponentSpec, ...] = ()
     strategy: str = "minimal"
+    detours: bool = False
     declared_parameters: bool = False
     restore: tuple[tuple[FunctionalityRef, int], ...] = ()
     explain: bool = False

@@ -39,6 +39,9 @@ class ChangeRequest(Form, frozen=True):
         list[NamedComponentForm], field("a list of components", "components that the specification does not have yet")
     ] = []
     strategy: Strategy = "minimal"
+    detours: Annotated[
+        bool, field("a boolean", "with `minimal`: nodes that stay may be moved, and roles have stand-ins meanwhile")
+    ] = False
     declared_parameters: Annotated[
         bool, field("a boolean", "start with the declared values of parameters, not with those set at run time")
     ] = False
@@ -56,6 +59,7 @@ class ChangeRequest(Form, frozen=True):
             to=None if self.to is None else self.to.specification(),
             components=tuple(form.declared() for form in self.components),
             strategy=self.strategy,
+            detours=self.detours,
             declared_parameters=self.declared_parameters,
             explain=self.explain,
         )

@@ -214,8 +214,9 @@ class SearchState:
 
     def can_take_over(self, swap: Swap) -> bool:
         """Whether the new output, in its current mode, satisfies the topic."""
-        live = swap.new.instance in self.builder.configuration.instances
-        return live and self.satisfies_topic(swap.new, swap.connector)
+        configuration = self.builder.configuration
+        ready = swap.new.instance in configuration.instances and configuration.is_attached(swap.old, swap.connector)
+        return ready and self.satisfies_topic(swap.new, swap.connector)
 
     def satisfies_topic(self, output: PortRef, connector: str) -> bool:
         configuration = self.builder.configuration
@@ -254,6 +255,12 @@ class SearchState:
             detaches=(*self.detaches, *((swap.old, swap.connector) for swap in split)),
             swaps={**self.swaps_of_others(new), **({new: kept} if kept else {})},
         )
+
+    def giving_up(self, stand_in: str) -> SearchState:
+        """Without what the stand-in has not been attached to yet."""
+        state = self.without_swaps(stand_in)
+        pending = {pair for pair in state.attaches if pair[0].instance == stand_in}
+        return replace(state, attaches=_minus(state.attaches, pending), detaches=_minus(state.detaches, pending))
 
     def remove(self, names: Sequence[str], detached: Sequence[Attachment]) -> SearchState:
         """Make all of ``detached``, then remove ``names``."""

@@ -11,6 +11,7 @@ from typing import Final
 
 from immutables import Map
 
+from midstride.errors import PlanRefused
 from midstride.plan.change import Change
 from midstride.plan.core_plan import Budget
 from midstride.plan.disruption import Levels
@@ -33,7 +34,10 @@ def sensitivity(plan: Plan) -> str | None:
         return None
     budget = Budget()  # for all variations together: a change waits for them
     for what, seconds, estimate, change in _variations(plan):
-        other = minimal(change, budget)
+        try:
+            other = minimal(change, budget)
+        except PlanRefused:  # with this duration, no plan meets the constraints
+            continue
         own = _retimed(plan, change).disruption
         if own - other.disruption > _SHARE * own:
             return (

@@ -113,12 +113,14 @@ class Cut:
 
     def incoming(self, address: str, seat: Seat | None = None) -> CutInCommand:
         """The cut as the new side is sent it; ``address`` is that of the old side."""
-        # An output without a rate or a driving message is written once, so the cut repeats its last message.
+        # What is written once is repeated at the cut.
         swaps = [
             CutSwap(
                 port=swap.new.port,
                 topic=self.configuration.topic(swap.connector),
-                latch=not self.configuration.rate(swap.new) if self.by_baton else self.trigger == "none",
+                latch=not self.configuration.rate(swap.new)
+                if self.by_baton
+                else written_once(self.configuration, swap.new, self.trigger),
             )
             for swap in self.swaps
         ]
@@ -140,7 +142,7 @@ class Cut:
         """The seat of ``side`` in the page of the gates, where only the other side has a gate."""
         old = side == self.old
         other = self.new if old else self.old
-        if self.configuration.component(side).gate is not None or not self.by_baton:
+        if not (self.configuration.component(side).has_agent and self.by_baton):
             return None
         own = [(swap.old if old else swap.new, self.configuration.topic(swap.connector)) for swap in self.swaps]
         ports = [SeatPort(topic=topic, rate=self.configuration.rate(port)) for port, topic in own]
@@ -198,7 +200,7 @@ async def agree_cuts(
 
 def _first_slot(cut: Cut, moment: int) -> int:
     """The first slot of its grid that is not before ``moment``, which itself is one where there is no grid."""
-    if cut.trigger != "rate" or cut.epoch is None or not cut.period:
+    if cut.epoch is None or not cut.period:
         return moment
     step = cut.period * 1e9
     return cut.epoch + round(math.ceil((moment - cut.epoch) / step) * step)
@@ -230,8 +232,8 @@ async def publishers_found(
 
 
 def early_publishers(configuration: Configuration, new: Iterable[PortRef]) -> int:
-    """How many of these exist as long as their processes, attached or not: those without Midstride's API."""
-    return sum(configuration.component(port.instance).gate is not None for port in new)
+    """How many of these exist as long as their processes, attached or not: those without an agent in them."""
+    return sum(not configuration.component(port.instance).has_agent for port in new)
 
 
 async def require_found(
@@ -283,8 +285,14 @@ async def require_same_clock(client: ComponentClient, old: str, new: str) -> Non
 
 
 def has_gate(configuration: Configuration, old: str, new: str) -> bool:
-    """Whether the program of one of these, or of both, does not use Midstride's API."""
-    return any(configuration.component(name).gate is not None for name in (old, new))
+    """Whether one of these, or both, has no agent in its process, so that a baton decides."""
+    return not all(configuration.component(name).has_agent for name in (old, new))
+
+
+def written_once(configuration: Configuration, new: PortRef, trigger: Trigger) -> bool:
+    """Whether a message of an output may have been written only once, and then behind its gate."""
+    relayed = configuration.component(new.instance).gate == "relay"
+    return trigger == "none" or (relayed and not configuration.rate(new))
 
 
 def require_baton(configuration: Configuration, old: str, new: str) -> None:
@@ -293,7 +301,7 @@ def require_baton(configuration: Configuration, old: str, new: str) -> None:
     if components[old].gate == components[new].gate:
         return
     for name, component in components.items():
-        if component.gate is not None and not component.preloads:
+        if not component.has_agent and not component.preloads:
             kinds = " and ".join(
                 f"{each} has `gate {found.gate}`" if found.gate else f"{each} uses Midstride's API"
                 for each, found in components.items()

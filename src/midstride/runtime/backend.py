@@ -11,12 +11,15 @@ from collections.abc import Callable, Container, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Final, Protocol
 
 from midstride.codec.form import Form
 from midstride.model.component import ComponentSpec
 from midstride.runtime.clock import Clock
 from midstride.wire.transport import Transport
+
+# What the name of a relay's node has after the name of its instance, which is that of the program's node.
+RELAY_SUFFIX: Final = "_relay"
 
 
 @dataclass(frozen=True, slots=True)

@@ -317,10 +317,12 @@ def _plan(
         change = requested_change(configuration, specification, request, planned, measured)
     else:
         change = change_between(configuration, specification, planned, measured, request.renewed(planned))
-    parameters = of_change(change, values, keep=keep)
-    plan = planner(request.strategy)(change)
+    plan = planner(request.strategy, detours=request.detours)(change)
+    parameters = of_change(plan.change, values, keep=keep)
     doubt = sensitivity(plan)
-    return replace(plan, parameters=parameters, remarks=() if doubt is None else (doubt,)), target
+    return replace(
+        plan, parameters=parameters, remarks=plan.remarks if doubt is None else (*plan.remarks, doubt)
+    ), target
 
 
 def _as_set(configuration: Configuration, values: Mapping[str, Values]) -> Configuration:

@@ -48,6 +48,17 @@ class Database:
         with self._lock:
             return self.connection.execute(query, values).fetchall()
 
+    def peek(self, query: str, values: Sequence[str | float | None]) -> list[tuple[Any, ...]] | None:
+        """The same without waiting: None while another thread uses the database, or where it cannot be read."""
+        if not self._lock.acquire(blocking=False):
+            return None
+        try:
+            return self.connection.execute(query, values).fetchall()
+        except sqlite3.Error:
+            return None
+        finally:
+            self._lock.release()
+
     def close(self) -> None:
         with self._lock, suppress(sqlite3.Error):
             self.connection.close()
@@ -57,7 +68,7 @@ class Lease:
     """The right to write to a database of a system, kept in its ``table``: the manager that took it last has it."""
 
     def __init__(self, table: str) -> None:
-        self.superseded = False  # another manager has taken it
+        self._lost = False  # another manager has taken it
         self._taken = False
         self._holder = (f"{os.getpid()} {secrets.token_hex(8)}",)
         self._take: Statement = (f"INSERT OR REPLACE INTO {table} VALUES ('holder', ?)", self._holder)
@@ -72,8 +83,14 @@ class Lease:
         try:
             database.write(statements, only_if=self._held)
         except Superseded:
-            self.superseded = True
+            self._lost = True
             raise
+
+    def superseded(self, database: Database | None) -> bool:
+        """Whether another manager has taken it, as a look at the database shows, or a write before."""
+        if self._taken and not self._lost and database is not None:
+            self._lost = database.peek(*self._held) == []
+        return self._lost
 
     def renew(self) -> None:
         """The database is a new one: the next write takes the lease."""

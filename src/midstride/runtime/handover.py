@@ -30,6 +30,7 @@ from midstride.runtime.agreed_cut import (
     require_baton,
     require_found,
     require_same_clock,
+    written_once,
 )
 from midstride.runtime.answering import have_answer
 from midstride.runtime.component_client import ComponentClient
@@ -243,8 +244,7 @@ class LiveHandover:
             last = await self._fence(hung)
         for swap in waiting:
             grid = await self.client.read(swap.new.instance, commands.GridCommand(port=swap.new.port))
-            # What is written once was written behind the gate.
-            latch = grid.trigger == "none"
+            latch = written_once(self.configuration, swap.new, grid.trigger)
             opening = commands.GateCommand(port=swap.new.port, topic=self._topic(swap), gate="open", latch=latch)
             await self.client.change(swap.new.instance, opening)
         for old, new in self._pairs:
@@ -353,7 +353,8 @@ class LiveHandover:
                 # An old side that is busy with exporting its state does not hang.
                 failed = OldSideFailed if because is None else StepFailed
                 raise failed(f"{cut.new} did not {what}; {cut.old} continues{reason}")
-            if incoming.outcome != "done" or outgoing.outcome != "done":
+            # A new side that has published, and is still reporting it, has taken over if the old one knows.
+            if incoming.outcome not in ("done", "waiting") or outgoing.outcome != "done":
                 raise OldSideFailed(f"{cut.old} resumed before it learned that {cut.new} had published{reason}")
             self.states.ended(cut, incoming)
             if because is not None and self.configuration.component(cut.new).gate == "lifecycle":

@@ -67,7 +67,7 @@ class Journal:
     @property
     def superseded(self) -> bool:
         """Another manager of the system has taken the lease."""
-        return self._lease.superseded
+        return self._lease.superseded(self._database)
 
     async def take_over(self) -> list[Interrupted]:
         """Take the lease, with a later write if the disk refuses it; returns what was interrupted, oldest first.

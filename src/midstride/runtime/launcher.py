@@ -22,8 +22,9 @@ from midstride.errors import (
     StartFailed,
     Unreachable,
 )
+from midstride.model.component import GATES, Gate
 from midstride.model.configuration import Instance
-from midstride.runtime.backend import Backend, Exited, Handle, Launch
+from midstride.runtime.backend import RELAY_SUFFIX, Backend, Exited, Handle, Launch
 from midstride.runtime.component_client import STOPPED, ComponentClient
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.registration import mismatches, unexpected_endpoints
@@ -32,6 +33,8 @@ from midstride.wire.commands import ReleaseCommand, WelcomeCommand
 from midstride.wire.frames import Greeting, Registration
 from midstride.wire.state import ComponentState
 
+# The gates that each back end has.
+GATES_OF: Final[Mapping[str, tuple[Gate, ...]]] = {"ros2": GATES, "ros1": ("relay",)}
 # How long a process may take to register (s), including imports of large libraries, if no other registers meanwhile.
 REGISTRATION_TIMEOUT: Final = float(os.environ.get("MIDSTRIDE_REGISTRATION_TIMEOUT", "30"))
 # On a machine that is busy with the starts of others: how long it may take at most (s).
@@ -101,9 +104,11 @@ class Launcher:
         command, gate = instance.component.run, instance.component.gate
         if command is None:
             return True
-        if gate is not None and self._backend.name != "ros2":
+        known = GATES_OF.get(self._backend.name, ())
+        if gate is not None and gate not in known:
             self._forget_start(name)
-            raise StartFailed(f"{name} has a gate (`gate {gate}`), and the back end {self._backend.name} has none")
+            instead = " or ".join(f"`gate {kind}` only" for kind in known) or "none"
+            raise StartFailed(f"{name} has a gate (`gate {gate}`), and the back end {self._backend.name} has {instead}")
         package = instance.component.package
         if package is not None and self._backend.name != "ros2":
             self._forget_start(name)
@@ -118,6 +123,8 @@ class Launcher:
             token, directory = self._client.token, self._directory
             # A program without Midstride's API has the instance's name: nothing in it could answer for the role.
             node, foreign = (instance.role, None) if gate is None else (name, instance.component)
+            if gate == "relay":  # whose process has a node as well, beside that of the program
+                node = f"{name}{RELAY_SUFFIX}"
             launch = Launch(
                 name,
                 namespace,

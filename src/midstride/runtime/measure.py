@@ -55,7 +55,8 @@ class Observation:
     of the messages that a message-driven publisher had to answer, if known: they serve as its time grid. ``resumed``:
     the change was rolled back, so the old publisher is the one at the end, too. ``watched``: how long the recording
     continued after the last step (s), where that is not 20 periods; ``earliest``: rows before belong to another change.
-    ``hung``: the old publisher may have been silent before: the figures begin with its last message.
+    ``hung``: the old publisher may have been silent before: the figures begin with its last message. ``own_slots``: the
+    new publisher is a program outside, which writes on a grid of its own and not on that of the old one.
     """
 
     topic: str
@@ -71,6 +72,7 @@ class Observation:
     watched: float = math.inf
     earliest: int = 0
     hung: bool = False
+    own_slots: bool = False
 
 
 def report(seen: Observation) -> SwapReport:
@@ -88,6 +90,8 @@ def report(seen: Observation) -> SwapReport:
     elif grid and by_side is not None:
         answered = None if seen.inputs is None else _answers(by_side, seen.inputs)
         missed, duplicates = answered or _slots(rows, by_side, grid, seen.ended)
+        if seen.own_slots and duplicates is not None:
+            duplicates = _overlap(list(by_side.values()))
     if seen.hung and not any(row.received <= seen.begun for row in rows):
         gap = missed = None  # since when it was silent is not known
     return SwapReport(
@@ -181,6 +185,13 @@ def _slots(rows: Sequence[Receipt], by_side: _Publishers, period: float, ended: 
     missed = sum(1 for slot in range(first, max(last, last_due) + 1) if slot not in taken)
     duplicates = sum(1 for owners in taken.values() if len(owners) > 1)
     return missed, duplicates
+
+
+def _overlap(sides: Sequence[Sequence[Receipt]]) -> int:
+    """How many messages of the first publisher were published after the first one of another."""
+    first, *others = sorted(sides, key=lambda own: own[0].received)
+    begun = min((_source(own[0]) for own in others), default=math.inf)
+    return sum(_source(row) > begun for row in first)
 
 
 def _source(row: Receipt) -> int:

@@ -35,7 +35,11 @@ class ParameterTransfer:
     _given: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._predecessors = {new: old for old, new in self.change.replaced.items()}
+        replaced, stand_ins = self.change.replaced, self.change.stand_ins
+        self._predecessors = {new: old for old, new in replaced.items()}
+        for name in stand_ins:  # it may lack what the one that it stands in for has
+            if name in replaced:
+                self._predecessors[replaced[name]] = self._predecessors[name]
         self._record(*self.planned)
 
     def report(self, done: bool) -> list[RuntimeValue]:
@@ -103,6 +107,8 @@ class ParameterTransfer:
     async def _set(self, instance: Instance, name: str, value: ParameterValue) -> None:
         """One value, so that a refusal is about it. Raises StepFailed, or BackendError."""
         if name not in ROS_PARAMETERS and name not in (await self.client.peek(instance.name)).parameters:
+            if instance.name in self.change.stand_ins:
+                return
             self._record(left_behind(instance.role, name, value, instance.component.name))
             return
         try:

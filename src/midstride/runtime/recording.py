@@ -41,7 +41,10 @@ class Exchange:
 
 
 def exchanges(configuration: Configuration, actions: Iterable[Action]) -> list[Exchange]:
-    """The publishers that ``actions`` exchange, by hand-over or by detaching one and attaching the other."""
+    """The publishers that ``actions`` exchange, by hand-over or by detaching one and attaching the other.
+
+    What a stand-in takes over and hands on is one exchange: of the one before it with the one after it.
+    """
     found: list[Exchange] = []
     roles = {name: instance.role for name, instance in configuration.instances.items()}
     detached: list[tuple[str, PortRef]] = []
@@ -50,7 +53,12 @@ def exchanges(configuration: Configuration, actions: Iterable[Action]) -> list[E
             case Create(instance):
                 roles[instance.name] = instance.role
             case Handover(swaps):
-                found.extend(Exchange(swap.connector, swap.old, swap.new) for swap in swaps)
+                for swap in swaps:
+                    before = next((e for e in found if (e.connector, e.new) == (swap.connector, swap.old)), None)
+                    if before is not None:
+                        found.remove(before)
+                    old = swap.old if before is None else before.old
+                    found.append(Exchange(swap.connector, old, swap.new))
             case Detach(port, connector) if configuration.has_port(port) and configuration.is_output(port):
                 detached.append((connector, port))
             case Attach(port, connector):
@@ -94,6 +102,8 @@ class Recording:
     async def begin(self, configuration: Configuration, actions: Sequence[Action]) -> None:
         """Start recording at each subscriber that the plan does not remove."""
         removed = {action.instance for action in actions if isinstance(action, Remove)}
+        created = [action.instance for action in actions if isinstance(action, Create)]
+        own_slots = {each.name for each in (*configuration.instances.values(), *created) if each.component.gate}
         for exchange in exchanges(configuration, actions):
             old = exchange.old
             topic = configuration.topic(exchange.connector)
@@ -109,7 +119,16 @@ class Recording:
                 except MidstrideError:
                     self.unknown.append(unknown_report(topic, str(port), period))
                     continue
-                observation = Observation(topic, str(port), (), begun, begun, period, grid_period)
+                observation = Observation(
+                    topic,
+                    str(port),
+                    (),
+                    begun,
+                    begun,
+                    period,
+                    grid_period,
+                    own_slots=exchange.new.instance in own_slots,
+                )
                 self.recorded.append(RecordedInput(port, exchange, observation))
 
     async def _grid(self, old: PortRef) -> Grid | None:

@@ -231,6 +231,9 @@ class ComponentStatus(Report, frozen=True, kw_only=True):
     ending: Annotated[bool, Meta(description="it has been asked to end")]
     waiting: Annotated[str | None, Meta(description="what it is waiting for")]
     differences: Annotated[list[str], Meta(description="in which way its node is not what is declared")]
+    undeclared: Annotated[
+        list[str], Meta(description="the topics of its node that are no ports: they have no gate")
+    ] = []
     as_modelled: bool
     changed_files: Annotated[list[str], Meta(description="of its program: changed on disk since it started")]
     unknown_files: Annotated[str | None, Meta(description="what is not known of its program's files")]

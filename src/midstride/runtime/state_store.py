@@ -89,7 +89,7 @@ class StateStore:
     @property
     def superseded(self) -> bool:
         """Another manager of the system has taken the lease."""
-        return self._lease.superseded
+        return self._lease.superseded(self._database)
 
     # -- reading -----------------------------------------------------------------------------------
 

@@ -29,6 +29,12 @@ EXCHANGES_WITHIN: Final = 1.0
 SAME_SLOT: Final = 0.25
 
 
+def received(process: StandIn) -> set[str]:
+    """The ports on which messages have passed since they were attached."""
+    assert process.state is not None
+    return {port for port, links in process.state.ports.items() if any(link.count for link in links.values())}
+
+
 @dataclass
 class Invariants:
     """Call :meth:`begin` first."""
@@ -125,11 +131,13 @@ class Invariants:
             process = self.platform.standing(ref.instance)
             if reaction == math.inf:
                 self._free[ref] = now
-            if process is None or process.thawed_at > now:
-                self._broken[ref] = now  # it cannot react
+            if process is None or not process.reacts:
+                self._broken[ref] = now  # what a hung call keeps waiting is not missing
             elif now - self._free[ref] > reaction:
                 self._violation(f"{self._stays(ref)} is broken, and the manager does not react")
-            elif now - since > REFLEX and self.oracle.reflex_applies(self._shown[ref.instance], ref.functionality):
+            elif now - since > REFLEX and self.oracle.reflex_applies(
+                self._shown[ref.instance], ref.functionality, received(process)
+            ):
                 self._violation(f"{self._stays(ref)} is broken for more than {REFLEX:g} s")
 
     def _stays(self, ref: FunctionalityRef) -> str:

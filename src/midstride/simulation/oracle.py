@@ -75,11 +75,14 @@ class Oracle:
                     found.append(FunctionalityRef(each.instance, functionality))
         return found
 
-    def reflex_applies(self, shown: Shown, functionality: str) -> bool:
-        """Whether each assumption of its mode is about inputs with a rate, whose silence shows."""
+    def reflex_applies(self, shown: Shown, functionality: str, received: Collection[str]) -> bool:
+        """Whether each assumption of its mode is about inputs whose silence shows.
+
+        Those have a rate, and have ``received`` something since they were attached.
+        """
         inputs, mode = shown.component.inputs, dict(shown.modes)[functionality]
         needed = self._needed(shown, functionality, mode)
-        return all(inputs[name].rate for names in needed for name in names)
+        return all(inputs[name].rate and name in received for names in needed for name in names)
 
     def _provided(self, shown: Shown, functionality: str, mode: str, port: str, topic: str) -> bool:
         """Whether that output satisfies the topic in that mode."""

@@ -241,7 +241,8 @@ class Simulation:
         request = self._scenario.changes[-1]
         if request.restart:
             return PlanRequest(to=manager.specification, restart=request.restart)
-        return PlanRequest(to=request.target(self._scenario.specification), strategy=request.strategy)
+        target = request.target(self._scenario.specification)
+        return PlanRequest(to=target, strategy=request.strategy, detours=request.detours)
 
     # -- what is watched -----------------------------------------------------------------------------
 
@@ -262,9 +263,11 @@ class Simulation:
         return LATE_WRITE if {each.fault for each in self._struck} <= PROMPT else math.inf
 
     def _uninterrupted(self) -> bool:
-        """Whether outputs are handed over, and at most the manager has failed."""
+        """Whether outputs are handed over, no node is moved away, and at most the manager has failed."""
         requests = self._scenario.changes
-        handed_over = all(each.strategy == "minimal" and (each.replace or each.restart) for each in requests)
+        handed_over = all(
+            each.strategy == "minimal" and (each.replace or each.restart) and not each.detours for each in requests
+        )
         return handed_over and all(each.fault in OF_THE_MANAGER for each in self._struck)
 
     def _has_struck(self, *faults: str) -> bool:

@@ -136,7 +136,7 @@ class Scenario:
 def _steps(specification: Specification, request: PlanRequest) -> list[str]:
     target = request.target(specification)
     change = change_between(initial(specification), specification, target, renewed=request.renewed(target))
-    kinds = [step.action.kind for step in planner(request.strategy)(change).steps]
+    kinds = [step.action.kind for step in planner(request.strategy, detours=request.detours)(change).steps]
     return kinds + 2 * [kind for kind in kinds if kind == "handover"]
 
 

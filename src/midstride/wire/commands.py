@@ -303,6 +303,7 @@ class AwaitRateCommand(Command[RateVerdict], frozen=True, kw_only=True, tag="awa
     """Wait until an output has kept ``rate`` (Hz) over ``window`` seconds of its clock, or ``until`` it has not.
 
     Messages behind the gate count as well. A ``rate`` of 0 is broken by an exception only.
+    ``known_clock``: what cannot count on the clock of its node takes the rate as kept.
     """
 
     kind = "reading"
@@ -312,6 +313,7 @@ class AwaitRateCommand(Command[RateVerdict], frozen=True, kw_only=True, tag="awa
     window: Seconds
     until: Literal["met", "broken"]
     timeout: Seconds = 5.0
+    known_clock: bool = False
 
 
 class AwaitMatchCommand(Command[Attached], frozen=True, kw_only=True, tag="await_match"):

@@ -62,18 +62,42 @@ def pipe() -> tuple[PipeEnd, PipeEnd]:
     return left, right
 
 
+class PipeClaim:
+    """Implements :class:`midstride.wire.transport.CutClaim`. ``holders`` has, by cut, the claim that is taken."""
+
+    def __init__(self, holders: dict[str, PipeClaim], cut: str) -> None:
+        self._holders = holders
+        self._cut = cut
+        self._renounced = False
+
+    def take(self) -> bool:
+        return not self._renounced and self._holders.setdefault(self._cut, self) is self
+
+    def renounce(self) -> bool:
+        self._renounced = self._holders.get(self._cut) is not self
+        return self._renounced
+
+    def give_back(self) -> None:
+        if self._holders.get(self._cut) is self:
+            del self._holders[self._cut]
+
+
 class PipeNetwork:
     """Implements :class:`midstride.wire.transport.Transport` within one event loop."""
 
     def __init__(self) -> None:
         self.listeners: dict[str, Serve] = {}
         self._serving: set[asyncio.Future[None]] = set()
+        self._claims: dict[str, PipeClaim] = {}
 
     def address(self, instance: str) -> str:
         return f"{_SCHEME}{instance}"
 
     def instance(self, address: str) -> str:
         return address.removeprefix(_SCHEME)
+
+    def claim(self, cut: str) -> PipeClaim:
+        return PipeClaim(self._claims, cut)
 
     def present(self) -> dict[str, str]:
         return {instance: self.address(instance) for instance in sorted(self.listeners)}

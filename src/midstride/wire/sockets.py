@@ -23,12 +23,14 @@ from typing import Final
 from urllib.parse import quote, unquote
 
 from midstride.errors import NodeError, ProtocolError, Unreachable
+from midstride.wire.claims import FileClaim
 from midstride.wire.frames import LONGEST_FRAME
 from midstride.wire.transport import Serve, StopListening
 
 _SCHEME: Final = "unix:"
 _SUFFIX: Final = ".sock"
 _BACKLOG: Final = 16
+_CLAIMS: Final = ".claims"
 # How long the lock of the folder may be held by a process that takes a name (s).
 LOCK_TIMEOUT: Final = 2.0
 
@@ -82,6 +84,9 @@ class SocketFolder:
 
     def address(self, instance: str) -> str:
         return f"{_SCHEME}{self._path(instance)}"
+
+    def claim(self, cut: str) -> FileClaim:
+        return FileClaim(self.folder / _CLAIMS, cut)
 
     def present(self) -> dict[str, str]:
         try:

@@ -31,6 +31,21 @@ Serve = Callable[[Connection], Awaitable[None]]
 StopListening = Callable[[], None]
 
 
+class CutClaim(Protocol):
+    """The right to write what belongs after a cut: at most one of its sides has it, whatever it knows of the other.
+
+    It is free again when its holder gives it back, or when the holder's process ends. Any thread.
+    """
+
+    def take(self) -> bool:
+        """Whether this side has it now. Does not wait."""
+
+    def renounce(self) -> bool:
+        """Never take it from now on, unless this side has it; whether it has not."""
+
+    def give_back(self) -> None: ...
+
+
 class Transport(Protocol):
     """Where the components of one system listen. An address is a string that can be sent and stored."""
 
@@ -42,6 +57,9 @@ class Transport(Protocol):
 
     def address(self, instance: str) -> str:
         """The address of a component of this system, whether it listens or not."""
+
+    def claim(self, cut: str) -> CutClaim:
+        """One side's claim of a cut. Sides on different hosts have different claims, and both get theirs."""
 
     def present(self) -> dict[str, str]:
         """The components that have an address now, possibly dead ones among them: instance -> address."""

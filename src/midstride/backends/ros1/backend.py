@@ -8,23 +8,29 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import os
 import socket
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 from midstride.backends import naming, processes
 from midstride.backends.ros1 import launching, master_process, names
 from midstride.backends.ros1.master import Master
+from midstride.codec.component import NamedComponentForm
 from midstride.errors import BackendError, StartFailed, Unreachable
-from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middleware
+from midstride.foreign.relay import RelayOrder, order_file, private_topics
+from midstride.model.component import ComponentSpec
+from midstride.runtime.backend import RELAY_SUFFIX, Endpoints, Exited, Handle, Launch, Middleware
 from midstride.runtime.process import Process
 from midstride.runtime.reaper import Reaper
 from midstride.runtime.timeouts import within
 
 # How long taking back the registrations of a dead node may delay the report of its end (s).
 _TIDY: Final = 1.0
+_RELAY: Final = f"{__package__}.relay_program"
 
 
 class Ros1Backend(processes.ProcessBackend):
@@ -73,10 +79,27 @@ class Ros1Backend(processes.ProcessBackend):
                 f"{launch.instance}: a node {node} is running already, and a second one of its name would end it; "
                 "end it yourself, or use another name"
             )
-        environment = self._environment(launch)
-        handle = await self._spawn(launch, node, command, environment)
+        if launch.foreign is not None:
+            command = self._relay(launch, launch.foreign, node, command)
+            launch = replace(launch, parameters={}, set_parameters={})  # they are the program's
+        handle = await self._spawn(launch, node, command, self._environment(launch))
         self._dead.discard(node)
         return handle
+
+    def _relay(self, launch: Launch, component: ComponentSpec, node: str, command: Sequence[str]) -> tuple[str, ...]:
+        """The command of the relay of a program, whose node is ``node``."""
+        topics = naming.topics_of(component, node, launch.topics) | private_topics(component, launch.instance)
+        arguments = [f"{component.topic_of(port)}:={topic}" for port, topic in topics.items()]
+        arguments += [f"__name:={names.split(node)[0]}"]
+        values = {**launch.parameters, **launch.set_parameters}
+        arguments += [f"_{name}:={json.dumps(value)}" for name, value in values.items()]
+        declaration = NamedComponentForm.of(component)
+        order = RelayOrder(command=[*command, *arguments], node=node, declaration=declaration, topics=topics)
+        order.write(path := self._order_file(launch.instance))
+        return self._python(), "-m", _RELAY, str(path)
+
+    def _order_file(self, instance: str) -> Path:
+        return order_file(self._control / "gates", instance)
 
     def _environment(self, launch: Launch) -> dict[str, str]:
         return {
@@ -127,12 +150,16 @@ class Ros1Backend(processes.ProcessBackend):
 
     async def _died(self, instance: str) -> None:
         """Take back what a component that has ended may have left with the master, in bounded time."""
-        node = names.full(instance)
-        self._dead.add(node)
+        ended = [names.full(instance)]
+        if (order := self._order_file(instance)).exists():  # that was the node of its program
+            ended.append(f"{ended[0]}{RELAY_SUFFIX}")
+            order.unlink()
+        self._dead.update(ended)
         with contextlib.suppress(BackendError, asyncio.TimeoutError):
             async with within(_TIDY):
-                await self._opened().forget(node)
-                self._dead.discard(node)
+                for node in ended:
+                    await self._opened().forget(node)
+                    self._dead.discard(node)
 
     def middleware(self) -> Middleware:
         variables = (launching.MASTER_URI, "ROS_HOSTNAME", "ROS_IP")

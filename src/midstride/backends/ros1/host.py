@@ -54,13 +54,16 @@ _LATCHED: Final = QoS(durability="transient_local", depth=10)
 
 
 class Ros1Host:
-    """Made and run in the thread that calls ``Component.start``. Raises NodeError where the name is taken."""
+    """Made and run in the thread that calls ``Component.start``. Raises NodeError where the name is taken.
+
+    ``node``: the name of its node, where that is not the one of the instance.
+    """
 
     ros_node: Any = rospy  # there, a process is one node
 
-    def __init__(self, name: str, namespace: str) -> None:
+    def __init__(self, name: str, namespace: str, node: str = "") -> None:
         managed = bool(os.environ.get(ENV_TOKEN))
-        node_name, inside = names.split(name, namespace or rospy.names.get_namespace())
+        node_name, inside = names.split(node or name, namespace or rospy.names.get_namespace())
         given = [] if managed else [argument for argument in sys.argv[1:] if argument.startswith("__")]
         uri = launching.master_uri(os.environ)
         if launching.is_local(uri) and not os.environ.get("ROS_HOSTNAME"):
@@ -70,7 +73,7 @@ class Ros1Host:
         renamed = (argument.partition(":=")[2] for argument in given if argument.startswith("__name:="))
         self._node_name = next(renamed, node_name)
         self._node = names.full(self._node_name, inside)
-        self.instance = self._node.lstrip("/")
+        self.instance = (names.full(name, inside) if node else self._node).lstrip("/")
         # All instances of a role share the name of their diagnostics.
         self._role = names.full(find().node or self.instance, inside).lstrip("/")
         self._diagnostics: PortPublisher | None = None

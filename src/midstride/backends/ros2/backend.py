@@ -11,8 +11,9 @@ import logging
 import os
 import sys
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -33,6 +34,9 @@ from midstride.backends.ros2.graph import Graph
 from midstride.backends.ros2.node_services import RosNodeServices
 from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.foreign.graph_check import GraphEndpoint
+from midstride.foreign.page import GATES
+from midstride.foreign.relay import differing
+from midstride.model.component import ComponentSpec
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middleware
 from midstride.runtime.process import Process
 from midstride.runtime.reaper import Reaper
@@ -43,6 +47,7 @@ from midstride.wire.environment import ENV_SHARED_NAME
 _LISTEN: Final = 0.3
 # How long leaving ROS 2 may take (s).
 _LEAVE: Final = 5.0
+_RELAY: Final = f"{__package__}.relay_program"
 
 log = logging.getLogger(__name__)
 
@@ -66,7 +71,7 @@ class Ros2Backend(ProcessBackend):
         self._context: Any = None
         self._probes = 0
         self._probe_stuck = False
-        self._foreign_nodes = ForeignNodes(control / "gates", self.transport, self._services_of, self._graph_of)
+        self._foreign_nodes = ForeignNodes(control / GATES, self.transport, self._services_of, self._graph_of)
 
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
         self._on_exit = on_exit
@@ -128,6 +133,8 @@ class Ros2Backend(ProcessBackend):
             if node in self._foreign_nodes.names:
                 environment[ENV_SHARED_NAME] = "1"
             return await self._spawn(launch, full_name, command, environment)
+        if launch.foreign.gate == "relay":
+            return await self._start_relay(launch, launch.foreign, full_name, command, environment)
         environment, record = await self._foreign_nodes.prepare(launch, launch.foreign, full_name, environment)
         try:
             command = (*command, *ros_arguments(launch, launch.foreign, full_name))
@@ -137,6 +144,17 @@ class Ros2Backend(ProcessBackend):
             raise
         await self._foreign_nodes.started(record, handle)
         return handle
+
+    async def _start_relay(
+        self, launch: Launch, component: ComponentSpec, node: str, command: Sequence[str], program: Mapping[str, str]
+    ) -> Handle:
+        """``program``: the environment of the program, whose node has the full name ``node``."""
+        simulated = {name: value for name, value in launch.parameters.items() if name == "use_sim_time"}
+        own = replace(launch, parameters=simulated, set_parameters={})  # the others are the program's
+        environment = launching.environment(own, self._control, sys.executable, self.settings, os.environ)
+        different = differing(program, environment)
+        order = self._foreign_nodes.prepare_relay(launch, component, node, command, different)
+        return await self._spawn(own, node, (sys.executable, "-m", _RELAY, str(order)), environment)
 
     async def adopt(self, handle: Handle) -> bool:
         runs = await super().adopt(handle)

@@ -22,6 +22,16 @@ _INFINITE: Final = 2**31 * 10**9 - 1
 _UNSUPPORTED: Final = 2**64 - 1  # a middleware's word for "I do not count"
 
 
+def serialized(message_type: type) -> type:
+    """The class of messages of ``message_type`` that are not deserialised: bytes, as the middleware has them."""
+    return type(f"Serialized{message_type.__name__}", (bytes,), {"message_type": message_type})
+
+
+def message_type_of(type_: type) -> tuple[type, bool]:
+    """The message type of a port of ``type_``, and whether its messages stay serialised."""
+    return (type_.__dict__["message_type"], True) if issubclass(type_, bytes) else (type_, False)
+
+
 def profile_of(qos: QoS) -> Any:
     """The profile of a real endpoint: what is not stated is ROS 2's default (semantics.md section 1)."""
     stated = qos.effective()

@@ -10,13 +10,14 @@ import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace as replaced
 from functools import partial
 from pathlib import Path
 from typing import Final
 
 from msgspec.structs import replace
 
-from midstride.backends.naming import split
+from midstride.backends.naming import split, topics_of
 from midstride.codec.component import NamedComponentForm
 from midstride.errors import BackendError, CommandRefused
 from midstride.foreign import build
@@ -24,8 +25,9 @@ from midstride.foreign.agent import ForeignAgent
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.lifecycle_cuts import LifecyclePeers
-from midstride.foreign.page import Page
+from midstride.foreign.page import PAGE, Page
 from midstride.foreign.record import ForeignRecord
+from midstride.foreign.relay import RelayOrder, order_file, private_topics
 from midstride.foreign.services import NodeServices
 from midstride.model.component import ComponentSpec
 from midstride.runtime.backend import Handle, Launch
@@ -33,7 +35,6 @@ from midstride.wire.transport import Transport
 
 ENV_PAGE: Final = "MIDSTRIDE_GATE_PAGE"
 ENV_NODE: Final = "MIDSTRIDE_GATE_NODE"
-_PAGE: Final = "page"
 
 log = logging.getLogger(__name__)
 
@@ -58,6 +59,7 @@ class ForeignNodes:
         self._peers = LifecyclePeers()
         self._page: Page | None = None
         self._agents: dict[str, ForeignAgent] = {}
+        self._relayed: dict[str, str] = {}  # by instance that has a relay, the full name of its program's node
         self.names: set[str] = set()  # the full names of their ROS nodes, also of those that have ended
         self._closing: set[asyncio.Task[None]] = set()
 
@@ -69,10 +71,7 @@ class ForeignNodes:
         ``node`` is the full name of its ROS node.
         """
         await asyncio.gather(*self._closing)  # the name may be that of one that has just ended
-        topics = {
-            port: launch.topics.get(port) or _resolved(component.topic_of(port), node) for port in component.ports()
-        }
-        index, variables = None, dict(environment)
+        topics, index, variables = topics_of(component, node, launch.topics), None, dict(environment)
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if component.preloads:
             page, library = await self._opened(environment)
@@ -98,10 +97,36 @@ class ForeignNodes:
         )
         return variables, record
 
+    def prepare_relay(
+        self,
+        launch: Launch,
+        component: ComponentSpec,
+        node: str,
+        command: Sequence[str],
+        environment: Mapping[str, str | None],
+    ) -> Path:
+        """The file of the order of a relay; the arguments are those of :class:`RelayOrder`. Raises BackendError."""
+        topics = topics_of(component, node, launch.topics) | private_topics(component, launch.instance)
+        order = RelayOrder(
+            command=[*command, *ros_arguments(replaced(launch, topics=topics), component, node)],
+            node=node,
+            declaration=NamedComponentForm.of(component),
+            topics=topics,
+            environment=dict(environment),
+        )
+        path = order_file(self._folder, launch.instance)
+        order.write(path)
+        self._relays(launch.instance, node)
+        return path
+
+    def _relays(self, instance: str, node: str) -> None:
+        self._relayed[instance] = node
+        self.names.add(node)
+
     async def _opened(self, environment: Mapping[str, str]) -> tuple[Page, Path]:
         library = await asyncio.to_thread(build.library, environment)
         if self._page is None:
-            path = self._folder / _PAGE
+            path = self._folder / PAGE
             if not any(self._folder.glob("*.json")):
                 path.unlink(missing_ok=True)  # nothing uses it, and an earlier version may have made it
             self._page = Page(path, library)
@@ -109,7 +134,7 @@ class ForeignNodes:
 
     def runs(self, node: str) -> bool:
         """Whether a process without Midstride's API has the ROS node of this full name."""
-        return any(agent.node.record.node == node for agent in self._agents.values())
+        return node in self._relayed.values() or any(a.node.record.node == node for a in self._agents.values())
 
     def discard(self, record: ForeignRecord) -> None:
         """The process could not be started."""
@@ -127,6 +152,8 @@ class ForeignNodes:
             if record.index is not None:
                 await self._opened(os.environ)
             await self._answer(record)
+        with suppress(BackendError):
+            self._relays(instance, RelayOrder.read(order_file(self._folder, instance)).node)
 
     async def _answer(self, record: ForeignRecord) -> None:
         gates = None
@@ -152,6 +179,8 @@ class ForeignNodes:
     def gone(self, instance: str) -> None:
         """Its process has ended."""
         self._peers.nodes.pop(instance, None)
+        if self._relayed.pop(instance, None) is not None:
+            order_file(self._folder, instance).unlink(missing_ok=True)
         if (agent := self._agents.pop(instance, None)) is not None:
             record = agent.node.record
             closing = asyncio.get_running_loop().create_task(agent.close())
@@ -184,12 +213,3 @@ def ros_arguments(launch: Launch, component: ComponentSpec, node: str) -> list[s
     arguments = [part for remap in remaps for part in ("-r", remap)]
     arguments += [part for key, value in values.items() for part in ("-p", f"{key}:={json.dumps(value)}")]
     return ["--ros-args", *arguments]
-
-
-def _resolved(topic: str, node: str) -> str:
-    """The full name of a topic that a node names."""
-    if topic.startswith("/"):
-        return topic
-    if topic.startswith("~"):
-        return f"{node}/{topic.lstrip('~/')}"
-    return f"{split(node)[1].rstrip('/')}/{topic}"

@@ -111,7 +111,9 @@ class Ros2Host:
         return future  # type: ignore[no-any-return]
 
     def create_publisher(self, topic: str, type_: type, qos: QoS) -> endpoints.RosPublisher:
-        publisher = self.ros_node.create_publisher(type_, topic, endpoints.profile_of(qos), callback_group=self._group)
+        message_type, _ = endpoints.message_type_of(type_)
+        profile = endpoints.profile_of(qos)
+        publisher = self.ros_node.create_publisher(message_type, topic, profile, callback_group=self._group)
         self._ports.add(id(publisher))
         return endpoints.RosPublisher(
             publisher,
@@ -123,8 +125,15 @@ class Ros2Host:
     def create_subscription(
         self, topic: str, type_: type, qos: QoS, callback: Callable[[Any, Any], None]
     ) -> endpoints.RosSubscription:
+        message_type, raw = endpoints.message_type_of(type_)
+        receive = (lambda message, info: callback(type_(message), info)) if raw else callback
         subscription = self.ros_node.create_subscription(
-            type_, topic, endpoints.for_rclpy(callback), endpoints.profile_of(qos), callback_group=self._group
+            message_type,
+            topic,
+            endpoints.for_rclpy(receive),
+            endpoints.profile_of(qos),
+            callback_group=self._group,
+            raw=raw,
         )
         self._ports.add(id(subscription))
         return endpoints.RosSubscription(

@@ -15,7 +15,7 @@ from midstride.backends.simulator.process import SimulatedProcess
 from midstride.errors import NodeError, Unreachable
 from midstride.wire import frames
 from midstride.wire.frames import Reply, Request
-from midstride.wire.pipe import PipeEnd, PipeNetwork
+from midstride.wire.pipe import PipeClaim, PipeEnd, PipeNetwork
 from midstride.wire.state import ComponentState
 from midstride.wire.transport import Connection, Serve, StopListening
 
@@ -136,7 +136,9 @@ class SimulatedControl:
         self._pipes = PipeNetwork()
         self._processes: dict[str, SimulatedProcess] = {}
         self._ends: dict[SimulatedProcess, list[SimulatedEnd]] = {}
+        self._claims: dict[SimulatedProcess, list[PipeClaim]] = {}
         self.address = self._pipes.address
+        self.claim = self._pipes.claim
         self.present = self._pipes.present
 
     def of(self, process: SimulatedProcess) -> ProcessControl:
@@ -171,6 +173,13 @@ class SimulatedControl:
             self._pipes.listeners.pop(instance, None)
         for end in self._ends.pop(process, []):
             end.close()
+        for claim in self._claims.pop(process, []):
+            claim.give_back()
+
+    def claim_of(self, process: SimulatedProcess, cut: str) -> PipeClaim:
+        """A claim that is free again when ``process`` ends."""
+        self._claims.setdefault(process, []).append(claim := self.claim(cut))
+        return claim
 
 
 class ProcessControl:
@@ -181,6 +190,9 @@ class ProcessControl:
         self._process = process
         self.address = control.address
         self.present = control.present
+
+    def claim(self, cut: str) -> PipeClaim:
+        return self._control.claim_of(self._process, cut)
 
     async def listen(self, instance: str, serve: Serve) -> StopListening:
         return await self._control.listen(instance, serve, self._process)

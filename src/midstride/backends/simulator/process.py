@@ -183,6 +183,11 @@ class SimulatedProcess:
         """Whether it is neither dead nor frozen."""
         return not self.dead and self.thawed_at <= self.clock.steady()
 
+    @property
+    def reacts(self) -> bool:
+        """Whether it is not frozen, and no call of its code hangs."""
+        return max(self.thawed_at, self._returns_at) <= self.clock.steady()
+
     async def wait_while_frozen(self) -> None:
         """Returns once it is not frozen. Raises CancelledError where it is dead, which ends its tasks."""
         while not self.dead and (left := self.thawed_at - self.clock.steady()) > 0:

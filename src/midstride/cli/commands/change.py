@@ -21,7 +21,7 @@ def request_options(function: Any) -> Any:
     yes = click.option("--yes", "-y", is_flag=True, help="Do not ask for confirmation.")
     summary = "Verify the plan with Alloy before it starts, and the running system after each step."
     verify = click.option("--verify", is_flag=True, help=summary)
-    options = change_options.strategy_option(change_options.wait_option(verify(yes(function))))
+    options = change_options.strategy_options(change_options.wait_option(verify(yes(function))))
     return json_option(system_option(options))
 
 
@@ -48,12 +48,18 @@ def replace_command(
     declared_parameters: bool,
     system: str | None,
     strategy: str,
+    detours: bool,
     wait: float,
     verify: bool,
     yes: bool,
 ) -> int:
     """Replace the component of NODE with COMPONENT, on the same topics."""
-    request = {"replace": [[node, component]], "components": _components(file), "strategy": strategy}
+    request = {
+        "replace": [[node, component]],
+        "components": _components(file),
+        "strategy": strategy,
+        "detours": detours,
+    }
     request["declared_parameters"] = declared_parameters
     return change(system, request, f"replace {node} with {component}", yes, verify, wait)
 
@@ -67,12 +73,18 @@ def restart_command(
     declared_parameters: bool,
     system: str | None,
     strategy: str,
+    detours: bool,
     wait: float,
     verify: bool,
     yes: bool,
 ) -> int:
     """Start nodes again, with what their programs are now: each is handed over to a new instance, without a gap."""
-    request = {"restart": list(nodes), "strategy": strategy, "declared_parameters": declared_parameters}
+    request = {
+        "restart": list(nodes),
+        "strategy": strategy,
+        "detours": detours,
+        "declared_parameters": declared_parameters,
+    }
     return change(system, request, f"restart {', '.join(nodes)}", yes, verify, wait)
 
 
@@ -91,13 +103,14 @@ def add_command(
     file: Path | None,
     system: str | None,
     strategy: str,
+    detours: bool,
     wait: float,
     verify: bool,
     yes: bool,
 ) -> int:
     """Add NODE, with COMPONENT, and attach its ports to topics."""
     new = change_options.new_node(node, component, attachments, parameters)
-    request = {"add": [new], "components": _components(file), "strategy": strategy}
+    request = {"add": [new], "components": _components(file), "strategy": strategy, "detours": detours}
     return change(system, request, f"add {node} ({component})", yes, verify, wait)
 
 
@@ -105,10 +118,16 @@ def add_command(
 @click.argument("nodes", nargs=-1, required=True, metavar="NODE...", shell_complete=completion.nodes)
 @request_options
 def remove_command(
-    nodes: tuple[str, ...], system: str | None, strategy: str, wait: float, verify: bool, yes: bool
+    nodes: tuple[str, ...],
+    system: str | None,
+    strategy: str,
+    detours: bool,
+    wait: float,
+    verify: bool,
+    yes: bool,
 ) -> int:
     """Remove nodes. The functionalities that rely on them degrade only as far as they must."""
-    request = {"remove": list(nodes), "strategy": strategy}
+    request = {"remove": list(nodes), "strategy": strategy, "detours": detours}
     return change(system, request, f"remove {', '.join(nodes)}", yes, verify, wait)
 
 
@@ -123,6 +142,7 @@ def apply_command(
     declared_parameters: bool,
     system: str | None,
     strategy: str,
+    detours: bool,
     wait: float,
     verify: bool,
     yes: bool,
@@ -147,6 +167,7 @@ def apply_command(
             "to": encode_specification(target),
             "restart": sorted(changed),
             "strategy": strategy,
+            "detours": detours,
             "declared_parameters": declared_parameters,
         }
 

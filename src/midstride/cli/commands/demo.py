@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import runpy
 
 import click
 
@@ -25,7 +26,10 @@ from midstride.cli.output import INTERRUPTED, console, json_option, print_json, 
 )
 @json_option
 def demo_command(name: str, backend: str | None) -> int:
-    """Run the example NAME (talker, obstacle or filter): its plans, each step, and the measurements.
+    """Run the example NAME: its plans, each step, and the measurements.
+
+    `talker`, `obstacle` and `filter` take seconds. `patrol` takes two minutes: it shows a map of a robot while its
+    software is replaced, dies and hangs, and a table of what that came to.
 
     It stops every process that it has started, even if it is interrupted or killed.
     """
@@ -38,13 +42,17 @@ def demo_command(name: str, backend: str | None) -> int:
             fallback = "the simulator" if backend == "sim" else backend
             click.echo(f"ROS 2 is not available; running on {fallback}.", err=True)
     out = Console(quiet=True) if wants_json() else console()
+    run = run_demo if example.program is None else runpy.run_path(str(example.program))["run"]
     try:
-        outcomes = asyncio.run(run_demo(example, backend, out))
+        outcomes = asyncio.run(run(example, backend, out))
     except asyncio.CancelledError:
         click.echo("\nInterrupted; all processes have been stopped.", err=True)
         return INTERRUPTED
     if wants_json():
-        acts = [{"name": step.name, **outcome} for step, outcome in zip(example.steps, outcomes, strict=False)]
+        names = (
+            [step.name for step in example.steps] if example.program is None else [each["name"] for each in outcomes]
+        )
+        acts = [{"name": name, **outcome} for name, outcome in zip(names, outcomes, strict=False)]
         print_json(
             {**outcomes[0], "outcome": outcomes[-1]["outcome"], "example": name, "backend": backend, "acts": acts}
         )

@@ -45,6 +45,7 @@ def rollback_command(
     declared_parameters: bool,
     system: str | None,
     strategy: str,
+    detours: bool,
     wait: float,
     verify: bool,
     yes: bool,
@@ -58,6 +59,11 @@ def rollback_command(
     found = client.get("/specification/earlier", **({} if version is None else {"version": version}))
 
     def request(_: Client) -> Document:
-        return {"to": found["specification"], "strategy": strategy, "declared_parameters": declared_parameters}
+        return {
+            "to": found["specification"],
+            "strategy": strategy,
+            "detours": detours,
+            "declared_parameters": declared_parameters,
+        }
 
     return change(system, request, f"rollback to version {found['version']}", yes, verify, wait, dry_run)

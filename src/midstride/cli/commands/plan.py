@@ -80,6 +80,8 @@ def plan_command(
     if compare and context.get_parameter_source("strategy") is not ParameterSource.DEFAULT:
         raise click.UsageError("--compare shows every strategy: leave --strategy out")
     described = planned_change(to, **options)
+    if described["detours"] and described["strategy"] != "minimal":
+        raise click.UsageError("--detours is for the strategy minimal alone")
     if file is not None and (declared_parameters or system):
         option = "--declared-parameters" if declared_parameters else "--system"
         raise click.UsageError(f"{option} is for the running system: leave FILE out")
@@ -111,7 +113,8 @@ def plan_command(
 
 def _for_running(client: Client, to: Specification | None, asked: Document, strategy: str) -> Document:
     new = {} if to is None else {"to": encode_specification(to)}
-    document: Document = client.post("/plan", {**asked, **new, "strategy": strategy})
+    more = {"strategy": strategy, "detours": asked["detours"] and strategy == "minimal"}
+    document: Document = client.post("/plan", {**asked, **new, **more})
     return document
 
 
@@ -119,7 +122,8 @@ def _for_file(specification: Specification, request: PlanRequest, within: float 
     request = replace(request, strategy=strategy)
     target = request.target(specification)
     change = change_between(initial(specification), specification, target, renewed=request.renewed(target))
-    return encode_plan(planner(strategy, within)(change), explain=request.explain)
+    detours = request.detours and strategy == "minimal"
+    return encode_plan(planner(strategy, within, detours=detours)(change), explain=request.explain)
 
 
 def _or_refused(planned: Callable[[str], Document], strategy: str) -> Document:

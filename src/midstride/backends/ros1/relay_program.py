@@ -1,0 +1,72 @@
+"""The process of a relay on ROS 1 (:mod:`midstride.foreign.relay`); its argument is the file of its order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import genpy
+import rosgraph
+
+from midstride.backends.common_messages import message_class
+from midstride.backends.ros1 import names
+from midstride.backends.ros1.host import Ros1Host
+from midstride.foreign.graph_check import GraphEndpoint
+from midstride.foreign.relay import RelayOrder, RelayPlatform, run_relay
+from midstride.model.contract import QoS
+from midstride.node.host import Host
+from midstride.node.process_context import ProcessContext
+
+# What an endpoint of any type is registered with.
+_ANY = "*"
+# ROS 1 has no QoS to compare: these are offered by no less, and requested by no more, than any other.
+_OFFERED, _REQUESTED = QoS(durability="transient_local"), QoS(reliability="best_effort")
+
+
+def serialized(type_name: str) -> type:
+    """The class of messages of that type that are not deserialised."""
+    type_: Any = message_class(type_name)
+
+    def initialize(message: Any, data: bytes = b"") -> None:
+        message.data = data
+
+    def deserialize(message: Any, data: bytes) -> Any:
+        message.data = data
+        return message
+
+    fields = {
+        "__slots__": ("data",),
+        "__init__": initialize,
+        "serialize": lambda message, buffer: buffer.write(message.data),
+        "deserialize": deserialize,
+        "_type": type_._type,
+        "_md5sum": type_._md5sum,
+        "_full_text": type_._full_text,
+        "_has_header": False,  # so that the header stays as it is
+    }
+    return type(f"Serialized{type_.__name__}", (genpy.Message,), fields)
+
+
+def join(context: ProcessContext) -> Host:
+    host: Any = Ros1Host(context.instance or "", context.namespace, context.node or "")
+    return host  # type: ignore[no-any-return]
+
+
+def endpoints(host: Host, order: RelayOrder) -> Sequence[GraphEndpoint]:
+    """Those of the program, as the master lists them. One that takes any type has the type that is declared."""
+    master = rosgraph.Master(host.node_name)
+    publishers, subscribers, _ = master.getSystemState()
+    types, component = dict(master.getTopicTypes()), order.declaration.declared()
+    declared = {topic: port for port, topic in order.topics.items()}
+    found = []
+    for output, listed, qos in ((True, publishers, _OFFERED), (False, subscribers, _REQUESTED)):
+        for topic in (name for name, nodes in listed if order.node in nodes and name not in names.INTERNAL):
+            kind = types.get(topic, _ANY)
+            if kind == _ANY and topic in declared:
+                kind = component.type_of(declared[topic]) or _ANY
+            found.append(GraphEndpoint(output, topic, kind, qos))
+    return found
+
+
+if __name__ == "__main__":
+    run_relay(RelayPlatform(join, serialized, endpoints, advertises_late=True))

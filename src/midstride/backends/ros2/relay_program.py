@@ -1,0 +1,18 @@
+"""The process of a relay on ROS 2 (:mod:`midstride.foreign.relay`); its argument is the file of its order."""
+
+from __future__ import annotations
+
+from midstride.backends.common_messages import message_class
+from midstride.backends.ros2.endpoints import serialized
+from midstride.backends.ros2.graph import Graph
+from midstride.backends.ros2.host import Ros2Host
+from midstride.foreign.relay import RelayPlatform, run_relay
+
+PLATFORM = RelayPlatform(
+    host=lambda context: Ros2Host(context.instance or "", context.namespace),
+    type_of=lambda name: serialized(message_class(name)),
+    graph=lambda host, order: Graph(host.ros_node).of_process(order.node),
+)
+
+if __name__ == "__main__":
+    run_relay(PLATFORM)

@@ -1,0 +1,46 @@
+"""Nodes in plain rclpy and in C behind relays replace each other, and others, while a bare recorder listens."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from midstride.lang.load import load
+from tests.acceptance.foreign_support import OURS, TALKER, programs_of_the_page, robot
+from tests.acceptance.support import ended
+from tests.backends.ros2_support import run
+from tests.native import compiled
+
+pytestmark = [pytest.mark.ros2, pytest.mark.full, pytest.mark.timeout(180)]
+
+
+def test_a_relayed_node_is_replaced(tmp_path: Path) -> None:
+    programs_of_the_page(tmp_path)
+    (tmp_path / "ours.py").write_text(OURS, encoding="utf-8")
+    compiled(tmp_path)
+    text = "system swaps\ntopic /chat : std_msgs/msg/String @ 50 Hz\n"
+    for name, run_, gate in (
+        ("Plain", "python3 talker.py", " gate preload"),
+        ("Relayed", "python3 talker.py", " gate relay"),
+        ("Other", "python3 ./talker.py", " gate relay"),
+        ("Native", "./c_talker 20000000 chatter", " gate relay"),
+        ("Ours", "python3 ours.py", ""),
+    ):
+        words = TALKER % (name, run_, " as chatter" if gate else "", 50)
+        text += words.replace(f'"{run_}"', f'"{run_}"{gate}')
+    path = tmp_path / "swaps.stride"
+    path.write_text(f"{text}node talker : Relayed {{ out -> /chat }}\n", encoding="utf-8")
+    components = ("Other", "Plain", "Native", "Ours", "Relayed")
+
+    async def scenario() -> None:
+        async with robot(load(path).require(), tmp_path) as made:
+            for component in components:
+                await made.replaced(component)
+            assert len(made.changes()) == len(components), made.changes()
+            assert made.holes() == []
+            status = await made.manager.status()
+            assert status.valid, status
+
+    with ended():
+        run(scenario(), 170)

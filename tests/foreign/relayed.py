@@ -1,0 +1,143 @@
+"""Relays in virtual time, under a manager: their programs are simulated, everything else is real.
+
+Run as a program, it is the process of a relay; its argument is the file of its order.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, ClassVar, TypeVar
+
+from midstride.backends.naming import full
+from midstride.backends.ros2.foreign_nodes import ForeignNodes
+from midstride.backends.simulator import Simulator
+from midstride.foreign.graph_check import GraphEndpoint
+from midstride.foreign.relay import RelayComponent, RelayOrder, RelayPlatform
+from midstride.lang.load import load
+from midstride.model.contract import QoS
+from midstride.node.host import Host
+from midstride.node.process_context import ProcessContext, find
+from midstride.runtime.backend import Handle, Launch
+from midstride.runtime.manager import Manager
+from midstride.runtime.workspace import Workspace
+
+T = TypeVar("T")
+
+
+@dataclass
+class Text:
+    """What programs publish and receive."""
+
+    __msgtype__: ClassVar[str] = "std_msgs/msg/String"
+    data: str = ""
+
+
+@dataclass
+class Program:
+    """How the nodes of a component behave: messages at ``rate`` (Hz), or one at the start (None).
+
+    ``hung``: the instances that write nothing now. ``type``: of the subscriptions.
+    """
+
+    rate: float | None = 50.0
+    hung: set[str] = field(default_factory=set)
+    type: str = "std_msgs/msg/String"
+
+
+class SimulatedRelays(Simulator):
+    """A simulator with relays. ``programs``: by component. ``heard``: by instance, when (ns) and what it received.
+
+    ``exits``: by instance, to be called when its program has exited.
+    """
+
+    name = "ros2"
+    current: ClassVar[SimulatedRelays]
+
+    def __init__(self, folder: Path, programs: dict[str, Program]) -> None:
+        super().__init__()
+        SimulatedRelays.current = self
+        self.programs = programs
+        self.heard: dict[str, list[tuple[int, str]]] = {}
+        self.exits: dict[str, Callable[[], None]] = {}
+        transport: Any = self.control
+        self._foreign = ForeignNodes(folder, transport, lambda _: None)
+
+    async def start(self, launch: Launch) -> Handle:
+        component, node = launch.foreign, full(launch.instance, launch.namespace)
+        assert component is not None and component.gate == "relay"
+        order = self._foreign.prepare_relay(launch, component, node, ["program"], {})
+        command = ("python3", "-m", "tests.foreign.relayed", str(order))
+        return await super().start(replace(launch, arguments=command, foreign=None))
+
+
+def joined(context: ProcessContext) -> Host:
+    assert context.factory is not None
+    return context.factory(context.instance or "", context.namespace)
+
+
+class SimulatedRelay(RelayComponent):
+    """Has the publishers of its program as well."""
+
+    def __init__(self, order: RelayOrder) -> None:
+        lab, program = SimulatedRelays.current, SimulatedRelays.current.programs[order.declaration.name]
+        self.instance = find().instance or ""
+        running: Any = SimpleNamespace(status=lambda: None, watch=partial(lab.exits.__setitem__, self.instance))
+        super().__init__(order, running, RelayPlatform(joined, lambda _: Text, lambda *_: self._endpoints(program)))
+        heard = lab.heard.setdefault(self.instance, [])
+        for port in self.parts.inputs.values():
+            port.listeners = (lambda message, _: heard.append((lab.time.ros_now(), message.data)),)
+
+    def _endpoints(self, program: Program) -> list[GraphEndpoint]:
+        return [GraphEndpoint(False, self.order.topics[port], program.type, QoS()) for port in self.parts.inputs]
+
+    def _set_up(self, node: object) -> None:
+        host, program = self.host, SimulatedRelays.current.programs[self.component.name]
+        assert host is not None
+        for relay in self.relays.values():
+            self._publish(host, relay.topic, relay.qos, program)
+        super()._set_up(node)
+
+    def _publish(self, host: Host, topic: str, qos: QoS, program: Program) -> None:
+        publisher, written = host.create_publisher(topic, Text, qos), 0
+
+        def write(first: int, last: int) -> None:
+            nonlocal written
+            if self.instance not in program.hung and (program.rate is not None or not written):
+                written += 1
+                publisher.publish(Text(f"{self.instance} {written}"))
+
+        host.create_timer(1 / (program.rate or 10.0), None, write)
+
+
+def managed(
+    folder: Path,
+    text: str,
+    programs: dict[str, Program],
+    body: Callable[[Manager, SimulatedRelays], Awaitable[T]],
+) -> T:
+    """Bring the system of ``text`` up in virtual time, and run ``body``."""
+    simulator = SimulatedRelays(folder / "gates", programs)
+    (folder / "system").mkdir()
+    path = folder / "system.stride"
+    path.write_text(text, encoding="utf-8")
+
+    async def main() -> T:
+        manager = Manager(load(path).require(), simulator, Workspace(folder / "system"), folder)
+        await manager.up()
+        try:
+            return await body(manager, simulator)
+        finally:
+            await manager.close()
+
+    return simulator.run(main())
+
+
+if __name__ == "__main__":
+    from tests.foreign.relayed import SimulatedRelay as Relay  # that of the module, not of this program
+
+    Relay(RelayOrder.read(Path(sys.argv[1]))).run()

@@ -1,0 +1,240 @@
+"""Programs behind relays: handed over, hung, writing once, not what they are declared as; and their processes."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from midstride.codec.component import NamedComponentForm
+from midstride.errors import MidstrideError, NodeError
+from midstride.foreign.relay import RelayedProgram, RelayOrder, differing, private_topics
+from midstride.lang.load import load
+from midstride.plan.request import PlanRequest
+from midstride.runtime.manager import Manager
+from midstride.runtime.reaper import process_info
+from tests.foreign.lab import until
+from tests.foreign.relayed import Program, SimulatedRelays, managed
+
+TEXT = """system chat
+
+topic /chat : std_msgs/msg/String @ 50 Hz { publishers <= 1 }
+
+component Talker {
+  run "talker" gate relay
+  output out as chatter
+  functionality talk {
+    produces out
+    mode normal { guarantee out : std_msgs/msg/String @ 50 Hz }
+    mode degraded { }
+  }
+}
+
+component Other like Talker { run "other" gate relay }
+
+component Listener {
+  run "listener" gate relay
+  input in : std_msgs/msg/String @ 50 Hz tolerates 3 missed as chatter
+  functionality listen {
+    uses in
+    mode normal { assume in }
+    mode degraded { }
+  }
+}
+
+node talker   : Talker   { out -> /chat }
+node listener : Listener { in <- /chat }
+"""
+ONCE = TEXT.replace(" @ 50 Hz", "").replace(" tolerates 3 missed", "")
+REPLACE = PlanRequest(replace=(("talker", "Other"),))
+
+
+def programs(other: Program | None = None, rate: float | None = 50.0) -> dict[str, Program]:
+    return {"Talker": Program(rate), "Other": other or Program(rate), "Listener": Program()}
+
+
+def writers(heard: list[tuple[int, str]]) -> list[tuple[str, int]]:
+    return [(words.split()[0], int(words.split()[1])) for _, words in heard]
+
+
+def test_one_program_is_heard_at_each_moment_and_no_slot_is_missed(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: SimulatedRelays) -> None:
+        await asyncio.sleep(2)
+        for number in range(3):
+            await asyncio.sleep(1 + number * 0.007)  # at another phase of the old program's grid
+            outcome = await manager.change(PlanRequest(replace=(("talker", ("Other", "Talker")[number % 2]),)))
+            assert (outcome.outcome, outcome.because) == ("done", None)
+            (swap,) = outcome.swaps
+            assert (swap.missed, swap.lost, swap.duplicates) == (0, 0, 0)
+        await asyncio.sleep(1)
+        heard = simulator.heard["listener"]
+        found = list(pairwise(writers(heard)))
+        changes = [(old, new) for (old, _), (new, _) in found if old != new]
+        assert changes == [(f"talker{old}", f"talker{new}") for old, new in pairwise(("", "_2", "_3", "_2"))]
+        # Each writes all of its messages while it has the topic.
+        assert all(b == a + 1 for (old, a), (new, b) in found if old == new)
+        # The cut is a quarter of a period after a message of the old one, and at most a period before the new one's.
+        gap = max(b - a for (a, _), (b, _) in pairwise(heard))
+        assert gap <= 1.3 * 20e6, gap
+        assert (await manager.status()).valid
+
+    managed(tmp_path, TEXT, programs(), body)
+
+
+def test_what_relies_on_a_program_that_hangs_falls_and_is_restored(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: SimulatedRelays) -> None:
+        async def mode() -> str:
+            return (await manager.peek("listener")).functionalities["listen"].mode
+
+        async def becomes(wanted: str, seconds: float) -> None:
+            deadline = simulator.time.steady() + seconds
+            while await mode() != wanted:
+                assert simulator.time.steady() < deadline, await manager.status()
+                await asyncio.sleep(0.05)
+
+        await asyncio.sleep(1)
+        assert await mode() == "normal"
+        simulator.programs["Talker"].hung.add("talker")
+        await becomes("degraded", 2)
+        simulator.programs["Talker"].hung.clear()
+        await becomes("normal", 60)
+
+    managed(tmp_path, TEXT, programs(), body)
+
+
+def test_a_program_that_writes_nothing_is_not_let_in(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: SimulatedRelays) -> None:
+        await asyncio.sleep(1)
+        outcome = await manager.change(REPLACE)
+        assert outcome.outcome == "rolled_back"
+        assert "talker_2.out has written nothing" in str(outcome.because)
+        await asyncio.sleep(1)
+        found = writers(simulator.heard["listener"])
+        assert {name for name, _ in found} == {"talker"}
+        assert all(b == a + 1 for (_, a), (_, b) in pairwise(found))
+
+    managed(tmp_path, TEXT, programs(Program(hung={"talker_2"})), body)
+
+
+def test_a_program_that_hangs_is_replaced(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: SimulatedRelays) -> None:
+        await asyncio.sleep(1)
+        simulator.programs["Talker"].hung.add("talker")
+        outcome = await manager.change(REPLACE)
+        assert (outcome.outcome, outcome.because) == ("done", None)
+        await asyncio.sleep(1)
+        assert writers(simulator.heard["listener"])[-1][0] == "talker_2"
+
+    managed(tmp_path, TEXT, programs(), body)
+
+
+def test_what_is_written_once_is_published_when_the_gate_opens(tmp_path: Path) -> None:
+    """The program has written before its component is in its normal mode, and before it takes over."""
+
+    async def body(manager: Manager, simulator: SimulatedRelays) -> None:
+        await asyncio.sleep(1)
+        assert writers(simulator.heard["listener"]) == [("talker", 1)]
+        outcome = await manager.change(REPLACE)
+        assert (outcome.outcome, outcome.because) == ("done", None)
+        await asyncio.sleep(1)
+        assert writers(simulator.heard["listener"]) == [("talker", 1), ("talker_2", 1)]
+
+    managed(tmp_path, ONCE, programs(rate=None), body)
+
+
+def test_a_relay_ends_in_order_when_its_program_has_exited(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: SimulatedRelays) -> None:
+        await asyncio.sleep(1)
+        simulator.exits["talker"]()
+        simulator.exits["talker"]()  # once more does nothing
+        await asyncio.sleep(1)
+        assert "talker" not in manager.configuration.instances
+        words = [event.words for event in manager.log()]
+        assert any("talker exited" in each for each in words), words
+
+    managed(tmp_path, TEXT, programs(), body)
+
+
+def test_a_node_with_another_type_is_refused(tmp_path: Path) -> None:
+    other = programs()
+    other["Listener"].type = "std_msgs/msg/Int32"
+
+    async def body(manager: Manager, simulator: SimulatedRelays) -> None:
+        raise AssertionError("it came up")
+
+    with pytest.raises(MidstrideError, match="node /listener subscribes to /chat as std_msgs/msg/Int32"):
+        managed(tmp_path, TEXT, other, body)
+
+
+# -- the process of the program --------------------------------------------------------------------------
+
+
+def order(folder: Path, *command: str, environment: dict[str, str | None] | None = None) -> RelayOrder:
+    path = folder / "chat.stride"
+    path.write_text(TEXT, encoding="utf-8")
+    component = load(path).require().components["Talker"]
+    made = RelayOrder(
+        command=list(command),
+        node="/talker",
+        declaration=NamedComponentForm.of(component),
+        topics=private_topics(component, "talker"),
+        environment=environment or {},
+    )
+    made.write(folder / "relays" / "talker.json")
+    return RelayOrder.read(folder / "relays" / "talker.json")
+
+
+def in_a_process(folder: Path, body: str) -> subprocess.Popen[str]:
+    """Run ``body``, which has the ``program`` of the order in ``folder``, in a process."""
+    text = (
+        "import os, signal, sys, threading\nfrom pathlib import Path\n"
+        "from midstride.foreign.relay import RelayedProgram, RelayOrder\n"
+        f"program = RelayedProgram(RelayOrder.read(Path({str(folder / 'relays' / 'talker.json')!r})))\n"
+        f"print(program.pid, flush=True)\n{body}\n"
+    )
+    return subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, text=True)
+
+
+@pytest.mark.full
+def test_the_program_ends_with_its_relay_however_that_ends(tmp_path: Path) -> None:
+    order(tmp_path, "sleep", "300")
+    with in_a_process(tmp_path, "signal.pause()") as relay:
+        assert relay.stdout is not None
+        pid = int(relay.stdout.readline())
+        info = process_info(pid)
+        assert info is not None and info.alive
+        relay.kill()
+    until(lambda: (left := process_info(pid)) is None or not left.alive, "the program lives on")
+
+
+@pytest.mark.full
+def test_the_relay_ends_as_its_program_does(tmp_path: Path) -> None:
+    order(tmp_path, "sh", "-c", '[ -z "$HOME" ] && exit $STATUS', environment={"STATUS": "7", "HOME": None})
+    body = "ended = threading.Event()\nprogram.watch(ended.set)\nended.wait()\nsys.exit(program.end())"
+    with in_a_process(tmp_path, body) as relay:
+        assert relay.wait(60) == 7
+
+
+@pytest.mark.full
+def test_a_program_that_ignores_that_it_is_to_end_is_killed(tmp_path: Path) -> None:
+    order(tmp_path, "sh", "-c", "trap '' TERM; while true; do sleep 0.1; done")
+    with in_a_process(tmp_path, "sys.exit(program.end())") as relay:
+        assert relay.stdout is not None
+        pid = int(relay.stdout.readline())
+        assert relay.wait(60) == 0
+        left = process_info(pid)
+        assert left is None or not left.alive
+
+
+def test_a_program_that_cannot_be_started_is_named(tmp_path: Path) -> None:
+    with pytest.raises(NodeError, match=r"cannot start `\./nothing`: No such file"):
+        RelayedProgram(order(tmp_path, "./nothing"))
+
+
+def test_the_variables_of_the_program() -> None:
+    found = differing({"A": "1", "B": "2"}, {"A": "1", "B": "3", "C": "4"})
+    assert found == {"B": "2", "C": None}

@@ -1,0 +1,352 @@
+"""The agreed cut, explored: every order of the steps of both sides, of the manager and of the network, with deaths.
+
+The two sides are the shipped ones, `CutOutTask` and `CutInTask` with their gates. Here are only the threads that they
+run on: a step is what one of them does until it waits. A thread may wait for as long as it likes, so every stall and
+every lost or late message is among these orders. Coroutines have no copy, so a world is made again from its steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Coroutine, Generator, Iterator
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias, cast
+
+import pytest
+
+from midstride.errors import CallTimeout, CommandRefused, Unreachable
+from midstride.node import cut_protocol
+from midstride.node.cut import IncomingCut, OutgoingCut
+from midstride.node.cut_protocol import CutInTask, CutOutTask
+from midstride.node.host import Host
+from midstride.wire.pipe import PipeClaim
+from tests.node.test_cut import PERIOD, Clocks, Grid, Owner, T, link_of, write
+
+SLOT = round(PERIOD * 1e9)
+# What the clock shows: before T, at T, long after T, and when the old side has waited long enough in any case.
+MOMENTS = (T - SLOT // 10, T, T + 10**10, T + 10**10)
+# An actor, what it does, and to which of several things.
+Step: TypeAlias = tuple[str, str, int]
+
+
+@dataclass
+class Waits:
+    """What a coroutine awaits: until ``done``, or where that is so already, as long as the explorer likes."""
+
+    done: bool = True
+    value: Any = None
+
+    def __await__(self) -> Generator[Waits, None, Any]:
+        yield self
+        if isinstance(self.value, Exception):
+            raise self.value
+        return self.value
+
+
+class Finished:
+    """As an `asyncio.Event`, without a loop."""
+
+    def __init__(self) -> None:
+        self.set_ = False
+
+    def set(self) -> None:
+        self.set_ = True
+
+    async def wait(self) -> None:
+        while not self.set_:
+            await Waits()
+
+
+class Work:
+    """A coroutine of a control thread. ``waits``: what for; None once it has returned."""
+
+    def __init__(self, coroutine: Coroutine[Any, Any, Any]) -> None:
+        self.coroutine = coroutine
+        self.waits: Waits | None = None
+        self.result: Any = None
+        self.advance()
+
+    def advance(self) -> None:
+        try:
+            self.waits = self.coroutine.send(None)
+        except StopIteration as stop:
+            self.waits, self.result = None, stop.value
+        except CommandRefused:
+            self.waits, self.result = None, True
+
+    def position(self) -> object:
+        if self.waits is None:
+            return None
+        places: list[object] = [self.waits.done]
+        each: Any = self.coroutine
+        while (frame := getattr(each, "cr_frame", None)) is not None:
+            places += [frame.f_lasti, frame.f_locals.get("passed_at"), frame.f_locals.get("_")]
+            each = each.cr_await
+        return tuple(places)
+
+
+@dataclass(eq=False)
+class Process:
+    """One side: its control thread has ``works``, its data thread ``queue`` and calls for ``slots``."""
+
+    world: World
+    slots: list[int]
+    alive: bool = True
+    works: list[Work] = field(default_factory=list)
+    queue: list[tuple[Callable[[], Any], Waits]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.owner = Owner(rate=Grid(slot=T - 2 * SLOT))
+        self.link, self.published = link_of(self.owner)
+        self.claim = PipeClaim(self.world.claims, "cut")
+        host = cast(Any, Clocks())
+        host.now = host.steady = lambda: MOMENTS[self.world.moment]
+        host.sleep, host.on_data = lambda seconds: Waits(), self.on_data
+        self.host = cast(Host, host)
+
+    def on_data(self, function: Callable[[], Any]) -> Waits:
+        self.queue.append((function, waits := Waits(done=False)))
+        return waits
+
+    def start(self, coroutine: Coroutine[Any, Any, Any]) -> Work:
+        self.works.append(work := Work(coroutine))
+        return work
+
+    def steps(self, name: str) -> Iterator[Step]:
+        if self.alive:
+            waiting = [index for index, work in enumerate(self.works) if work.waits is not None and work.waits.done]
+            yield from ((name, "control", index) for index in waiting)
+            if self.queue:
+                yield name, "data", 0
+            if self.slots and self.slots[0] <= MOMENTS[self.world.moment]:
+                yield name, "call", 0
+
+    def do(self, what: str, index: int) -> None:
+        match what:
+            case "control":
+                self.works[index].advance()
+            case "data":
+                function, waits = self.queue.pop(0)
+                waits.value, waits.done = function(), True
+            case "call":
+                slot = self.slots.pop(0)
+                assert self.owner.rate is not None
+                self.owner.slots, self.owner.rate.slot = (slot, slot), slot
+                write(self.link, str(slot))
+            case "die":
+                self.alive = False
+                self.claim.give_back()
+
+    def writes(self) -> bool:
+        """Whether it can publish what belongs to T or later."""
+        claimed = self.link.cut is not None and self.world.claims.get("cut") is self.claim
+        return self.alive and (self.link.open or claimed)
+
+    def state(self) -> object:
+        jobs = tuple(getattr(function, "__name__", "") for function, _ in self.queue)
+        works = tuple(work.position() for work in self.works)
+        return self.alive, len(self.slots), works, jobs, self.link.open, self.link.cut is None
+
+
+@dataclass
+class Report:
+    """A request of the new side: on its way to the old one, or ``handled`` by it."""
+
+    failed: bool
+    waits: Waits
+    handled: Work | None = None
+
+
+class World:
+    """``manager``: its commands; it may end before each. `c` cancels and `s` settles a side, `o` or `n`, `k` kills it.
+
+    ``mortal``: the sides that may die. ``fails``: the code of the new side may raise.
+    """
+
+    def __init__(self, manager: str = "", mortal: str = "", fails: bool = False) -> None:
+        self.moment = 0
+        self.claims: dict[str, PipeClaim] = {}
+        self.manager, self.mortal, self.fails = manager, mortal, fails
+        self.command: Work | None = None
+        self.reports: list[Report] = []
+        self.processes = {"o": Process(self, [T - SLOT, T]), "n": Process(self, [T])}
+        old, new = self.processes.values()
+        old.link.open = True
+        outgoing = OutgoingCut([old.link], T, old.host, old.claim)
+        incoming = IncomingCut([new.link], T, new.host, new.claim, [])
+        outgoing.arm()
+        incoming.arm(T)
+        self.outgoing = CutOutTask(old.host, lambda: None, outgoing, resume_after=1.0)
+        self.incoming = CutInTask(new.host, lambda: None, incoming, self.report)
+        self.outgoing.finished, self.incoming.finished = cast(Any, Finished()), cast(Any, Finished())
+        old.start(self.outgoing.run())
+        new.start(self.incoming.run())
+
+    def report(self, timeout: float, failed: bool) -> Awaitable[bool]:
+        if not self.processes["o"].alive:
+            return Waits(value=Unreachable("it has exited"))
+        self.reports.append(report := Report(failed, Waits(done=False)))
+        return report.waits
+
+    def steps(self) -> list[Step]:
+        found = [step for name, process in self.processes.items() for step in process.steps(name)]
+        for index, report in enumerate(self.reports):
+            found.append(("report", "lose", index))
+            if report.handled is None and self.processes["o"].alive:
+                found.append(("report", "deliver", index))
+            elif report.handled is not None and report.handled.waits is None:
+                found.append(("report", "reply", index))
+        if self.moment + 1 < len(MOMENTS):
+            found.append(("time", "", 0))
+        if self.manager and (self.command is None or self.command.waits is None):
+            found += [("manager", "do", 0), ("manager", "end", 0)]
+        found += [(name, "die", 0) for name in self.mortal if self.processes[name].alive]
+        if self.fails and not self.processes["n"].owner.failed:
+            found.append(("fail", "", 0))
+        return found
+
+    def do(self, step: Step) -> None:
+        match step:
+            case "time", _, _:
+                self.moment += 1
+                if self.moment + 1 == len(MOMENTS):
+                    self.outgoing.resume_after = -1.0
+            case "fail", _, _:
+                self.processes["n"].owner.failed = True
+            case "report", "deliver", index:
+                report = self.reports[index]
+                report.handled = self.processes["o"].start(self.outgoing.taken(report.failed))
+            case "report", how, index:
+                report = self.reports.pop(index)
+                lost = how == "lose" or report.handled is None
+                report.waits.value = CallTimeout("lost") if lost else report.handled and report.handled.result
+                report.waits.done = True
+            case "manager", "do", _:
+                what, name, self.manager = self.manager[0], self.manager[1], self.manager[2:]
+                if what == "k":
+                    self.processes[name].do("die", 0)
+                elif self.processes[name].alive:
+                    task = self.outgoing if name == "o" else self.incoming
+                    self.command = self.processes[name].start(self.cancel(task) if what == "c" else task.settle())
+            case "manager", _, _:
+                self.manager = ""
+            case name, what, index:
+                self.processes[name].do(what, index)
+
+    async def cancel(self, task: CutOutTask | CutInTask) -> None:
+        """As `HandoverCommands.cancel_cut`."""
+        try:
+            await task.cancel()
+        except CommandRefused:
+            assert isinstance(task, CutOutTask)
+            self.processes["o"].start(task.cancel_later())
+
+    def state(self) -> object:
+        out, into, holder = self.outgoing, self.incoming, self.claims.get("cut")
+        return (
+            self.moment,
+            *(process.state() for process in self.processes.values()),
+            tuple((report.failed, report.handled and report.handled.waits is None) for report in self.reports),
+            (out.outcome, out._taken, out.side.over, into.outcome, into._reporting, into.side.refused),
+            (bool(into.side.written), holder and holder is self.processes["o"].claim),
+            (self.manager, self.command is None or self.command.waits is None, self.processes["n"].owner.failed),
+        )
+
+
+@dataclass
+class Seen:
+    """``writes``: the sides that can write after T. ``settled``: nothing more happens by itself."""
+
+    writes: str
+    alive: str
+    outcomes: tuple[str | None, str | None]
+    settled: bool = True
+
+
+def explore(**given: Any) -> list[Seen]:
+    """What every world that can be reached shows."""
+    found: dict[object, Seen] = {}
+    waiting: list[tuple[list[Step], object]] = [([], None)]
+    while waiting:
+        path, before = waiting.pop()
+        world = World(**given)
+        for step in path:
+            world.do(step)
+        while True:  # on along the first step; the others later
+            state = world.state()
+            if before is not None and state != before:
+                found[before].settled = False
+            if state in found:
+                break
+            sides = world.processes.items()
+            found[state] = Seen(
+                "".join(name for name, process in sides if process.writes()),
+                "".join(name for name, process in sides if process.alive),
+                (world.outgoing.outcome, world.incoming.outcome),
+            )
+            if not (steps := world.steps()):
+                break
+            waiting += [([*path, step], state) for step in steps[1:]]
+            path, before = [*path, steps[0]], state
+            world.do(steps[0])
+    return list(found.values())
+
+
+@pytest.fixture(autouse=True)
+def one_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which may be lost, as all of them may."""
+    monkeypatch.setattr(cut_protocol, "REPORT_ATTEMPTS", 1)
+
+
+FULL, LONG = pytest.mark.full, pytest.mark.long
+
+
+@pytest.mark.parametrize(
+    ("manager", "mortal", "fails"),
+    [
+        ("", "", False),
+        pytest.param("", "o", False, marks=FULL),
+        pytest.param("", "n", False, marks=FULL),
+        pytest.param("", "", True, marks=FULL),
+        pytest.param("co", "", False, marks=FULL),
+        pytest.param("cokn", "", False, marks=LONG),
+        pytest.param("cnco", "", False, marks=LONG),
+        pytest.param("snso", "", False, marks=LONG),
+        pytest.param("", "on", True, marks=LONG),
+    ],
+)
+def test_two_sides_can_never_both_write_and_one_does(manager: str, mortal: str, fails: bool) -> None:
+    found = explore(manager=manager, mortal=mortal, fails=fails)
+    assert len(found) > 1000
+    for seen in found:
+        assert len(seen.writes) < 2, seen
+        old, new = seen.outcomes
+        # Whatever ends the new side once the old one knows that it has taken over is for the next manager to handle.
+        ended_later = old == "done" and (new == "cancelled" or "n" not in seen.alive)
+        died_after_all = "o" not in seen.alive and old in ("resumed", "cancelled")
+        if seen.settled and seen.alive and not ended_later and not died_after_all:
+            assert seen.writes, seen
+    assert mortal or {seen.writes for seen in found if seen.settled} >= {"o", "n"}
+
+
+@pytest.mark.parametrize(
+    ("task", "name", "mistake", "manager"),
+    [
+        (CutOutTask, "_may_resume", lambda self: not self._taken, ""),
+        pytest.param(IncomingCut, "admits", IncomingCut.passes, "", marks=FULL, id="admits"),
+        pytest.param(
+            CutOutTask, "cancel", lambda self: self._end("cancelled", self.side.reopen), "co", marks=FULL, id="cancel"
+        ),
+    ],
+)
+def test_the_exploration_finds_a_side_that_does_not_claim(
+    task: type, name: str, mistake: Any, manager: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(task, name, mistake)
+    assert any(len(seen.writes) == 2 for seen in explore(manager=manager))
+
+
+@pytest.mark.full
+def test_the_exploration_finds_a_topic_without_a_writer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The new side fails, and its report is lost."""
+    monkeypatch.setattr(CutOutTask, "_given_up", lambda self, passed_at: False)
+    assert any(seen.settled and not seen.writes for seen in explore(fails=True))

@@ -1,0 +1,72 @@
+"""The claim of a cut: one of its two sides has it, whatever their processes, until it gives it back or ends."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from midstride.wire.claims import FileClaim
+from midstride.wire.pipe import PipeNetwork
+from midstride.wire.sockets import SocketFolder
+from midstride.wire.transport import CutClaim
+
+HOLDER = """
+import sys, pathlib
+from midstride.wire.claims import FileClaim
+claim = FileClaim(pathlib.Path(sys.argv[1]), "cut")
+print(claim.take(), flush=True)
+sys.stdin.read()
+"""
+
+
+def exchanged(one: CutClaim, other: CutClaim, unrelated: CutClaim) -> list[bool]:
+    seen = [one.take(), one.take(), other.take(), unrelated.take()]
+    other.give_back()  # which has none
+    seen.append(other.take())
+    one.give_back()
+    return [*seen, other.take(), one.take()]
+
+
+def test_one_side_has_it(tmp_path: Path) -> None:
+    expected = [True, True, False, True, False, True, False]
+    folder, pipes = SocketFolder(tmp_path), PipeNetwork()
+    assert exchanged(*(folder.claim(cut) for cut in ("a", "a", "b"))) == expected
+    assert exchanged(*(pipes.claim(cut) for cut in ("a", "a", "b"))) == expected
+    assert folder.present() == {}, "it is no component"
+
+
+def test_it_can_be_renounced_while_it_is_not_held(tmp_path: Path) -> None:
+    folder, pipes = SocketFolder(tmp_path), PipeNetwork()
+    for one, other in ((folder.claim("a"), folder.claim("a")), (pipes.claim("a"), pipes.claim("a"))):
+        assert one.take() and not one.renounce() and one.take()
+        assert other.renounce() and not other.take()
+        one.give_back()
+        assert not other.take() and one.take()
+
+
+def test_the_end_of_its_process_gives_it_back(tmp_path: Path) -> None:
+    path = tmp_path / "claims"
+    command = [sys.executable, "-c", HOLDER, str(path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "True\n"
+        claim = FileClaim(path, "cut")
+        assert not claim.take()
+        process.kill()
+        process.wait()
+        assert claim.take()
+
+
+def test_it_costs_a_descriptor_while_it_is_held(tmp_path: Path) -> None:
+    before = len(os.listdir("/proc/self/fd"))
+    claims = [FileClaim(tmp_path / "claims", "cut") for _ in range(10)]
+    assert [claim.take() for claim in claims] == [True] + 9 * [False]
+    assert len(os.listdir("/proc/self/fd")) == before + 1
+    claims.clear()
+    assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_without_its_folder_neither_side_has_it(tmp_path: Path) -> None:
+    assert not FileClaim(tmp_path / "none" / "claims", "cut").take()
