@@ -108,7 +108,11 @@ def test_what_relies_on_a_program_that_hangs_falls_and_is_restored(tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    "other", [Program(hung={"talker_2"}), Program(1000.0, most=8)], ids=["at once", "before it is attached"]
+    "other",
+    [
+        pytest.param(Program(hung={"talker_2"}), id="at once"),
+        pytest.param(Program(1000.0, most=8), id="before it is attached", marks=pytest.mark.full),
+    ],
 )
 def test_a_program_that_hangs_is_not_let_in(tmp_path: Path, other: Program) -> None:
     async def body(manager: Manager, simulator: SimulatedRelays) -> None:
