@@ -59,7 +59,7 @@ class FunctionalityRunner(OutputOwner):
         self.reflex = False
         # Whether a condition that does not hold, and nothing else, is why it is not in a better mode.
         self.conditional = False
-        # Whether a call may start. Only an async call, or a switch that waits for one, makes it False.
+        # Whether a call may start. Only an async call, a switch that waits for one, or a hold makes it False.
         self.ready = True
         self._host = host
         self._steady = host.steady
