@@ -175,6 +175,7 @@ def test_a_message_lowers_at_once_and_another_one_raises_at_once_each_time(tmp_p
     at_sea(tmp_path, body)
 
 
+@pytest.mark.full
 def test_without_the_word_nothing_is_watched_as_before(tmp_path: Path) -> None:
     async def body(sea: Sea) -> None:
         sea.depth(0.5)
@@ -184,6 +185,7 @@ def test_without_the_word_nothing_is_watched_as_before(tmp_path: Path) -> None:
     at_sea(tmp_path, body, conditions=False)
 
 
+@pytest.mark.full
 def test_a_command_that_raises_against_a_condition_does_not_last(tmp_path: Path) -> None:
     async def body(sea: Sea) -> None:
         sea.depth(2.0)
@@ -196,6 +198,7 @@ def test_a_command_that_raises_against_a_condition_does_not_last(tmp_path: Path)
     at_sea(tmp_path, body)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("first", ["condition", "silence"])
 def test_what_a_fault_has_degraded_waits_as_ever_although_a_condition_has_turned(tmp_path: Path, first: str) -> None:
     """The clock falls silent, and the water gets shallow, in either order; then both are as they were."""
