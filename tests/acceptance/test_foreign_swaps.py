@@ -184,6 +184,24 @@ def test_a_node_that_is_not_what_was_declared_is_not_let_in(tmp_path: Path) -> N
         run(scenario(), 200)
 
 
+def test_a_node_at_half_its_rate_is_not_let_in_by_default(tmp_path: Path) -> None:
+    talkers(tmp_path)
+    (tmp_path / "faulty.py").write_text(FAULTY, encoding="utf-8")
+    words = TALKER % ("Half", "python3 faulty.py half", " as chatter", 50)
+    path = tmp_path / "swaps.stride"
+    path.write_text(path.read_text(encoding="utf-8") + words.replace('half"', 'half" gate preload'), encoding="utf-8")
+
+    async def scenario() -> None:
+        async with robot(load(path).require(), tmp_path) as system:
+            outcome = await system.change("Half")
+            assert outcome.outcome == "rolled_back" and "does not keep the 50 Hz" in (outcome.because or "")
+            await system.hears()
+            assert system.changes() == [] and system.holes() == []
+
+    with ended():
+        run(scenario(), 200)
+
+
 def test_several_outputs_change_together_and_what_is_written_once_is_written_at_the_change(tmp_path: Path) -> None:
     (tmp_path / "plain.py").write_text(SEVERAL_PLAIN, encoding="utf-8")
     (tmp_path / "ours.py").write_text(SEVERAL_OURS, encoding="utf-8")

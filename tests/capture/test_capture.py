@@ -8,11 +8,13 @@ import pytest
 
 from midstride.capture.insertion import insert, without_remaps
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
+from midstride.capture.probe import Dependence, Verdict
 from midstride.capture.rates import measured
 from midstride.capture.standalone import draft
 from midstride.errors import SpecificationError
 from midstride.lang import format_text, load
 from midstride.launch_files.importing import import_launch_file
+from midstride.model.component import ComponentSpec
 from midstride.model.specification import Specification
 from tests.capture.simulated import SENSOR, SimulatedGraph, twenty
 
@@ -250,3 +252,78 @@ def test_remaps_that_no_port_states_stay() -> None:
 def test_a_file_with_errors_is_refused() -> None:
     with pytest.raises(SpecificationError, match=r"bad\.stride"):
         insert("system s\ncomponent {", "bad.stride", SimulatedGraph().observed())
+
+
+def probed(verdicts: dict[tuple[str, str], Verdict]) -> dict[tuple[str, str, str], Dependence]:
+    """Dependences of `/mixer`, by topics of an input and an output."""
+    return {("/mixer", *topics): Dependence(verdict, f"seen {verdict}") for topics, verdict in verdicts.items()}
+
+
+def mixer(folder: Path, verdicts: dict[tuple[str, str], Verdict]) -> tuple[str, ComponentSpec]:
+    """The draft of a node with two inputs and two outputs of which this was found, and its component."""
+    graph = SimulatedGraph()
+    for topic in ("/a", "/b"):
+        graph.publisher("/source", topic, STRING, rate=10.0)
+        graph.subscription("/mixer", topic, STRING)
+    for topic in ("/x", "/y"):
+        graph.publisher("/mixer", topic, STRING, rate=10.0)
+    text = draft("s", graph.observed(), findings=probed(verdicts))
+    return text, checked(text, folder).components["Mixer"]
+
+
+def needs(component: ComponentSpec) -> dict[str, tuple[tuple[str, ...], int, tuple[str, ...]]]:
+    """By functionality: the inputs that it uses, how many it assumes, and its outputs."""
+    return {each.name: (each.inputs, len(each.modes[0].assumptions), each.outputs) for each in component}
+
+
+def test_what_was_probed_decides_what_is_assumed(tmp_path: Path) -> None:
+    text, component = mixer(
+        tmp_path,
+        {("/a", "/x"): "depends", ("/a", "/y"): "undecided", ("/b", "/x"): "independent", ("/b", "/y"): "indirect"},
+    )
+    assert needs(component) == {"main": (("a", "b"), 1, ("x", "y"))}
+    assert "assume a  # probed: x depends on it (seen depends); y is not decided (seen undecided)\n" in text
+    assert "# `b` is not assumed: x does not depend on it (seen independent); y depends on it (seen indirect)\n" in text
+
+
+def test_outputs_that_depend_on_other_inputs_are_in_a_functionality_of_their_own(tmp_path: Path) -> None:
+    _, component = mixer(
+        tmp_path,
+        {("/a", "/x"): "depends", ("/a", "/y"): "independent", ("/b", "/x"): "independent", ("/b", "/y"): "depends"},
+    )
+    assert needs(component) == {"make_x": (("a",), 1, ("x",)), "make_y": (("b",), 1, ("y",))}
+    _, component = mixer(
+        tmp_path,
+        {
+            ("/a", "/x"): "independent",
+            ("/a", "/y"): "depends",
+            ("/b", "/x"): "independent",
+            ("/b", "/y"): "independent",
+        },
+    )
+    assert needs(component) == {"make_x": (("b",), 0, ("x",)), "make_y": (("a",), 1, ("y",))}
+
+
+def test_without_a_finding_an_input_is_assumed_as_before(tmp_path: Path) -> None:
+    text, component = mixer(tmp_path, {("/a", "/x"): "independent", ("/a", "/y"): "independent"})
+    assert needs(component) == {"main": (("a", "b"), 1, ("x", "y"))}
+    assert "assume b\n" in text
+
+
+def test_a_component_depends_on_what_one_of_its_nodes_depends_on(tmp_path: Path) -> None:
+    graph, findings = SimulatedGraph(), {}
+    text = 'system cameras\n\ncomponent Filter {\n  run "filter" gate preload\n}\n'
+    verdicts: dict[str, Verdict] = {"left": "independent", "right": "depends"}
+    for side, verdict in verdicts.items():
+        graph.publisher("/camera", f"/{side}/image", STRING, SENSOR, rate=10.0)
+        graph.subscription(f"/{side}/filter", f"/{side}/image", STRING, SENSOR)
+        graph.publisher(f"/{side}/filter", f"/{side}/edges", STRING, rate=10.0)
+        findings[f"/{side}/filter", f"/{side}/image", f"/{side}/edges"] = Dependence(verdict, "seen")
+        text += f"namespace {side} {{\n  node filter : Filter\n}}\n"
+    text += 'component Camera { run "camera" gate preload }\nnode camera : Camera\n'
+    assert (
+        "assume image  # probed: edges depends on it (seen)"
+        in insert(text, "c", graph.observed(), False, findings).text
+    )
+    del findings["/right/filter", "/right/image", "/right/edges"]
+    assert "`image` is not assumed" in insert(text, "c", graph.observed(), False, findings).text

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
 from pathlib import Path
 
+import click
 import pytest
 
 from midstride.backends import ros2
+from midstride.backends.ros2 import probed_page
 from midstride.capture.observed import ObservedGraph
+from midstride.capture.probe import Count, ProbedPort
 from midstride.cli import main
+from midstride.cli.commands import capture
+from midstride.runtime.workspace import Workspace
 from tests.capture.simulated import SimulatedGraph
 
 FILE = """system chat
@@ -61,3 +67,92 @@ def test_an_empty_graph_is_an_error(graph: ObservedGraph, capsys: pytest.Capture
     assert main(["capture", "--into", "chat.stride"]) == 1
     assert "no node with topics was seen" in capsys.readouterr().err
     assert Path("chat.stride").read_text() == FILE
+
+
+RELAY = """system chat
+
+component Relay {
+  run "relay" gate preload
+}
+
+node relay : Relay
+"""
+IN, OUT = ProbedPort("/relay", "/in", False), ProbedPort("/relay", "/out", True)
+
+
+class Gates:
+    """Those of a node that publishes a message for each one it receives."""
+
+    def __init__(self, *ports: ProbedPort) -> None:
+        self._ports = ports
+        self.closed: list[ProbedPort] = []
+
+    def ports(self) -> tuple[ProbedPort, ...]:
+        return self._ports
+
+    def watch(self, closed: ProbedPort | None, settling: float, counting: float) -> dict[ProbedPort, Count]:
+        if closed is None:
+            return {port: Count(10) for port in self._ports}
+        self.closed.append(closed)
+        return {IN: Count(0, 10), OUT: Count(0)}
+
+
+@pytest.fixture
+def relay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Gates:
+    """The gates of a system that runs."""
+    monkeypatch.chdir(tmp_path)
+    simulated = SimulatedGraph()
+    simulated.publisher("/source", "/in", "std_msgs/msg/String", rate=10.0)
+    simulated.subscription("/relay", "/in", "std_msgs/msg/String")
+    simulated.publisher("/relay", "/out", "std_msgs/msg/String", rate=10.0)
+    graph = simulated.observed()
+    gates = Gates(IN, OUT, ProbedPort("/relay", "/rosout", True))
+    monkeypatch.setattr(ros2, "observe", lambda seconds, nodes: graph)
+    monkeypatch.setattr(probed_page, "probing", lambda folder: nullcontext(gates))
+    monkeypatch.setattr(capture, "find_workspace", lambda system: Workspace(tmp_path))
+    Path("chat.stride").write_text(RELAY)
+    return gates
+
+
+def test_what_a_probe_finds_is_proposed(relay: Gates, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["capture", "--probe", "--yes", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["probed"] == [
+        {
+            "node": "/relay",
+            "input": "/in",
+            "output": "/out",
+            "verdict": "depends",
+            "evidence": "4.17 Hz, and 0 Hz while it was closed, 20 messages held back",
+        }
+    ]
+    assert "assume in  # probed: out depends on it (4.17 Hz" in document["specification"].replace("in_in", "in")
+    assert relay.closed == [IN, IN]
+    assert main(["capture", "--into", "chat.stride", "--probe", "--yes"]) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert said[0].startswith(
+        "Probing closes 1 input of running nodes, one after another, 2 times for 3 s each (15 s in all), or up to 6 "
+    )
+    assert said[1] == "  round 1: /in is closed at /relay"
+    assert main(["check", "chat.stride"]) == 0
+
+
+def test_nothing_is_closed_without_confirmation(
+    relay: Gates, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["capture", "--probe", "--into", "chat.stride"]) == 2
+    assert "not a terminal; pass --yes" in capsys.readouterr().err
+    monkeypatch.setattr(capture, "is_interactive", lambda: True)
+    monkeypatch.setattr(click, "confirm", lambda *_, **__: False)
+    assert main(["capture", "--probe", "--into", "chat.stride"]) == 1
+    assert "Nothing was closed, and nothing was written." in capsys.readouterr().err
+    assert relay.closed == [] and Path("chat.stride").read_text() == RELAY
+
+
+def test_where_no_node_has_a_gate_a_probe_is_refused(
+    relay: Gates, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(relay, "_ports", ())
+    assert main(["capture", "--probe", "--yes", "--into", "chat.stride"]) == 1
+    assert "none of these nodes has a gate" in capsys.readouterr().err
+    assert Path("chat.stride").read_text() == RELAY

@@ -1,13 +1,17 @@
-/* A node: `fake_node WRITER TOPIC PERIOD_NS MESSAGES`; it lives until it is ended. With `time`, it says how much processor time a message takes (ns). */
+/* A node: `fake_node WRITER TOPIC PERIOD_NS MESSAGES`; it lives until it is ended. With `time`, it says how much processor time a message takes (ns).
+ * With another word, that is a topic: in each period it takes a message from there, and publishes only if it has got one. */
 #define _GNU_SOURCE
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 #include <time.h>
 #include <unistd.h>
 
 int rcl_publisher_init(void *, const void *, const void *, const char *, const void *);
 int rcl_publish(const void *, const void *, void *);
+int rcl_subscription_init(void *, const void *, const void *, const char *, const void *);
+int rcl_take(const void *, void *, void *, void *);
 
 static long long now(void)
 {
@@ -19,20 +23,26 @@ static long long now(void)
 int main(int count, char **arguments)
 {
   static const char type;
-  void *publisher;
+  void *publisher, *subscription = NULL, *log;
   uint64_t message[2] = {strtoull(arguments[1], NULL, 10), 0};
   long long period = atoll(arguments[3]), messages = atoll(arguments[4]), begun = now();
+  rcl_publisher_init(&log, NULL, &type, "/rosout", NULL);
   rcl_publisher_init(&publisher, NULL, &type, arguments[2], NULL);
+  log = NULL; /* as rcl does, which keeps a copy of it elsewhere */
+  if (count > 5 && strcmp(arguments[5], "time") != 0)
+    rcl_subscription_init(&subscription, NULL, &type, arguments[5], NULL);
   for (long long number = 1; number <= messages; number++) {
     long long slot = begun + number * period, left;
     while (period && (left = slot - now()) > 0) {
       struct timespec pause = {left / 1000000000, left % 1000000000};
       nanosleep(&pause, NULL);
     }
+    if (subscription && rcl_take(&subscription, message, NULL, NULL) != 0)
+      continue;
     message[1] = (uint64_t)number;
     rcl_publish(&publisher, message, NULL);
   }
-  if (count > 5) {
+  if (count > 5 && !subscription) {
     struct timespec used;
     clock_gettime(CLOCK_THREAD_CPUTIME_ID, &used);
     printf("%.1f\n", (used.tv_sec * 1e9 + used.tv_nsec) / (double)messages);

@@ -47,8 +47,8 @@ class Lab:
         self.run(index, period, messages)
         return index
 
-    def run(self, index: int, period: int, messages: int) -> None:
-        """Start the process of a node, and wait until it has joined."""
+    def run(self, index: int, period: int, messages: int, *takes: str) -> None:
+        """Start the process of a node, which may take messages from a topic, and wait until it has joined."""
         port = self.port(index)
         environment = {
             **os.environ,
@@ -58,7 +58,7 @@ class Lab:
             "MIDSTRIDE_GATE_PAGE": str(self.page.path),
             "MIDSTRIDE_GATE_NODE": str(index),
         }
-        command = [str(self.programs / "node"), str(index + 1), "/chat", str(period), str(messages)]
+        command = [str(self.programs / "node"), str(index + 1), "/chat", str(period), str(messages), *takes]
         self.processes[index] = subprocess.Popen(command, env=environment)
         until(lambda: bool(port.endpoints and port.tried), f"node {index} has not written")
 

@@ -13,15 +13,16 @@ from pathlib import Path
 import pytest
 
 from midstride.codec.component import NamedComponentForm
-from midstride.errors import CommandRefused
+from midstride.errors import CommandRefused, StepFailed
 from midstride.foreign.agent import ForeignAgent
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import NodeGraph
 from midstride.foreign.record import ForeignRecord
-from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode
+from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode, PortRef
 from midstride.model.contract import Predicate
 from midstride.runtime.clock import SystemClock
 from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.probation import default_probation, require_rate
 from midstride.wire import commands
 from midstride.wire.sockets import SocketFolder
 from tests.foreign.lab import Lab
@@ -227,3 +228,31 @@ def test_what_it_cannot_do_is_refused(tmp_path: Path, programs: Path, gate_libra
             stranger.close()
 
     asyncio.run(scenario())
+
+
+def test_by_default_a_node_must_keep_its_rate_for_a_moment(tmp_path: Path, programs: Path, gate_library: Path) -> None:
+    """The new one writes at 200 Hz behind its gate."""
+
+    async def scenario() -> None:
+        async with nodes(tmp_path, programs, gate_library) as system:
+
+            async def judged(rate: float, timing: dict[str, float], foreign: bool = True) -> None:
+                await require_rate(system.client, PortRef("new", "out"), TOPIC, rate, timing, 1.0, foreign)
+
+            await judged(200.0, {})
+            words = "does not keep the 1000 Hz .* it was given 0.3 s; `timing { probation 0 s }` in the specification"
+            with pytest.raises(StepFailed, match=words):
+                await judged(1000.0, {"probation_timeout": 0.1})
+            with pytest.raises(StepFailed, match=r"it was given 0.3 s$"):
+                await judged(1000.0, {"probation": 0.2, "probation_timeout": 0.1})
+            await judged(1000.0, {"probation": 0.0})
+            await judged(1000.0, {}, foreign=False)
+            system.agents["new"].node.change_record(stated={"use_sim_time": True})
+            await judged(1000.0, {})  # on `/clock`, which the page does not know
+
+    asyncio.run(scenario())
+
+
+def test_the_default_probation_is_short() -> None:
+    found = {rate: default_probation(rate) for rate in (1000.0, 50.0, 10.0, 5.0, 2.5, 2.4, 0.1)}
+    assert found == {1000.0: 0.2, 50.0: 0.2, 10.0: 1.0, 5.0: 2.0, 2.5: 2.0, 2.4: 0.0, 0.1: 0.0}

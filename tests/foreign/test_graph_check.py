@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from midstride.codec.component import NamedComponentForm
 from midstride.errors import CommandRefused
-from midstride.foreign.graph_check import GraphEndpoint, differences, lacking, shown
+from midstride.foreign import agent as agent_module
+from midstride.foreign.agent import ForeignAgent
+from midstride.foreign.gates import Gates
+from midstride.foreign.graph_check import GraphEndpoint, differences, lacking, shown, undeclared
+from midstride.foreign.page import Page
+from midstride.foreign.record import ForeignRecord
+from midstride.foreign.services import NoAnswer
 from midstride.lang.load import load
 from midstride.model.component import ComponentSpec
 from midstride.model.contract import QoS
-from tests.foreign.test_agent import Nodes
+from midstride.runtime.clock import SystemClock
+from midstride.runtime.component_client import ComponentClient
+from midstride.wire import commands
+from midstride.wire.sockets import SocketFolder
+from tests.foreign.test_agent import TALKER, TOKEN, Nodes
 
 TEXT = """system chat
 topic /chat : std_msgs/msg/String
@@ -84,13 +97,100 @@ def test_what_differs_is_named(component: ComponentSpec, found: GraphEndpoint, w
     assert differences(component, TOPICS, "/node", [*others, found]) == [words]
 
 
-def test_what_is_lacking_is_named_with_what_there_is_instead(component: ComponentSpec) -> None:
-    found = [IN, GraphEndpoint(True, "/chatter", OUT.type, LATCHED), GraphEndpoint(True, "/rosout", "Log", LATCHED)]
-    words = "node /node has no publisher on /chat, the topic of output out of Thing"
-    assert lacking(component, TOPICS, "/node", found, ["out"]) == [
-        f"{words}; it publishes on /chatter (std_msgs/msg/String)"
-    ]
-    assert lacking(component, TOPICS, "/node", [IN], ["out"]) == [words]
+LACKING = "node /robot/node has no publisher on /chat, the topic of output out of Thing"
+CHATTER = GraphEndpoint(True, "/robot/chat_out", OUT.type, LATCHED)
+ROSOUT = GraphEndpoint(True, "/rosout", "rcl_interfaces/msg/Log", LATCHED)
+NUMBER = GraphEndpoint(True, "/number", "std_msgs/msg/Int32", LATCHED)
+
+
+@pytest.mark.parametrize(
+    ("found", "instead"),
+    [
+        (
+            [CHATTER, ROSOUT],
+            "; it publishes on /robot/chat_out (std_msgs/msg/String); did you mean `output out … as chat_out`?",
+        ),
+        ([NUMBER], "; it publishes on /number (std_msgs/msg/Int32)"),
+        ([], ""),
+        (
+            [replace(CHATTER, topic="/chater"), replace(CHATTER, topic="/a")],
+            "; it publishes on /a (std_msgs/msg/String), /chater (std_msgs/msg/String); did you mean `output out … as "
+            "/chater`?",
+        ),
+        # The remapping that the declaration asks for has no effect.
+        ([replace(CHATTER, topic="/robot/chatter")], "; it publishes on /robot/chatter (std_msgs/msg/String)"),
+    ],
+    ids=["another name", "another type", "nothing", "a similar name", "the name that is declared"],
+)
+def test_what_is_lacking_is_named_with_what_there_is_instead(
+    component: ComponentSpec, found: list[GraphEndpoint], instead: str
+) -> None:
+    assert lacking(component, TOPICS, "/robot/node", [IN, *found], ["out"]) == [LACKING + instead]
+
+
+def test_topics_that_are_no_ports_are_listed(component: ComponentSpec) -> None:
+    clock = GraphEndpoint(False, "/clock", "rosgraph_msgs/msg/Clock", LOOSE)
+    heard = GraphEndpoint(False, "/chat", OUT.type, LATCHED)  # its own output
+    assert undeclared(component, TOPICS, [IN, heard, NUMBER, ROSOUT, clock, OUT]) == [NUMBER, heard]
+
+
+class Services:
+    """A node that answers requests or does not."""
+
+    def __init__(self, answers: bool) -> None:
+        self.answers = answers
+        self.asked = 0
+
+    async def parameters(self, timeout: float) -> dict[str, Any]:
+        self.asked += 1
+        if not self.answers:
+            raise NoAnswer("no answer")
+        return {}
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_a_wrong_topic_is_refused_as_soon_as_the_node_has_settled(
+    tmp_path: Path, gate_library: Path, monkeypatch: pytest.MonkeyPatch, answers: bool
+) -> None:
+    """One that does not answer may still be creating publishers: it is waited for."""
+    monkeypatch.setattr(agent_module, "SETTLED", 0.0)
+    monkeypatch.setattr(agent_module, "HEARTBEAT", 0.01)
+    monkeypatch.setattr(agent_module, "ENDPOINTS_TIMEOUT", 1e9 if answers else 0.5)
+    page = Page(tmp_path / "page", gate_library)
+    gates = Gates(page, page.allocate("node"), TALKER)
+    gates.prepare({"out": "/chat"})
+    record = ForeignRecord(
+        instance="node",
+        node="/node",
+        token=TOKEN,
+        uuid="",
+        pid=os.getpid(),
+        started=0,
+        declaration=NamedComponentForm.of(TALKER),
+        index=gates.index,
+        topics={"out": "/chat"},
+        modes={"talk": "degraded"},
+    )
+    services: Any = Services(answers)
+
+    async def scenario() -> None:
+        transport = SocketFolder(tmp_path / "components")
+        agent = ForeignAgent(record, tmp_path, gates, services, graph=lambda: [replace(OUT, topic="/chatter")])
+        client = ComponentClient(transport, SystemClock(), TOKEN)
+        try:
+            await agent.open(transport)
+            await client.registered("node")
+            with pytest.raises(CommandRefused, match="did you mean `output out … as chatter`"):
+                await client.change("node", commands.WelcomeCommand(manager="a test"))
+        finally:
+            client.close()
+            await agent.close()
+
+    asyncio.run(scenario())
+    assert services.asked == 1 if answers else services.asked > 1
 
 
 def test_a_node_that_differs_is_not_accepted(tmp_path: Path, programs: Path, gate_library: Path) -> None:
@@ -106,9 +206,11 @@ def test_a_node_that_differs_is_not_accepted(tmp_path: Path, programs: Path, gat
             await system.start("new")
             assert (await system.client.observe("new")).differences == []
             graph[0] = GraphEndpoint(True, "/chat", OUT.type, LOOSE)
+            graph.append(NUMBER)
             while not (found := (await system.client.observe("new")).differences):
                 await asyncio.sleep(0.05)
             assert "with best_effort" in found[0]
+            assert (await system.client.observe("new")).undeclared == ["publishes on /number (std_msgs/msg/Int32)"]
         finally:
             system.client.close()
             for agent in system.agents.values():

@@ -41,6 +41,7 @@ from midstride.wire.commands import (
     GatedWrites,
     Grid,
     GridCommand,
+    HoldCommand,
     Idle,
     ImportingCommand,
     ImportStateCommand,
@@ -150,7 +151,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
         GatedWrites(gated=3, wrong_type="a String", failed=True),
     ),
     (
-        AwaitRateCommand(port="out", topic="/t", rate=10.0, window=1.0, until="met", timeout=1.5),
+        AwaitRateCommand(port="out", topic="/t", rate=10.0, window=1.0, until="met", timeout=1.5, known_clock=True),
         RateVerdict(reached=True, rate=9.5, pause=0.2, failed=True),
     ),
     (AwaitMatchCommand(port="in", topic="/t", peers=2, timeout=1.5), Attached(matched=1)),
@@ -175,6 +176,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     ),
     (DetachCommand(port="out", topic="/t", timeout=1.5), Detached(acknowledged=None, last=7)),
     (ModesCommand(modes={"talk": "normal"}, because="why not", timeout=1.5), PreviousModes(before={"talk": "off"})),
+    (HoldCommand(functionalities=["talk"], seconds=7.0, timeout=1.5), Done()),
     (
         SetParametersCommand(parameters={"a": [1, 2], "b": "x"}, declared={"a": [1]}, timeout=1.5),
         PreviousParameters(before={"a": 0.5}),

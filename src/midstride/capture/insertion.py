@@ -10,7 +10,8 @@ from itertools import pairwise
 from pathlib import Path
 
 from midstride.capture.observed import ObservedGraph
-from midstride.capture.proposal import ProposedPort, component_text, node_block, ports_of, topic_lines
+from midstride.capture.probe import Dependences
+from midstride.capture.proposal import ProposedPort, component_text, merged, node_block, ports_of, topic_lines
 from midstride.errors import SpecificationError
 from midstride.lang.diagnostics import Reporter
 from midstride.lang.files import resolve_name
@@ -29,9 +30,11 @@ class Insertion:
     left: dict[str, str] = field(default_factory=dict)
 
 
-def insert(text: str, name: str, graph: ObservedGraph, rates: bool = False) -> Insertion:
+def insert(
+    text: str, name: str, graph: ObservedGraph, rates: bool = False, findings: Dependences | None = None
+) -> Insertion:
     """``text``, the file ``name``, with the ports of its nodes. Raises SpecificationError if it cannot be parsed."""
-    return _Inserter(text, name, graph, rates).insertion()
+    return _Inserter(text, name, graph, rates, findings).insertion()
 
 
 def nodes_without_ports(text: str, name: str) -> list[str]:
@@ -41,12 +44,14 @@ def nodes_without_ports(text: str, name: str) -> list[str]:
 
 
 class _Inserter:
-    def __init__(self, text: str, name: str, graph: ObservedGraph, rates: bool) -> None:
+    def __init__(
+        self, text: str, name: str, graph: ObservedGraph, rates: bool, findings: Dependences | None = None
+    ) -> None:
         reporter = Reporter()
         self.file: File = parse(Source(name, text, Path(name)), reporter)
         if reporter.has_errors:
             raise SpecificationError([str(each) for each in reporter.found])
-        self.name, self.graph, self.rates = name, graph, rates
+        self.name, self.graph, self.rates, self.findings = name, graph, rates, findings
         self.components = {
             item.name.text: item
             for item, _ in self._items(self.file.items, "")
@@ -72,7 +77,10 @@ class _Inserter:
                 result.left[each[1]] = "it is not in the graph, or has no topics"
         in_file = {*result.left, *(full for _, full, _ in found)}
         result.left |= dict.fromkeys(sorted(seen - in_file), "it is not in this file")
-        ports = {full: ports_of(self.graph, full, self._remaps(component, full)) for _, full, component in found}
+        ports = {
+            full: ports_of(self.graph, full, self._remaps(component, full), self.findings)
+            for _, full, component in found
+        }
         heard = {port.endpoint.topic for each in ports.values() for port in each if port.endpoint.output}
         for component in {id(each): each for _, _, each in found}.values():
             self._complete(component, [(node, ports[full]) for node, full, other in found if other is component], heard)
@@ -130,7 +138,7 @@ class _Inserter:
             return
         start = component.name.span.end
         for number, members in enumerate(variants.values()):
-            ports = members[0][1]
+            ports = merged(ports for _, ports in members)
             lines = component_text(ports, heard, self.rates)
             commands = self._commands(component, ports)
             if number == 0:

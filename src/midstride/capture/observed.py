@@ -7,12 +7,10 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from midstride.model.contract import QoS
+from midstride.model.infrastructure import is_infrastructure
 
 # The times of so many messages are kept for each publisher.
 MAX_TIMES: Final = 100_000
-# Topics of ROS's own that nearly every node has, and that belong to no port.
-_EVERYWHERE: Final = frozenset({"/rosout", "/parameter_events"})
-_OF_LIFECYCLE: Final = "/transition_event"
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,10 +26,8 @@ class ObservedEndpoint:
 
     @property
     def is_infrastructure(self) -> bool:
-        """Whether it is ROS's own rather than the node's: logs, parameters, the clock, lifecycle, ROS actions."""
-        hidden = "/_" in self.topic or "/_" in self.node
-        clock = self.topic == "/clock" and not self.output
-        return hidden or clock or self.topic in _EVERYWHERE or self.topic.endswith(_OF_LIFECYCLE)
+        """Whether it is ROS's own rather than the node's, or of a hidden node."""
+        return "/_" in self.node or is_infrastructure(self.topic, output=self.output)
 
 
 @dataclass(slots=True)

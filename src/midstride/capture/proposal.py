@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
+from midstride.capture.probe import Dependence, Dependences, Verdict
 from midstride.capture.rates import MeasuredRate, measured
 from midstride.lang.token_stream import RESERVED
 from midstride.model.contract import DEFAULT_QOS, QoS
@@ -15,18 +16,24 @@ from midstride.model.wording import counted
 
 FUNCTIONALITY: Final = "main"
 SHORT: Final = 70
+# From what asks for no assumption to what does.
+_VERDICTS: Final[tuple[Verdict, ...]] = ("independent", "indirect", "undecided", "depends")
 _NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_]+")
 
 
 @dataclass(frozen=True, slots=True)
 class ProposedPort:
-    """A port. ``own_topic`` is what the program calls the topic; ``rate`` and ``note`` say what was measured."""
+    """A port. ``own_topic`` is what the program calls the topic; ``rate`` and ``note`` say what was measured.
+
+    ``probed``: of an input, what a probe has found of it and each output, by name; empty where there was none.
+    """
 
     name: str
     endpoint: ObservedEndpoint
     own_topic: str
     rate: MeasuredRate | None = None
     note: str = ""
+    probed: Mapping[str, Dependence] = field(default_factory=dict)
 
     @property
     def contract(self) -> str:
@@ -62,7 +69,9 @@ def contract_text(type_: str, qos: QoS, rate: float | None = None) -> str:
     return " ".join(filter(None, words))
 
 
-def ports_of(graph: ObservedGraph, node: str, remaps: Mapping[str, str]) -> list[ProposedPort]:
+def ports_of(
+    graph: ObservedGraph, node: str, remaps: Mapping[str, str], findings: Dependences | None = None
+) -> list[ProposedPort]:
     """The ports of a node; ``remaps`` has what its program calls topics, by their full names."""
     ports: list[ProposedPort] = []
     taken: set[str] = set()
@@ -73,7 +82,36 @@ def ports_of(graph: ObservedGraph, node: str, remaps: Mapping[str, str]) -> list
         own = remaps.get(endpoint.topic) or _relative(endpoint.topic, node)
         rate, note = _measured(graph, endpoint) if endpoint.output else (None, "")
         ports.append(ProposedPort(name, endpoint, own, rate, note))
-    return ports
+    return [
+        port if port.endpoint.output else replace(port, probed=_probed(port, ports, findings or {})) for port in ports
+    ]
+
+
+def _probed(port: ProposedPort, ports: Iterable[ProposedPort], findings: Dependences) -> dict[str, Dependence]:
+    keys = {
+        each.name: (port.endpoint.node, port.endpoint.topic, each.endpoint.topic)
+        for each in ports
+        if each.endpoint.output
+    }
+    return {name: findings[key] for name, key in keys.items() if key in findings}
+
+
+def merged(variants: Iterable[list[ProposedPort]]) -> list[ProposedPort]:
+    """The ports of nodes that share a component: it depends on what one of them depends on."""
+    return [
+        replace(
+            same[0],
+            probed={
+                name: max((port.probed[name] for port in same if name in port.probed), key=_weight)
+                for name in dict.fromkeys(name for port in same for name in port.probed)
+            },
+        )
+        for same in zip(*variants, strict=True)
+    ]
+
+
+def _weight(finding: Dependence) -> int:
+    return _VERDICTS.index(finding.verdict)
 
 
 def node_block(ports: Iterable[ProposedPort]) -> str:
@@ -115,7 +153,8 @@ def component_text(ports: Iterable[ProposedPort], heard: set[str], rates: bool, 
     """The statements of a component with these ports.
 
     An input is assumed if its topic is in ``heard``, the topics with a publisher in the specification. With ``rates``,
-    guarantees state the proposed bounds.
+    guarantees state the proposed bounds. What was probed decides further: outputs that depend on other inputs are in a
+    functionality for them, and an input on which no output depends is not assumed.
     """
     ports = list(ports)
     if not ports:
@@ -124,20 +163,57 @@ def component_text(ports: Iterable[ProposedPort], heard: set[str], rates: bool, 
     outputs = [port for port in ports if port.endpoint.output]
 
     lines = [port.declaration if own_topics else port.declaration.partition(" as ")[0] for port in [*inputs, *outputs]]
-    lines.append(f"functionality {FUNCTIONALITY} {{")
+    groups: dict[frozenset[str], list[ProposedPort]] = {}
+    for port in outputs:
+        groups.setdefault(frozenset(each.name for each in inputs if _needs(port, each)), []).append(port)
+    if len(groups) < 2:
+        return [*lines, *_functionality(FUNCTIONALITY, inputs, outputs, heard, rates)]
+    used = frozenset[str]().union(*groups)
+    for number, (needed, members) in enumerate(groups.items()):
+        # What none of them depends on belongs to the first one.
+        own = [port for port in inputs if port.name in needed or (number == 0 and port.name not in used)]
+        lines += _functionality(f"make_{members[0].name}", own, members, heard, rates)
+    return lines
+
+
+def _needs(output: ProposedPort, input_: ProposedPort) -> bool:
+    found = input_.probed.get(output.name)
+    return found is None or found.verdict in ("depends", "undecided")
+
+
+def _functionality(
+    name: str, inputs: list[ProposedPort], outputs: list[ProposedPort], heard: set[str], rates: bool
+) -> Iterator[str]:
+    yield f"functionality {name} {{"
     if inputs:
-        lines.append("uses " + ", ".join(port.name for port in inputs))
+        yield "uses " + ", ".join(port.name for port in inputs)
     if outputs:
-        lines.append("produces " + ", ".join(port.name for port in outputs))
-    lines.append("mode normal {")
+        yield "produces " + ", ".join(port.name for port in outputs)
+    yield "mode normal {"
     for port in inputs:
-        known = port.endpoint.topic in heard
-        lines.append(f"assume {port.name}" if known else f"# no node here publishes what `{port.name}` receives")
+        probed = [(each.name, port.probed[each.name]) for each in outputs if each.name in port.probed]
+        evidence = "".join(f"; {output} {_in_words(finding)}" for output, finding in probed).removeprefix("; ")
+        if outputs and not any(_needs(each, port) for each in outputs):
+            yield f"# `{port.name}` is not assumed: {evidence}"
+        elif port.endpoint.topic in heard:
+            yield f"assume {port.name}" + (f"  # probed: {evidence}" if evidence else "")
+        else:
+            yield f"# no node here publishes what `{port.name}` receives"
     for port in outputs:
         bound = port.rate.bound if rates and port.rate is not None else None
         contract = contract_text(port.endpoint.type, port.endpoint.qos, bound)
-        lines.append(f"guarantee {port.name} : {contract}  # {port.note}")
-    return [*lines, "}", "mode degraded { }", "}"]
+        yield f"guarantee {port.name} : {contract}  # {port.note}"
+    yield from ("}", "mode degraded { }", "}")
+
+
+def _in_words(finding: Dependence) -> str:
+    words = {
+        "depends": "depends on it",
+        "indirect": "depends on it",
+        "independent": "does not depend on it",
+        "undecided": "is not decided",
+    }
+    return f"{words[finding.verdict]} ({finding.because})"
 
 
 def topic_lines(graph: ObservedGraph, topics: Iterable[str], rated: Iterable[ProposedPort] = ()) -> list[str]:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import re
 
 from midstride.capture.observed import ObservedGraph
+from midstride.capture.probe import Dependences
 from midstride.capture.proposal import component_text, node_block, ports_of, topic_lines
 from midstride.lang.printer import format_text
 from midstride.lang.token_stream import RESERVED
 
 
-def draft(name: str, graph: ObservedGraph, rates: bool = False) -> str:
+def draft(name: str, graph: ObservedGraph, rates: bool = False, findings: Dependences | None = None) -> str:
     """The text of the system ``name``, with every node of the graph."""
-    ports = {node: ports_of(graph, node, {}) for node in graph.nodes()}
+    ports = {node: ports_of(graph, node, {}, findings) for node in graph.nodes()}
     found_ports = [port for each in ports.values() for port in each]
     topics = sorted({port.endpoint.topic for port in found_ports})
     heard = {port.endpoint.topic for each in ports.values() for port in each if port.endpoint.output}

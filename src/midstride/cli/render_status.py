@@ -167,7 +167,12 @@ def platform(document: Document) -> RenderableType:
     lines: list[RenderableType] = [Text(""), starts, Text(f"\nMiddleware: {middleware['name']}")]
     if middleware["set"] or middleware["kept"]:
         lines.append(settings)
-    notes = [*middleware["notes"], *_spares(document["spares"])]
+    undeclared = [
+        f"{component['name']} {words}: no port states that, so it has no gate and no contract"
+        for component in document["components"]
+        for words in component.get("undeclared", ())
+    ]
+    notes = [*undeclared, *middleware["notes"], *_spares(document["spares"])]
     return Group(*lines, *(Text(note, style="dim") for note in notes))
 
 

@@ -22,9 +22,10 @@
 enum { UNUSED = 0, OUTPUT = 1, INPUT = 2 };             /* of a port: direction */
 enum { CLOSED = 0, OPEN = 1 };                          /* of a port: gate */
 enum { RATED = 1, LAYS = 2, TIMED = 4, KEEPS = 8 };     /* of a port: flags, see below */
+enum { IN_USE = 1, LISTS = 2 };                         /* of a node; LISTS: the library adds a port for each topic, open */
 
 struct port {
-  uint32_t direction;
+  _Atomic uint32_t direction;
   _Atomic uint32_t flags;
   _Atomic uint32_t gate;
   _Atomic uint32_t baton;   /* index + 1 in `batons`; 0: the gate alone decides */
@@ -35,7 +36,7 @@ struct port {
   _Atomic uint32_t endpoints; /* how many publishers or subscriptions of the process have this topic */
   _Atomic uint32_t matched;   /* with how many endpoints they are matched, as the middleware of the process sees it */
   _Atomic uint32_t kept;      /* whether a message is kept that was written behind the gate */
-  uint32_t padding;
+  _Atomic uint32_t shut;      /* an input that a probe closes, as long as the lease of the page lasts */
   char topic[NAME];
 };
 
@@ -43,7 +44,7 @@ struct node {
   _Atomic uint32_t pid;   /* 0: no publisher or subscription has been created yet */
   _Atomic uint32_t bell;  /* a futex: counted up to have the helper thread look at once */
   _Atomic uint32_t beat;  /* counted up by the helper thread each time it has looked */
-  uint32_t used;
+  uint32_t used;          /* flags; 0: free */
   char instance[NAME];
   struct port ports[PORTS];
 };
@@ -59,7 +60,8 @@ struct page {
   uint64_t magic;
   uint32_t version;
   uint32_t size;
-  uint64_t padding[6];
+  _Atomic int64_t lease; /* CLOCK_MONOTONIC, ns: a probe that has ended without a word keeps no input closed */
+  uint64_t padding[5];
   struct baton batons[NODES];
   struct node nodes[NODES];
 };

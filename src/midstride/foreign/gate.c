@@ -192,17 +192,41 @@ static struct entry *find(const void *endpoint)
 
 static void *help(void *);
 
+/* Whether a node that lists its topics lists this one. rcl moves the publisher of /rosout after it has initialized it, so
+ * nothing may be kept for its address. */
+static bool listed(const char *topic)
+{
+  return node->used & LISTS && strlen(topic) < NAME && strcmp(topic, "/rosout") != 0 &&
+         strcmp(topic, "/parameter_events") != 0;
+}
+
+/* The port of this node with that topic; NULL where there is none. With `lock`. */
+static struct port *port_of(const char *topic, uint32_t direction)
+{
+  for (unsigned index = 0; index < PORTS; index++) {
+    struct port *port = &node->ports[index];
+    if (port->direction == direction && strncmp(port->topic, topic, NAME) == 0)
+      return port;
+    if (port->direction == UNUSED && listed(topic)) {
+      strcpy(port->topic, topic);
+      port->gate = OPEN;
+      port->direction = direction; /* last: the manager reads the rest where it is not UNUSED */
+      return port;
+    }
+  }
+  return NULL;
+}
+
 /* Where `topic` is a port of this node, remember the endpoint, and have the helper thread run. */
 static void add(const void *endpoint, const char *topic, uint32_t direction, const void *type)
 {
   static const void *const removed = entries;
-  struct port *port = NULL;
-  for (unsigned index = 0; topic && index < PORTS && !port; index++)
-    if (node->ports[index].direction == direction && strncmp(node->ports[index].topic, topic, NAME) == 0)
-      port = &node->ports[index];
-  if (!port)
-    return;
   pthread_mutex_lock(&lock);
+  struct port *port = topic ? port_of(topic, direction) : NULL;
+  if (!port) {
+    pthread_mutex_unlock(&lock);
+    return;
+  }
   if (atomic_load(&node->pid) != (uint32_t)getpid()) {
     struct flock own = lock_of(me, F_WRLCK);
     fcntl(descriptor, F_SETLK, &own);
@@ -559,6 +583,8 @@ static int taken(const void *subscription, int result)
   if (!entry)
     return result;
   bool open = atomic_load_explicit(&entry->port->gate, memory_order_acquire) == OPEN;
+  if (open && atomic_load_explicit(&entry->port->shut, memory_order_acquire))
+    open = now_ns() >= atomic_load(&page->lease);
   count(entry->port, open);
   return open ? 0 : TAKE_FAILED;
 }

@@ -10,6 +10,7 @@ from typing import Final
 from midstride.foreign.page import (
     CLOSED,
     INPUT,
+    LISTS,
     OPEN,
     OUTPUT,
     Page,
@@ -45,9 +46,14 @@ class Gates:
         return entry
 
     def prepare(self, topics: dict[str, str]) -> None:
-        """Before the process starts: outputs are closed, inputs open (what is latched arrives when it subscribes)."""
+        """Before the process starts: outputs are closed, inputs open (what is latched arrives when it subscribes).
+
+        Where the component states no ports yet, the library adds one for each topic, for `midstride capture --probe`.
+        """
         listed = [(topics[port], OUTPUT if self.component.has_output(port) else INPUT) for port in self._numbers]
         self.page.set_ports(self.index, listed)
+        if not listed:
+            self.node.used |= LISTS
         baton = self.page.new_baton(self.index)
         for port in self._numbers:
             entry = self.entry(port)

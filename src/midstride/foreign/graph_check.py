@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 from midstride.model.component import ComponentSpec
 from midstride.model.contract import NOTHING, Predicate, QoS, canonical_type
+from midstride.model.infrastructure import is_infrastructure
+from midstride.model.near_miss import nearest
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,8 +21,10 @@ class GraphEndpoint:
     type: str
     qos: QoS
 
+    def __str__(self) -> str:
+        return f"{self.topic} ({self.type})"
 
-_OF_EVERY_NODE: Final = ("/rosout", "/parameter_events")
+
 #: What the graph shows of one node now.
 NodeGraph: TypeAlias = Callable[[], Sequence[GraphEndpoint]]
 
@@ -72,17 +76,53 @@ def lacking(
     for port in missing:
         output = component.has_output(port)
         kind, verb = ("publisher on", "publishes on") if output else ("subscription to", "subscribes to")
-        others = sorted(
-            f"{endpoint.topic} ({endpoint.type})"
-            for endpoint in found
-            if endpoint.output == output and endpoint.topic not in {*topics.values(), *_OF_EVERY_NODE}
-        )
+        others = [str(each) for each in undeclared(component, topics, found) if each.output == output]
         instead = f"; it {verb} {', '.join(others)}" if others else ""
         port_kind = "output" if output else "input"
+        meant = misnamed(component, topics, found, port)
+        if meant is not None and (own := _own_name(meant.topic, node)) != component.topic_of(port):
+            instead += f"; did you mean `{port_kind} {port} … as {own}`?"
         words.append(
             f"node {node} has no {kind} {topics[port]}, the topic of {port_kind} {port} of {component.name}{instead}"
         )
     return words
+
+
+def undeclared(
+    component: ComponentSpec, topics: Mapping[str, str], found: Sequence[GraphEndpoint]
+) -> list[GraphEndpoint]:
+    """The endpoints that are no port of the component, by topic, and not ROS's own either."""
+    ports = {(component.has_output(port), topics[port]) for port in component.ports()}
+    return sorted(
+        (
+            each
+            for each in found
+            if (each.output, each.topic) not in ports and not is_infrastructure(each.topic, output=each.output)
+        ),
+        key=lambda each: (not each.output, each.topic),
+    )
+
+
+def misnamed(
+    component: ComponentSpec, topics: Mapping[str, str], found: Sequence[GraphEndpoint], port: str
+) -> GraphEndpoint | None:
+    """What ``port``, for which there is no endpoint, is probably called by the program.
+
+    That is the undeclared endpoint of its type and direction with the most similar name, or the only one.
+    """
+    output, declared = component.has_output(port), _declared(component, port)
+    alike = {
+        each.topic: each
+        for each in undeclared(component, topics, found)
+        if each.output == output and declared is not None and canonical_type(each.type) == declared.type
+    }
+    near = nearest(component.topic_of(port), alike)
+    return alike[near] if near is not None else next(iter(alike.values())) if len(alike) == 1 else None
+
+
+def _own_name(topic: str, node: str) -> str:
+    """What a program in the namespace of ``node`` may call ``topic``."""
+    return topic.removeprefix(node.rpartition("/")[0] + "/")
 
 
 def _declared(component: ComponentSpec, port: str) -> Predicate | None:

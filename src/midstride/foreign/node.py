@@ -45,6 +45,7 @@ class ForeignNode:
         self.parameters: dict[str, Any] = {}
         self.declared: dict[str, Any] = {}
         self.differences: list[str] = []  # in which way the graph shows another node than the declared one
+        self.undeclared: list[str] = []  # its topics that are no ports
         self._folder = folder
         self._since = dict.fromkeys(record.modes, time.monotonic())
         self._because = dict.fromkeys(record.modes, "started")
@@ -141,6 +142,7 @@ class ForeignNode:
             stopping=0.0,
             waiting=None if record.welcomed else NOT_WELCOMED,
             differences=self.differences,
+            undeclared=self.undeclared,
             node=record.node,
             imported=1,
         )

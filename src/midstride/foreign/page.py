@@ -24,8 +24,14 @@ NODES: Final = 128
 PORTS: Final = 32
 NAME: Final = 256
 
+# The folder beside the control sockets with the records of the nodes and this file.
+GATES: Final = "gates"
+PAGE: Final = "page"
+
 UNUSED, OUTPUT, INPUT = range(3)
 CLOSED, OPEN = range(2)
+# Of a node, in `used`. LISTS: the library adds a port for each of its topics, with an open gate.
+IN_USE, LISTS = 1, 2
 
 
 class PortFlag(IntFlag):
@@ -53,7 +59,7 @@ class PagePort(ctypes.Structure):
         ("endpoints", c_uint32),
         ("matched", c_uint32),
         ("kept", c_uint32),
-        ("padding", c_uint32),
+        ("shut", c_uint32),
         ("topic", c_char * NAME),
     ]
 
@@ -78,7 +84,8 @@ class PageLayout(ctypes.Structure):
         ("magic", c_uint64),
         ("version", c_uint32),
         ("size", c_uint32),
-        ("padding", c_uint64 * 6),
+        ("lease", c_int64),
+        ("padding", c_uint64 * 5),
         ("batons", PageBaton * NODES),
         ("nodes", PageNode * NODES),
     ]
@@ -131,7 +138,7 @@ class Page:
             if not node.used or self.is_dead(index):
                 ctypes.memset(ctypes.addressof(node), 0, ctypes.sizeof(node))
                 node.instance = instance.encode()[: NAME - 1]
-                node.used = 1
+                node.used = IN_USE
                 return index
         raise BackendError(f"more than {NODES} nodes have a gate")
 

@@ -102,7 +102,8 @@ class NewPublishers:
 
     async def await_probation(self, swap: Swap) -> None:
         """Wait until the new publisher has written behind its gate. Raises StepFailed with what it lacks."""
-        if self.configuration.component(swap.new.instance).gate == "lifecycle":
+        component = self.configuration.component(swap.new.instance)
+        if component.gate == "lifecycle":
             return  # until it takes over it is inactive, and writes nothing
         rate = self.configuration.rate(swap.new)
         duration = stretch_of(self.client, swap.old.instance)  # of a second of its clock (s)
@@ -121,7 +122,8 @@ class NewPublishers:
             because = await self.waits_for(swap.new.instance)
             raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over{because}")
         if rate:
-            await require_rate(self.client, swap.new, self._topic(swap), rate, self.timing, duration)
+            foreign = component.gate is not None
+            await require_rate(self.client, swap.new, self._topic(swap), rate, self.timing, duration, foreign)
 
     async def waits_for(self, instance: str) -> str:
         """What the component waits for, if anything, as the end of a sentence."""

@@ -123,6 +123,7 @@ def _component(
         ending=instance.name in launcher.ending,
         waiting=None if state is None else state.waiting,
         differences=[] if state is None else state.differences,
+        undeclared=[] if state is None else state.undeclared,
         as_modelled=all(each.mode == each.modelled for each in functionalities),
         changed_files=[] if program is None else program.changed,
         unknown_files=None if program is None else program.unknown,

@@ -160,9 +160,10 @@ class Detached(WireValue, frozen=True, kw_only=True):
 
 
 class PreviousModes(WireValue, frozen=True, kw_only=True):
-    """The modes before a change, by functionality."""
+    """The modes before a change, by functionality. ``at``: when it happened (steady ns), where it ended a hold."""
 
     before: dict[str, str]
+    at: int | None = None
 
 
 class PreviousParameters(WireValue, frozen=True, kw_only=True):
@@ -302,6 +303,7 @@ class AwaitRateCommand(Command[RateVerdict], frozen=True, kw_only=True, tag="awa
     """Wait until an output has kept ``rate`` (Hz) over ``window`` seconds of its clock, or ``until`` it has not.
 
     Messages behind the gate count as well. A ``rate`` of 0 is broken by an exception only.
+    ``known_clock``: what cannot count on the clock of its node takes the rate as kept.
     """
 
     kind = "reading"
@@ -311,6 +313,7 @@ class AwaitRateCommand(Command[RateVerdict], frozen=True, kw_only=True, tag="awa
     window: Seconds
     until: Literal["met", "broken"]
     timeout: Seconds = 5.0
+    known_clock: bool = False
 
 
 class AwaitMatchCommand(Command[Attached], frozen=True, kw_only=True, tag="await_match"):
@@ -383,6 +386,16 @@ class ModesCommand(Command[PreviousModes], frozen=True, kw_only=True, tag="modes
 
     modes: dict[str, str]
     because: str = "the manager requested it"
+
+
+class HoldCommand(Command[Done], frozen=True, kw_only=True, tag="hold"):
+    """Begin no call of these functionalities until their modes change, for ``seconds`` at most; 0 ends that.
+
+    Done as soon as no call of them is under way; refused, and withdrawn, if one does not return in time.
+    """
+
+    functionalities: list[str]
+    seconds: Seconds
 
 
 class SetParametersCommand(Command[PreviousParameters], frozen=True, kw_only=True, tag="set"):

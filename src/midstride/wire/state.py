@@ -93,7 +93,8 @@ class LinkState(WireValue, frozen=True, kw_only=True):
 
 class ComponentState(WireValue, frozen=True, kw_only=True):
     """``revision`` counts the component's changes. ``waiting``: what it waits for, if anything.
-    ``differences``: in which way its node is not what is declared, which only a node without Midstride's API can show.
+    ``differences``: in which way its node is not what is declared, ``undeclared``: its topics that are no ports. Only a
+    node without Midstride's API can show these.
 
     ``node``: the full name of its ROS node, None where there is none. ``answers``: it answers requests to the node's
     services; of several instances of a role, one does.
@@ -121,6 +122,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     declared: dict[str, Any] = msgspec.field(default_factory=dict)
     keeps_state: bool = False
     differences: list[str] = []
+    undeclared: list[str] = []
 
     def set_values(self) -> dict[str, Any]:
         """The values of the parameters that were set while it ran."""

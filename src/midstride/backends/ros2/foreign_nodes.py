@@ -25,7 +25,7 @@ from midstride.foreign.agent import ForeignAgent
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.lifecycle_cuts import LifecyclePeers
-from midstride.foreign.page import Page
+from midstride.foreign.page import PAGE, Page
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.relay import RelayOrder, order_file, private_topics
 from midstride.foreign.services import NodeServices
@@ -35,7 +35,6 @@ from midstride.wire.transport import Transport
 
 ENV_PAGE: Final = "MIDSTRIDE_GATE_PAGE"
 ENV_NODE: Final = "MIDSTRIDE_GATE_NODE"
-_PAGE: Final = "page"
 
 log = logging.getLogger(__name__)
 
@@ -117,14 +116,17 @@ class ForeignNodes:
         )
         path = order_file(self._folder, launch.instance)
         order.write(path)
-        self._relayed[launch.instance] = node
-        self.names.add(node)
+        self._relays(launch.instance, node)
         return path
+
+    def _relays(self, instance: str, node: str) -> None:
+        self._relayed[instance] = node
+        self.names.add(node)
 
     async def _opened(self, environment: Mapping[str, str]) -> tuple[Page, Path]:
         library = await asyncio.to_thread(build.library, environment)
         if self._page is None:
-            path = self._folder / _PAGE
+            path = self._folder / PAGE
             if not any(self._folder.glob("*.json")):
                 path.unlink(missing_ok=True)  # nothing uses it, and an earlier version may have made it
             self._page = Page(path, library)
@@ -151,7 +153,7 @@ class ForeignNodes:
                 await self._opened(os.environ)
             await self._answer(record)
         with suppress(BackendError):
-            self._relayed[instance] = RelayOrder.read(order_file(self._folder, instance)).node
+            self._relays(instance, RelayOrder.read(order_file(self._folder, instance)).node)
 
     async def _answer(self, record: ForeignRecord) -> None:
         gates = None

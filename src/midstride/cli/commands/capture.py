@@ -2,17 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from contextlib import nullcontext
 from pathlib import Path
 
 import click
 
 from midstride.backends import ros2
+from midstride.backends.ros2 import probed_page
 from midstride.capture.insertion import insert, nodes_without_ports
 from midstride.capture.observed import ObservedGraph
+from midstride.capture.probe import (
+    MOST_ROUNDS,
+    ROUNDS,
+    Dependences,
+    ProbedGates,
+    ProbedPort,
+    duration,
+    probe,
+    probed_inputs,
+)
 from midstride.capture.standalone import draft
 from midstride.cli.files import require_file, require_new, write
-from midstride.cli.output import json_option, print_json, wants_json
+from midstride.cli.output import NO, is_interactive, json_option, print_json, wants_json
+from midstride.cli.systems import find_workspace, system_option
 from midstride.errors import MidstrideError
+from midstride.foreign.page import GATES
 from midstride.lang.files import read_text
 from midstride.model.wording import counted
 
@@ -22,35 +37,103 @@ from midstride.model.wording import counted
 @click.option("--into", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Add to FILE.")
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.stride")
 @click.option("--rates", is_flag=True, help="State the proposed rates in the guarantees, instead of as comments.")
+@click.option(
+    "--probe", "with_probe", is_flag=True, help="Close inputs of nodes with gates, to find what depends on them."
+)
+@click.option(
+    "--probe-seconds",
+    type=click.FloatRange(min=0.5),
+    default=3.0,
+    show_default=True,
+    help="How long an input is closed at a time.",
+)
+@click.option("--yes", "-y", is_flag=True, help="Probe without asking for confirmation.")
+@system_option
 @json_option
-def capture_command(seconds: float, into: Path | None, output: Path | None, rates: bool) -> int:
+def capture_command(
+    seconds: float,
+    into: Path | None,
+    output: Path | None,
+    rates: bool,
+    with_probe: bool,
+    probe_seconds: float,
+    yes: bool,
+    system: str | None,
+) -> int:
     """Look at the running ROS 2 nodes, and propose their ports with types, QoS and rates.
 
     The time counts from when the nodes of FILE have been seen, or 10 s later.
     With `--into`, nodes of FILE that have no ports get them, and the rest stays as it is; otherwise a draft is
     printed, or written with `-o`.
+    With `--probe`, the inputs of nodes that have a gate and run under `midstride up` are closed one after another. This
+    disturbs the running system: a node misses what it would receive, and what depends on that stops.
     """
+    if with_probe and not (yes or is_interactive()):
+        raise click.UsageError("not a terminal; pass --yes")
     if into is not None:
         require_file(into)
     if output != into:
         require_new(output)
     nodes = () if into is None else nodes_without_ports(read_text(into), str(into))
-    graph = ros2.observe(seconds, nodes)
-    if not graph.endpoints:
-        raise MidstrideError(f"no node with topics was seen within {seconds:g} s (ROS_DOMAIN_ID and discovery range?)")
+    findings: Dependences | None = {}
+    folder = find_workspace(system).components / GATES if with_probe else None
+    with nullcontext() if folder is None else probed_page.probing(folder) as gates:
+        graph = ros2.observe(seconds, nodes)
+        if not graph.endpoints:
+            raise MidstrideError(
+                f"no node with topics was seen within {seconds:g} s (ROS_DOMAIN_ID and discovery range?)"
+            )
+        if gates is not None:
+            findings = _probed(gates, graph, graph.nodes() if into is None else nodes, probe_seconds, yes)
+    if findings is None:
+        return NO
     added, left, target = graph.nodes(), dict[str, str](), output
     if into is not None:
-        insertion = insert(read_text(into), str(into), graph, rates)
+        insertion = insert(read_text(into), str(into), graph, rates, findings)
         text, added, left, target = insertion.text, insertion.added, insertion.left, output or into
     else:
-        text = draft("captured", graph, rates)
+        text = draft("captured", graph, rates, findings)
     if target is not None:
         write(target, text)
-    _report(text, target, graph, added, left)
+    _report(text, target, graph, added, left, findings)
     return 0
 
 
-def _report(text: str, target: Path | None, graph: ObservedGraph, added: list[str], left: dict[str, str]) -> None:
+def _probed(
+    gates: ProbedGates, graph: ObservedGraph, nodes: Collection[str], seconds: float, yes: bool
+) -> Dependences | None:
+    """What is found of ``nodes``; None if the user does not want that."""
+    ports = {port for port in gates.ports() if port in graph.endpoints and port.node in nodes}
+    gated = {port.node for port in ports}
+    if not gated:
+        raise MidstrideError(
+            "none of these nodes has a gate, and inputs can be closed there only: start them by `midstride up`, with "
+            "`gate preload`"
+        )
+    for node in sorted({*nodes} & {*graph.nodes()} - gated):
+        click.echo(f"{node}: not probed: it has no gate", err=True)
+    if not (inputs := probed_inputs(ports)):
+        click.echo("Nothing to probe: no node with a gate has both inputs and outputs.", err=True)
+        return {}
+    click.echo(
+        f"Probing closes {counted(len(inputs), 'input')} of running nodes, one after another, {ROUNDS} "
+        f"times for {seconds:g} s each ({duration(len(inputs), seconds):.0f} s in all), or up to {MOST_ROUNDS} "
+        "times where that does not decide. The nodes miss these messages, and what depends on them stops meanwhile.",
+        err=True,
+    )
+    if not yes and not click.confirm("Proceed?", err=True):
+        click.echo("Nothing was closed, and nothing was written.", err=True)
+        return None
+
+    def progress(port: ProbedPort, number: int) -> None:
+        click.echo(f"  round {number + 1}: {port.topic} is closed at {port.node}", err=True)
+
+    return probe(gates, ports, seconds, progress)
+
+
+def _report(
+    text: str, target: Path | None, graph: ObservedGraph, added: list[str], left: dict[str, str], findings: Dependences
+) -> None:
     endpoints = [each for node in added for each in graph.of_node(node)]
     if wants_json():
         print_json(
@@ -61,6 +144,10 @@ def _report(text: str, target: Path | None, graph: ObservedGraph, added: list[st
                 "nodes": added,
                 "ports": len(endpoints),
                 "left": left,
+                "probed": [
+                    {"node": node, "input": one, "output": other, "verdict": each.verdict, "evidence": each.because}
+                    for (node, one, other), each in sorted(findings.items())
+                ],
             }
         )
         return
