@@ -44,7 +44,7 @@ def panel(state: Mapping[str, Any] | None, modes: Mapping[str, str], words: str)
     """What is shown while the robot runs."""
     if state is None:
         return Text(words)
-    mode = modes.get("controller.drive", "?")
+    mode = modes.get("controller.drive", "full")
     line = Text.assemble(("controller ", "dim"), (f"{mode:<6}", STYLES.get(mode, "white")))
     line.append(f"  {state['speed']:.1f} m/s  {state['progress']:6.1f} m along the route", "dim")
     line.append(f"  collisions {state['collisions']}", "red" if state["collisions"] else "dim")

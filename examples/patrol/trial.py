@@ -1,4 +1,4 @@
-"""What each event costs the robot, by strategy: ``python3 trial.py --worlds 100``.
+"""What each event costs the robot, by strategy: ``python3 trial.py --worlds 100 --figure trial.svg``.
 
 Every event happens in the same seeded halls, in virtual time, with the same programs, start-up times and controllers.
 The first four strategies are Midstride's. The others are a robot without it: with ``restart`` a supervisor kills what
@@ -173,6 +173,35 @@ def table(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
             yield f"| {event} | `{strategy}` | {count} | {' | '.join(cells)} |"
 
 
+def figure(rows: Sequence[dict[str, Any]]) -> str:
+    """SVG: for each event, the share of runs with a collision by strategy, with its interval."""
+    left, line, wide = 210, 13, 300
+    parts, y = [], 34
+    for share_ in (0.0, 0.25, 0.5, 0.75, 1.0):
+        x = left + wide * share_
+        parts.append(f'<text x="{x}" y="20" text-anchor="middle">{share_:.0%}</text>')
+    for event in EVENTS:
+        parts.append(f'<text x="4" y="{y + 10}" font-weight="bold">{event}</text>')
+        for strategy in strategies(event):
+            found = [row for row in rows if (row["event"], row["strategy"]) == (event, strategy)]
+            y += line
+            if found:
+                hit = sum(row["collisions"] > 0 for row in found)
+                low, high = (left + wide * bound for bound in share(hit, len(found)))
+                colour = "#2a7" if strategy in MANAGED else "#c33"
+                x = left + wide * hit / len(found)
+                parts.append(f'<text x="{left - 10}" y="{y + 13}" text-anchor="end">{strategy}</text>')
+                parts.append(f'<path d="M{low:.1f} {y + 9}H{high:.1f}" stroke="{colour}" stroke-width="2"/>')
+                parts.append(f'<circle cx="{x:.1f}" cy="{y + 9}" r="4" fill="{colour}"/>')
+        y += 2 * line
+    grid = "".join(f"M{left + wide * part / 4} 26V{y}" for part in range(5))
+    head = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{left + wide + 30}" height="{y + 6}" font-family="sans-serif"'
+    )
+    ground = '<rect width="100%" height="100%" fill="#fff"/>'
+    return f'{head} font-size="11">{ground}<path d="{grid}" stroke="#ddd"/>{"".join(parts)}</svg>\n'
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--worlds", type=int, default=100, help="how many halls")
@@ -182,9 +211,10 @@ def main() -> int:
     parser.add_argument(
         "--out", type=Path, help="append each run to this file, a line of JSON; runs in it are not repeated"
     )
+    parser.add_argument("--figure", type=Path, help="also write the shares of runs with a collision as SVG")
     options = parser.parse_args()
 
-    rows = []
+    rows: list[dict[str, Any]] = []
     if options.out is not None and options.out.exists():
         rows = [json.loads(line) for line in options.out.read_text().splitlines()]
     done = {(row["seed"], row["event"], row["strategy"]) for row in rows}
@@ -199,6 +229,8 @@ def main() -> int:
                 with options.out.open("a") as file:
                     file.write(json.dumps(row) + "\n")
     print("\n".join(table(rows)))
+    if options.figure is not None:
+        options.figure.write_text(figure(rows))
     return 0
 
 

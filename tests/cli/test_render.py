@@ -52,6 +52,21 @@ def test_a_plan_shows_the_spread_of_what_was_measured_where_it_is_wide() -> None
     assert "takes about 1.38 s; " in render.cost(plan(between=(1.36, 1.41)))
 
 
+def test_the_report_sets_what_was_measured_beside_the_plan_where_steps_may_overlap() -> None:
+    steps = [{"step": 1, "begun": 0.0, "seconds": 1.0}, {"step": 2, "begun": 1.0, "seconds": 0.5}]
+    steps.append({"step": 3, "begun": 1.0, "seconds": 0.25})
+    assert shown(render.outcome(done(plan=plan(makespan=1.12), steps=steps)))[1] == (
+        "Planned: 1.38 s one step after another, 1.12 s on the critical path. "
+        "Measured: 1.50 s, for steps of 1.75 s in all."
+    )
+    assert len(shown(render.outcome(done(plan=plan(), steps=steps)))) == 2, "nothing may overlap"
+
+
+def test_how_far_apart_the_members_of_a_group_changed_their_modes_is_reported() -> None:
+    skews = [{"kind": "degrade", "functionalities": ["a.work", "b.work"], "seconds": 0.00152}]
+    assert shown(render.outcome(done(skews=skews)))[1] == "Degrade of a.work and b.work: within 1.5 ms."
+
+
 def test_what_stays_lower_is_reported() -> None:
     """`midstride remove` of what the brake relies on: it was meant to fall, and it has fallen."""
     assert shown(render.outcome(done())) == ["Done in 270 ms.", "Nothing fell below its level."]

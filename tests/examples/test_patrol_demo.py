@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 from collections.abc import Callable, Coroutine
 from pathlib import Path
@@ -70,6 +71,27 @@ def test_the_component_of_the_readme_is_added_to_the_running_robot(tmp_path: Pat
             assert (outcome.outcome, outcome.fallen) == ("done", {})
             assert set(manager.configuration.instances) == before | {"beeper"}
             assert (await manager.why("beeper.warn")).mode == "quiet"
+        finally:
+            await manager.close()
+
+    simulator.run(main())
+
+
+@pytest.mark.full
+def test_two_robots_by_namespace_do_not_disturb_each_other(tmp_path: Path) -> None:
+    simulator = Simulator()
+
+    async def main() -> None:
+        manager = Manager(load(FOLDER / "fleet.stride").require(), simulator, Workspace(tmp_path), FOLDER)
+        await manager.up()
+        try:
+            halls = [simulator.processes[f"robot{number}/world"]._program._main.__dict__ for number in (1, 2)]
+            await asyncio.sleep(5.0)
+            assert all(hall["state"].progress > 2.0 for hall in halls)
+            simulator.faults.kill("robot2/lidar_detector")
+            await asyncio.sleep(0.2)
+            drive = [(await manager.why(f"robot{number}/controller.drive")).mode for number in (1, 2)]
+            assert drive == ["full", "slow"]
         finally:
             await manager.close()
 

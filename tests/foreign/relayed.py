@@ -5,6 +5,7 @@ Run as a program, it is the process of a relay; its argument is the file of its 
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
@@ -39,13 +40,14 @@ class Text:
 
 @dataclass
 class Program:
-    """How the nodes of a component behave: messages at ``rate`` (Hz), or one at the start (None).
+    """How the nodes of a component behave: they publish at ``rate`` (Hz).
 
-    ``hung``: the instances that write nothing now. ``type``: of the subscriptions.
+    ``hung``: the instances that write nothing now; all do so after ``most`` messages. ``type``: of the subscriptions.
     """
 
-    rate: float | None = 50.0
+    rate: float = 50.0
     hung: set[str] = field(default_factory=set)
+    most: float = math.inf
     type: str = "std_msgs/msg/String"
 
 
@@ -107,11 +109,11 @@ class SimulatedRelay(RelayComponent):
 
         def write(first: int, last: int) -> None:
             nonlocal written
-            if self.instance not in program.hung and (program.rate is not None or not written):
+            if self.instance not in program.hung and written < program.most:
                 written += 1
                 publisher.publish(Text(f"{self.instance} {written}"))
 
-        host.create_timer(1 / (program.rate or 10.0), None, write)
+        host.create_timer(1 / program.rate, None, write)
 
 
 def managed(

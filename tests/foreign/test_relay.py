@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import subprocess
 import sys
 from itertools import pairwise
@@ -53,8 +54,8 @@ ONCE = TEXT.replace(" @ 50 Hz", "").replace(" tolerates 3 missed", "")
 REPLACE = PlanRequest(replace=(("talker", "Other"),))
 
 
-def programs(other: Program | None = None, rate: float | None = 50.0) -> dict[str, Program]:
-    return {"Talker": Program(rate), "Other": other or Program(rate), "Listener": Program()}
+def programs(other: Program | None = None, most: float = math.inf) -> dict[str, Program]:
+    return {"Talker": Program(most=most), "Other": other or Program(most=most), "Listener": Program()}
 
 
 def writers(heard: list[tuple[int, str]]) -> list[tuple[str, int]]:
@@ -106,7 +107,14 @@ def test_what_relies_on_a_program_that_hangs_falls_and_is_restored(tmp_path: Pat
     managed(tmp_path, TEXT, programs(), body)
 
 
-def test_a_program_that_writes_nothing_is_not_let_in(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "other",
+    [
+        pytest.param(Program(hung={"talker_2"}), id="at once"),
+        pytest.param(Program(1000.0, most=8), id="before it is attached", marks=pytest.mark.full),
+    ],
+)
+def test_a_program_that_hangs_is_not_let_in(tmp_path: Path, other: Program) -> None:
     async def body(manager: Manager, simulator: SimulatedRelays) -> None:
         await asyncio.sleep(1)
         outcome = await manager.change(REPLACE)
@@ -117,7 +125,8 @@ def test_a_program_that_writes_nothing_is_not_let_in(tmp_path: Path) -> None:
         assert {name for name, _ in found} == {"talker"}
         assert all(b == a + 1 for (_, a), (_, b) in pairwise(found))
 
-    managed(tmp_path, TEXT, programs(Program(hung={"talker_2"})), body)
+    text = TEXT.replace("system chat\n", "system chat\ntiming { probation 0 s }\n")
+    managed(tmp_path, text, programs(other), body)
 
 
 def test_a_program_that_hangs_is_replaced(tmp_path: Path) -> None:
@@ -143,7 +152,7 @@ def test_what_is_written_once_is_published_when_the_gate_opens(tmp_path: Path) -
         await asyncio.sleep(1)
         assert writers(simulator.heard["listener"]) == [("talker", 1), ("talker_2", 1)]
 
-    managed(tmp_path, ONCE, programs(rate=None), body)
+    managed(tmp_path, ONCE, programs(most=1), body)
 
 
 def test_a_relay_ends_in_order_when_its_program_has_exited(tmp_path: Path) -> None:

@@ -151,7 +151,7 @@ def test_a_relayed_program_gets_private_topics_for_its_outputs(tmp_path: Path) -
         # The next manager knows the node of the program as well.
         another = ForeignNodes(tmp_path / "gates", SocketFolder(tmp_path / "components"), lambda _: None)
         await another.adopt("robot1/talker")
-        assert another.runs("/robot1/talker")
+        assert another.runs("/robot1/talker") and another.names == {"/robot1/talker"}
         another.gone("robot1/talker")
         assert not another.runs("/robot1/talker") and not path.exists()
 

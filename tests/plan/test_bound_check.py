@@ -7,15 +7,16 @@ from random import Random
 
 import pytest
 
-from midstride.model.specification import initial
-from midstride.plan.bound_check import BoundCheck, check_bound
+from midstride.model.component import FunctionalityRef
+from midstride.model.specification import Limit, initial
+from midstride.plan.bound_check import WORK, BoundCheck, check_bound
 from midstride.plan.change import Change
 from midstride.plan.change_builder import change_between
 from midstride.plan.forms import decode_plan, encode_plan
 from midstride.plan.minimal import minimal
-from midstride.plan.plan import Plan
+from midstride.plan.plan import BoundPart, Plan
 from midstride.plan.registry import STRATEGIES
-from midstride.plan.validate import replay
+from midstride.plan.validate import Ledger, replay
 from tests.plan import systems
 from tests.plan.cases import component, functionality, replaced, system, talker
 from tests.plan.exhaustive import Exhaustive
@@ -83,13 +84,99 @@ def test_caps_make_a_bound_higher() -> None:
     assert replay(plan).bound == BoundCheck("holds")
 
 
-def test_a_bound_that_rests_on_constraints_is_not_checked() -> None:
-    plan = minimal(tight(27, constraints=True))
+def test_a_bound_that_rests_on_keep_and_order_is_checked() -> None:
+    change = tight(27, constraints=True)
+    plan, free = minimal(change), minimal(tight(27))
+    assert plan.proved_minimal
+    assert plan.lower_bound > free.disruption
+    assert replay(plan).bound == BoundCheck("holds")
+    raised = dataclasses.replace(plan, lower_bound=plan.lower_bound + 0.01)
+    assert check(raised).outcome == "not checked"
+
+
+def test_a_bound_that_rests_on_a_limit_is_not_checked() -> None:
+    """The first to be replaced is absent, and the limit has the more important one wait for the other."""
+    components = [
+        component(
+            f"{kind}{role}", functionality("work", outputs=["out"], weight=weight), holds={"gpu": held}, takes=1.0
+        )
+        for role, weight in (("A", 1.0), ("B", 2.0))
+        for kind, held in (("Old", 2.0), ("New", 1.0))
+    ]
+    nodes = {role.lower(): (f"Old{role}", {"out": f"/{role}"}) for role in "AB"}
+    start = system(components, nodes, resources={"gpu": 4.0})
+    limit = Limit(FunctionalityRef("a", "work"), 0.5)
+    target = dataclasses.replace(start.with_replaced("a", "NewA").with_replaced("b", "NewB"), constraints=(limit,))
+    plan = minimal(change_between(initial(start), start, target))
     assert plan.proved_minimal
     result = replay(plan)
     assert result.holds
     assert result.bound.outcome == "not checked"
     assert str(result).endswith("its lower bound was not checked: it is higher than without the constraints")
+
+
+# -- certificates ----------------------------------------------------------------------------------------
+
+
+def check(plan: Plan, work: int = WORK) -> BoundCheck:
+    ledger = Ledger(plan)
+    return check_bound(plan, ledger.loss, ledger.is_allowed, work)
+
+
+def computers(number: int) -> Plan:
+    """On each computer, two nodes are replaced that share its memory."""
+    components, nodes = [], {}
+    for computer in range(number):
+        for node in range(2):
+            name = f"{computer}{node}"
+            for kind in ("Old", "New"):
+                holds = {f"memory{computer}": 2.0}
+                work = functionality("work", outputs=["out"], weight=1.0 + node)
+                components.append(component(f"{kind}{name}", work, holds=holds))
+            nodes[f"n{name}"] = (f"Old{name}", {"out": f"/n{name}"})
+    start = system(components, nodes, resources={f"memory{computer}": 4.0 for computer in range(number)})
+    target = start
+    for role in nodes:
+        target = target.with_replaced(role, f"New{role[1:]}")
+    return minimal(change_between(initial(start), start, target))
+
+
+def test_the_certificate_lists_the_parts_of_the_bound() -> None:
+    plan = computers(2)
+    assert plan.certificate == tuple(BoundPart(tuple(f"n{c}{n}" for n in range(2)), 6.0) for c in range(2))
+    document = encode_plan(plan)
+    assert document["certificate"][0] == {"roles": ["n00", "n01"], "bound": 6.0}
+    assert decode_plan(document).certificate == plan.certificate
+    assert "certificate" not in encode_plan(replaced(talker(), "talker", "NewTalker", "minimal"))
+
+
+def test_with_its_certificate_a_larger_bound_is_checked() -> None:
+    plan = computers(2)
+    assert check(plan, work=200) == BoundCheck("holds")
+    alone = dataclasses.replace(plan, certificate=())
+    assert check(alone, work=200) == BoundCheck("not checked", "the change is too large")
+
+
+@pytest.mark.parametrize("twice", [False, True])
+def test_a_certificate_is_not_believed(twice: bool) -> None:
+    """Neither what it says of its parts, nor that they are different ones."""
+    plan = computers(2)
+    one, other = plan.certificate
+    wrong = (one, one, other) if twice else (dataclasses.replace(one, bound=6.01), other)
+    claimed = dataclasses.replace(plan, lower_bound=sum(part.bound for part in wrong), certificate=wrong)
+    assert check(claimed).outcome == "violated"
+
+
+def test_whatever_the_parts_no_bound_above_the_least_holds() -> None:
+    for seed in (9, 14, 16):
+        plan, rng = minimal(tight(seed)), Random(seed)
+        roles = sorted({role for step in plan.steps for role in step.roles})
+        rng.shuffle(roles)
+        too_high = plan.disruption + 0.01
+        for place in range(1, len(roles)):
+            first = rng.random() * too_high
+            parts = BoundPart(tuple(roles[:place]), first), BoundPart(tuple(roles[place:]), too_high - first)
+            assert check(dataclasses.replace(plan, lower_bound=too_high, certificate=parts)).outcome == "violated"
 
 
 def test_a_large_change_is_not_checked() -> None:

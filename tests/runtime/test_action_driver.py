@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,10 @@ from midstride.model.action import (
 )
 from midstride.model.component import Connector
 from midstride.model.configuration import Configuration, SystemContext, configure
+from midstride.runtime.action_driver import HELD_LONGER
 from midstride.runtime.backend import Exited
 from midstride.runtime.new_publishers import ATTACH_TIMEOUT, DETACH_TIMEOUT
+from midstride.runtime.reports import ModeSkew
 from midstride.wire.commands import (
     AnswerCommand,
     AttachCommand,
@@ -37,11 +40,13 @@ from midstride.wire.commands import (
     CutResult,
     DetachCommand,
     Detached,
+    Done,
     ExportedState,
     ExportStateCommand,
     GatedWrites,
     Grid,
     GridCommand,
+    HoldCommand,
     ImportStateCommand,
     LastWrite,
     ModesCommand,
@@ -243,10 +248,53 @@ def test_a_process_that_has_ended_cannot_be_given_anything(tmp_path: Path) -> No
 def test_modes_are_sent_by_name_with_the_reason(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         await perform(b, Degrade(Map({work("talker"): 1, work("listener"): 1})))
+        timeout = b.driver.drain_timeout
+        hold = HoldCommand(functionalities=["work"], seconds=timeout + HELD_LONGER, timeout=timeout)
+        modes = ModesCommand(modes={"work": "degraded"}, because="for the test", timeout=timeout)
         assert [(sent.instance, sent.command) for sent in b.client.sent] == [
-            (name, ModesCommand(modes={"work": "degraded"}, because="for the test", timeout=b.driver.drain_timeout))
-            for name in ("listener", "talker")
+            (name, command) for command in (hold, modes) for name in ("listener", "talker")
         ]
+
+    bench(talking(), tmp_path, body)
+
+
+def test_the_modes_of_one_instance_change_without_a_hold(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        await perform(b, Degrade(Map({work("listener"): 1})))
+        assert b.client.changes == [("listener", "modes")] and b.driver.skews == []
+
+    bench(talking(), tmp_path, body)
+
+
+def test_several_instances_change_at_once_when_all_of_them_are_held_and_the_skew_is_known(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        slow = asyncio.Event()
+
+        async def held() -> Done:
+            await slow.wait()
+            return Done()
+
+        b.client.reply("listener", HoldCommand, lambda _: held())
+        b.client.reply("listener", ModesCommand, PreviousModes(before={}, at=5_000_000))
+        b.client.reply("talker", ModesCommand, PreviousModes(before={}, at=3_500_000))
+        performing = asyncio.ensure_future(perform(b, Degrade(Map({work("talker"): 1, work("listener"): 1}))))
+        await asyncio.sleep(1)
+        assert b.client.changes == [("listener", "hold"), ("talker", "hold")], "nothing changes while a call runs"
+        slow.set()
+        await performing
+        assert b.driver.skews == [ModeSkew("degrade", ["listener.work", "talker.work"], 0.0015)]
+
+    bench(talking(), tmp_path, body)
+
+
+def test_where_one_component_cannot_be_held_no_mode_changes(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", HoldCommand, REFUSED, Done())
+        with pytest.raises(CommandRefused):
+            await perform(b, Degrade(Map({work("talker"): 1, work("listener"): 1})))
+        assert b.client.of(ModesCommand) == []
+        ends = [(sent.instance, sent.command) for sent in b.client.sent if sent.how == "undo"]
+        assert ends == [(name, HoldCommand(functionalities=[], seconds=0.0)) for name in ("listener", "talker")]
 
     bench(talking(), tmp_path, body)
 
@@ -257,6 +305,8 @@ def test_where_one_component_does_not_change_its_mode_the_others_go_back(tmp_pat
         with pytest.raises(CommandRefused):
             await perform(b, Degrade(Map({work("talker"): 1, work("listener"): 1})))
         assert b.client.changes == [
+            ("listener", "hold"),
+            ("talker", "hold"),
             ("listener", "modes"),
             ("talker", "modes"),
             ("talker", "undo modes"),

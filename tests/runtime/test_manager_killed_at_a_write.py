@@ -17,6 +17,9 @@ from midstride.backends.simulator import Simulator
 from midstride.errors import MidstrideError, Unreachable
 from midstride.model.component import Connector
 from midstride.model.specification import Node, Specification, initial
+from midstride.plan.change_builder import change_between
+from midstride.plan.overlap import overlap
+from midstride.plan.registry import planner
 from midstride.plan.request import PlanRequest
 from midstride.runtime.disk import Database, Disk, Statement
 from midstride.runtime.manager import Manager
@@ -136,7 +139,20 @@ def changed_attachments(node: Node, port: str) -> Any:
     return node.attachments.set(port, type(node.attachments[port])(("/news",)))
 
 
-CHANGES = {"replace": REPLACED, "more": moved(), "less": START.without_node("listener")}
+def both_exchanged() -> Specification:
+    """The talker has been replaced, and another listener has taken the first one's place."""
+    exchanged = REPLACED.without_node("listener").with_node(changed(START.nodes["listener"], role="reader"))
+    plan = planner("minimal")(change_between(initial(START), START, exchanged))
+    assert len(overlap(plan).rounds[-1]) == 2, "the old ones are removed at once"
+    return exchanged
+
+
+CHANGES = {
+    "replace": REPLACED,
+    "more": moved(),
+    "less": START.without_node("listener"),
+    "both exchanged": both_exchanged(),
+}
 
 
 async def assert_whole(manager: Manager, simulator: Simulator, disk: MortalDisk, specification: Specification) -> None:
@@ -220,7 +236,15 @@ def killed_once(target: Specification, workspace: Workspace, number: int, when: 
     return simulator.run(main())
 
 
-@pytest.mark.parametrize("name", ["replace", "less", pytest.param("more", marks=pytest.mark.full)])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "replace",
+        "less",
+        pytest.param("more", marks=pytest.mark.full),
+        pytest.param("both exchanged", marks=pytest.mark.full),
+    ],
+)
 @pytest.mark.parametrize("finish", [False, True], ids=["rolled back", "finished"])
 def test_the_next_manager_leaves_a_whole_system(name: str, finish: bool, tmp_path: Path) -> None:
     outcomes = killed_at_each_write(CHANGES[name], tmp_path, finish=finish)

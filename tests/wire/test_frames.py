@@ -41,6 +41,7 @@ from midstride.wire.commands import (
     GatedWrites,
     Grid,
     GridCommand,
+    HoldCommand,
     Idle,
     ImportingCommand,
     ImportStateCommand,
@@ -175,6 +176,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     ),
     (DetachCommand(port="out", topic="/t", timeout=1.5), Detached(acknowledged=None, last=7)),
     (ModesCommand(modes={"talk": "normal"}, because="why not", timeout=1.5), PreviousModes(before={"talk": "off"})),
+    (HoldCommand(functionalities=["talk"], seconds=7.0, timeout=1.5), Done()),
     (
         SetParametersCommand(parameters={"a": [1, 2], "b": "x"}, declared={"a": [1]}, timeout=1.5),
         PreviousParameters(before={"a": 0.5}),

@@ -215,7 +215,7 @@ def outcome(document: Document) -> RenderableType:
     }[kind]
     lines: list[RenderableType] = [Text.from_markup(headline + (f": {escape(str(because))}" if because else "."))]
     if kind != "refused":
-        lines += map(Text, _fallen_lines(document))
+        lines += map(Text, [*_times(document), *_skews(document), *_fallen_lines(document)])
     lines += _runtime_values(document)
     if document.get("swaps"):
         swaps = table(["topic", "subscriber"], MEASUREMENTS)
@@ -228,6 +228,24 @@ def outcome(document: Document) -> RenderableType:
         Text(f"The first slot of {name} was {seconds(spent)} late; its state moved before.") for name, spent in late
     ]
     return Group(*lines)
+
+
+def _times(document: Document) -> list[str]:
+    """The planned duration beside the measured one, where steps may overlap."""
+    plan, steps = document.get("plan"), document.get("steps")
+    if document["outcome"] != "done" or not (plan and steps) or plan["makespan"] == plan["seconds"]:
+        return []
+    planned = f"{seconds(plan['seconds'])} one step after another, {seconds(plan['makespan'])} on the critical path"
+    ended = max(step["begun"] + step["seconds"] for step in steps)
+    together = sum(step["seconds"] for step in steps)
+    return [f"Planned: {planned}. Measured: {seconds(ended)}, for steps of {seconds(together)} in all."]
+
+
+def _skews(document: Document) -> list[str]:
+    return [
+        f"{skew['kind'].capitalize()} of {_listed(skew['functionalities'])}: within {skew['seconds'] * 1000:.1f} ms."
+        for skew in document.get("skews") or ()
+    ]
 
 
 def _fallen_lines(document: Document) -> list[str]:

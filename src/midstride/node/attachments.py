@@ -199,8 +199,9 @@ class Attachments:
             port.links = (*port.links, inlet)
             return inlet
         link = OutputLink(port, topic, self.host.create_publisher(topic, port.type, port.qos), times)
-        if port.last is not None and (port.latched or port.relayed or port.owner.driven == "none"):
-            link.write_gated(port.last)  # a mode that writes once, on entry, may have written while unattached
+        once = port.owner.driven == "none" or (port.relayed and port.rate is None)
+        if port.last is not None and (port.latched or once):
+            link.write_gated(port.last)  # what writes once may have written while unattached
         port.wrong_type = None
         port.links = (*port.links, link)
         return link

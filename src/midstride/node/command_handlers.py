@@ -24,7 +24,7 @@ from midstride.node.fencing import Fencing
 from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner, format_error
 from midstride.node.handover_commands import HandoverCommands
 from midstride.node.host import HeldParameter, Host
-from midstride.node.mode_switch import DataExecutor, ModeSwitch, within
+from midstride.node.mode_switch import DataExecutor, Hold, ModeSwitch, within
 from midstride.node.reflex import Reflex
 from midstride.node.state_hooks import StateHooks
 from midstride.wire import commands
@@ -73,6 +73,8 @@ class CommandHandlers:
     def __post_init__(self) -> None:
         self._runners: list[FunctionalityRunner] = []
         self._under_way = 0
+        self._hold: Hold | None = None
+        self._expiry: asyncio.Task[None] | None = None  # of the hold
         self.reflex = Reflex(self.host, self._runners, lambda: self._under_way > 0, self.degraded)
         self._data = DataExecutor(self.host, self._busy_words)
         self._attachments = Attachments(self.parts, self.host, self._data)
@@ -106,6 +108,7 @@ class CommandHandlers:
             commands.OfferStateCommand: self._handovers.offer_state,
             commands.FetchStateCommand: self._handovers.fetch_state,
             commands.ImportingCommand: self._handovers.importing,
+            commands.HoldCommand: self._hold_calls,
             commands.SetParametersCommand: self._set_parameters,
             commands.ExportStateCommand: self._export_state,
             commands.ImportStateCommand: self._import_state,
@@ -158,6 +161,7 @@ class CommandHandlers:
     async def end(self) -> None:
         """Stop calls, run the author's `on_stop`, destroy endpoints; each in bounded time, whatever fails."""
         self._handovers.close()
+        self._take_hold()  # no call is begun any more
         timeout = self.parts.callbacks.stop_timeout
         try:
             await self._data.run(self._stop_calls, timeout)
@@ -237,7 +241,7 @@ class CommandHandlers:
                 return "a functionality has degraded by itself meanwhile: observe the component again, then retry"
             return None
 
-        switch = ModeSwitch(targets, command.because, guard, on_settled)
+        switch = ModeSwitch(targets, command.because, guard, on_settled, hold=self._take_hold())
         attempt = asyncio.ensure_future(self.host.on_data(switch.attempt))
         attempt.add_done_callback(self._log_failure)
         if await within(self.host, settled.wait(), command.timeout) is None and switch.claim.take():
@@ -249,7 +253,41 @@ class CommandHandlers:
         await settled.wait()
         if switch.refused is not None:
             raise CommandRefused(switch.refused)
-        return commands.PreviousModes(before=switch.before)
+        return commands.PreviousModes(before=switch.before, at=None if switch.hold is None else switch.at)
+
+    async def _hold_calls(self, command: commands.HoldCommand) -> commands.Done:
+        names = {runner.name: runner for runner in self._runners}
+        if unknown := [name for name in command.functionalities if name not in names]:
+            raise CommandRefused(f"there is no functionality {unknown[0]}; the functionalities are: {', '.join(names)}")
+        if (earlier := self._take_hold()) is not None:
+            self.host.on_data(earlier.release)
+        if not command.seconds:
+            return commands.Done()
+        held = asyncio.Event()
+        on_held = partial(asyncio.get_running_loop().call_soon_threadsafe, held.set)
+        hold = Hold([names[name] for name in command.functionalities], on_held)
+        self.host.on_data(hold.attempt)
+        if await within(self.host, held.wait(), command.timeout) is None:
+            self.host.on_data(hold.release)
+            raise CommandRefused(f"user code did not return within {command.timeout:g} s{self._busy_words()}")
+        self._hold = hold
+        self._expiry = asyncio.ensure_future(self._expire(command.seconds))
+        return commands.Done()
+
+    async def _expire(self, seconds: float) -> None:
+        """Whoever asked for the hold may be gone."""
+        await self.host.sleep(seconds)
+        self._expiry = None
+        if (hold := self._take_hold()) is not None:
+            self.host.on_data(hold.release)
+
+    def _take_hold(self) -> Hold | None:
+        """The hold in force, if any, which the caller ends."""
+        hold, self._hold = self._hold, None
+        if self._expiry is not None:
+            self._expiry.cancel()
+            self._expiry = None
+        return hold
 
     def _log_failure(self, work: asyncio.Future[Any]) -> None:
         if not work.cancelled() and (error := work.exception()) is not None:

@@ -57,7 +57,7 @@ class FunctionalityRunner(OutputOwner):
         self.falling: tuple[int, str] | None = None
         # Whether the local reflex has entered the current mode.
         self.reflex = False
-        # Whether a call may start. Only an async call, or a switch that waits for one, makes it False.
+        # Whether a call may start. Only an async call, a switch that waits for one, or a hold makes it False.
         self.ready = True
         self._host = host
         self._steady = host.steady

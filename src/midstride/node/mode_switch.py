@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -112,12 +112,39 @@ class DataExecutor:
 
 
 @dataclass
+class Hold:
+    """Keeps functionalities between two calls until :meth:`release`, so that their modes can be changed at once.
+
+    ``held`` is called on the data thread as soon as no call of them is under way.
+    """
+
+    runners: Sequence[FunctionalityRunner]
+    held: Callable[[], object]
+    _released: bool = False
+
+    def attempt(self) -> None:
+        """On the data thread; an async call that is under way calls it again at its end."""
+        if self._released:
+            return
+        for runner in self.runners:
+            runner.block(self.attempt)
+        if not any(runner.asynchronous for runner in self.runners):
+            self.held()
+
+    def release(self) -> None:
+        """On the data thread: calls may start again."""
+        self._released = True
+        for runner in self.runners:
+            runner.unblock(self.attempt)
+
+
+@dataclass
 class ModeSwitch:
     """One mode change of a group of functionalities: all at once, between two calls of each, or not at all.
 
     ``guard`` is called at that moment; a reason that it returns refuses the change. ``settled`` is called on the data
     thread once the change has happened or is refused, before the new modes' first calls. ``reflex``: the local
-    reflex asks for it.
+    reflex asks for it. ``hold``: keeps them between two calls, and ends with the switch.
     """
 
     targets: dict[FunctionalityRunner, int]
@@ -125,6 +152,8 @@ class ModeSwitch:
     guard: Callable[[], str | None]
     settled: Callable[[], object]
     reflex: bool = False
+    hold: Hold | None = None
+    at: int | None = None  # when the last mode was entered (steady ns)
     before: dict[str, str] = field(default_factory=dict)
     refused: str | None = None
     claim: FirstClaim = field(default_factory=FirstClaim)
@@ -156,11 +185,16 @@ class ModeSwitch:
         for runner, index in moved.items():
             runner.stop_calls()
             runner.enter_mode(index, self.because, reflex=self.reflex)
+            self.at = runner.since
+        if self.hold is not None:
+            self.hold.release()
         self.settled()
         for runner in moved:
             runner.start_calls()
 
     def release(self) -> None:
         """On the data thread, once it has happened or is withdrawn: calls may start again."""
+        if self.hold is not None:
+            self.hold.release()
         for runner in self.targets:
             runner.unblock(self.attempt)

@@ -3,13 +3,18 @@
 The states are sets of structural differences that are done. By F3, what adds structure and needs neither time nor a
 slot is done at once, and what takes it away only when something waits for it. If nothing is lost at first, an instance
 that everything else leaves room for comes first and goes last. All other orders are searched, cheapest first, up to
-the claimed bound. The user's constraints are left out, so the search is for a plan that may break them.
+the claimed bound. Of the user's constraints, a `limit` of more than 0 s is left out, so that a plan may break it.
+
+Where the plan has a certificate, its parts are searched one by one. Each is a bound by itself, whatever the planner
+took for a part, so their sum is one; nothing else in the certificate is believed.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import count
@@ -20,6 +25,7 @@ from midstride.model.best import best
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration, to_fraction
 from midstride.model.rules import publishers_count
+from midstride.model.specification import Order
 from midstride.plan.change import Change
 from midstride.plan.constraints import in_force
 from midstride.plan.plan import Plan
@@ -32,6 +38,8 @@ _EPSILON: Final = 1e-6
 Op: TypeAlias = tuple[str, str, PortRef | None, str]
 State: TypeAlias = frozenset[Op]
 
+_NOTHING: Final[State] = frozenset()
+
 
 @dataclass(frozen=True, slots=True)
 class BoundCheck:
@@ -41,10 +49,16 @@ class BoundCheck:
     because: str = ""
 
 
-def check_bound(plan: Plan, loss: Callable[[Configuration], float], work: int = WORK) -> BoundCheck:
+def check_bound(
+    plan: Plan,
+    loss: Callable[[Configuration], float],
+    is_allowed: Callable[[Configuration], bool] = lambda _: True,
+    work: int = WORK,
+) -> BoundCheck:
     """The result for a plan whose steps are valid; ``loss`` is the weighted sum of the levels below the baseline.
 
-    ``work`` limits how many functionalities are evaluated.
+    ``is_allowed``: whether the user's constraints admit a configuration. ``work`` limits how many functionalities are
+    evaluated.
     """
     if plan.lower_bound <= _EPSILON:
         return BoundCheck("holds")
@@ -53,8 +67,15 @@ def check_bound(plan: Plan, loss: Callable[[Configuration], float], work: int = 
     seconds, change = _seconds(plan), plan.change
     if seconds.keys() != {*(_create(each.role) for each in change.coming), *map(_remove, change.leaving)}:
         return BoundCheck("not checked", "the plan creates or removes other instances than the change needs")
+
+    def search(roles: Collection[str] | None, limit: float) -> float | None:
+        return _Search(change, seconds, loss, is_allowed, work, roles).cheapest_below(limit - _EPSILON)
+
+    with suppress(_TooLarge):
+        if _adds_up(plan) and all(search(part.roles, part.bound) is None for part in plan.certificate):
+            return BoundCheck("holds")
     try:
-        least = _Search(change, seconds, loss, work).cheapest_below(plan.lower_bound - _EPSILON)
+        least = search(None, plan.lower_bound)
     except _TooLarge:
         return BoundCheck("not checked", "the change is too large")
     if least is None:
@@ -62,6 +83,13 @@ def check_bound(plan: Plan, loss: Callable[[Configuration], float], work: int = 
     if in_force(change):
         return BoundCheck("not checked", "it is higher than without the constraints")
     return BoundCheck("violated", f"a plan with a disruption of {least:g} exists")
+
+
+def _adds_up(plan: Plan) -> bool:
+    """Whether the certificate has several parts, of different roles, and the bound is not above their sum."""
+    roles = [role for part in plan.certificate for role in part.roles]
+    total = sum(part.bound for part in plan.certificate)
+    return len(plan.certificate) > 1 and len(set(roles)) == len(roles) and total >= plan.lower_bound - _EPSILON
 
 
 def _seconds(plan: Plan) -> dict[Op, float]:
@@ -92,15 +120,34 @@ class _TooLarge(Exception):
 
 
 class _Search:
+    """The creations and removals of ``roles`` (None: all); of the others, all that is new exists, and all that is old
+    still does, while neither takes any room."""
+
     def __init__(
-        self, change: Change, seconds: dict[Op, float], loss: Callable[[Configuration], float], work: int
+        self,
+        change: Change,
+        seconds: dict[Op, float],
+        loss: Callable[[Configuration], float],
+        is_allowed: Callable[[Configuration], bool],
+        work: int,
+        roles: Collection[str] | None,
     ) -> None:
-        self.change, self.seconds, self._loss, self._work = change, seconds, loss, work
-        self._known: dict[State, tuple[Configuration, float]] = {}
-        self.creates = {_create(instance.role): instance for instance in change.coming}
-        self.removes = {_remove(name): name for name in change.leaving}
-        self.attaches = {_pair("attach", *pair): pair for pair in change.attached if self._is_capped(*pair)}
-        self.detaches = {_pair("detach", *pair): pair for pair in change.detached if self._is_capped(*pair)}
+        self.change, self.seconds, self._loss, self._is_allowed, self._work = change, seconds, loss, is_allowed, work
+        self._known: dict[State, tuple[Configuration, float, bool]] = {}
+        own = {name for name in change.instances() if roles is None or change.role_of(name) in roles}
+        self.creates = {_create(each.role): each for each in change.coming if each.name in own}
+        self.removes = {_remove(name): name for name in change.leaving if name in own}
+        capped = [pair for pair in change.attached if self._is_capped(*pair)]
+        self.attaches = {_pair("attach", *pair): pair for pair in capped if pair[0].instance in own}
+        freed = [pair for pair in change.detached if self._is_capped(*pair)]
+        self.detaches = {_pair("detach", *pair): pair for pair in freed if pair[0].instance in own}
+        # What the others hold in every state, but do not count.
+        self._held = dict[str, Fraction]()
+        for name in {*(each.name for each in change.coming), *change.leaving} - own:
+            for resource, amount in change.component_of(name).resource_usage.items():
+                self._held[resource] = self._held.get(resource, Fraction()) + to_fraction(amount)
+        self._publishing = Counter(connector for port, connector in (*capped, *freed) if port.instance not in own)
+        self._awaited = self._orders()
         self.first: State = frozenset()
         self.goal: State = frozenset([*self.creates, *self.removes, *self.attaches])
         if not self._state(self.first)[1]:
@@ -112,6 +159,16 @@ class _Search:
                 op for op, name in self.removes.items() if scarce.isdisjoint(change.component_of(name).resource_usage)
             }
 
+    def _orders(self) -> dict[str, State]:
+        """By role, what the user's orders put before anything of it."""
+        change, found = self.change, dict[str, State]()
+        for order in in_force(change):
+            if isinstance(order, Order) and order.first != order.then:
+                first = [op for op, each in self.creates.items() if each.role == order.first]
+                first += [op for op, name in self.removes.items() if change.role_of(name) == order.first]
+                found[order.then] = found.get(order.then, frozenset()) | frozenset(first)
+        return found
+
     def _is_capped(self, port: PortRef, connector: str) -> bool:
         """Whether an output is on a topic with a cap, with its old or its new contract."""
         declared = self.change.start.context.connectors
@@ -122,24 +179,27 @@ class _Search:
 
     def _scarce(self) -> set[str]:
         """The resources that do not suffice for everything that runs and everything that comes."""
-        held, context = dict(self.change.start.held), self.change.start.context
-        for instance in self.creates.values():
-            for resource, amount in instance.component.resource_usage.items():
-                held[resource] = held.get(resource, Fraction()) + to_fraction(amount)
-        return {resource for resource, amount in held.items() if amount > to_fraction(context.capacity(resource))}
+        everything = self._state(frozenset(self.creates))[0]
+        return {resource for resource in everything.held if self._excess(everything, resource, 0.0) > 0}
 
-    def _state(self, state: State) -> tuple[Configuration, float]:
-        """The largest structure in which exactly these differences are made, and what is lost in it."""
+    def _excess(self, configuration: Configuration, resource: str, amount: float) -> Fraction:
+        """By how much ``amount`` more of a resource exceeds its capacity."""
+        held = configuration.held.get(resource, Fraction()) - self._held.get(resource, Fraction())
+        return held + to_fraction(amount) - to_fraction(configuration.context.capacity(resource))
+
+    def _state(self, state: State) -> tuple[Configuration, float, bool]:
+        """The largest structure in which exactly these differences are made, what is lost in it, and if it may be."""
         if state not in self._known:
-            configuration = self.change.start
-            for op, instance in self.creates.items():
-                if op in state:
+            change, configuration = self.change, self.change.start
+            for instance in change.coming:
+                op = _create(instance.role)
+                if op in state or op not in self.creates:
                     configuration = configuration.with_instance(instance)
-            for port, connector in self.change.attached:
+            for port, connector in change.attached:
                 op = _pair("attach", port, connector)
                 if op in state or (op not in self.attaches and port.instance in configuration.instances):
                     configuration = configuration.with_attachment(port, connector)
-            for port, connector in self.change.detached:
+            for port, connector in change.detached:
                 if _pair("detach", port, connector) in state or _remove(port.instance) in state:
                     configuration = configuration.without_attachment(port, connector)
             for op, name in self.removes.items():
@@ -148,7 +208,8 @@ class _Search:
             self._work -= len(configuration.modes)
             if self._work < 0:
                 raise _TooLarge
-            self._known[state] = configuration, self._loss(best(configuration))
+            raised = best(configuration)
+            self._known[state] = configuration, self._loss(raised), self._is_allowed(raised)
         return self._known[state]
 
     def cheapest_below(self, limit: float) -> float | None:
@@ -168,14 +229,22 @@ class _Search:
         return None
 
     def _following(self, state: State) -> Iterator[tuple[State, float]]:
-        """The states after one more difference, each with what that costs."""
-        configuration, now = self._state(state)
+        """The states after one more difference, each with what that costs.
+
+        What the constraints forbid is looked at while something is created or removed only: between the two, several
+        outputs may be exchanged at once.
+        """
+        configuration, now, is_allowed = self._state(state)
         for op, instance in self.creates.items():
-            if op not in state and self._fits(configuration, instance.component.resource_usage):
-                yield state | {op}, self.seconds[op] * now
-        for op in self.removes:
-            if op not in state:
-                yield state | {op}, self.seconds[op] * max(now, self._state(state | {op})[1])
+            if op not in state and is_allowed and self._awaited.get(instance.role, _NOTHING) <= state:
+                usage = instance.component.resource_usage.items()
+                if all(self._excess(configuration, resource, amount) <= 0 for resource, amount in usage):
+                    yield state | {op}, self.seconds[op] * now
+        for op, name in self.removes.items():
+            if op not in state and self._awaited.get(self.change.role_of(name), _NOTHING) <= state:
+                _, then, is_allowed_then = self._state(state | {op})
+                if is_allowed_then:
+                    yield state | {op}, self.seconds[op] * max(now, then)
         for op, (port, connector) in self.attaches.items():
             if op not in state and port.instance in configuration.instances and self._slot(configuration, connector):
                 yield state | {op}, 0.0
@@ -183,16 +252,7 @@ class _Search:
             if op not in state and port.instance in configuration.instances:
                 yield state | {op}, 0.0
 
-    @staticmethod
-    def _fits(configuration: Configuration, usage: Mapping[str, float]) -> bool:
-        context = configuration.context
-        return all(
-            configuration.held.get(resource, Fraction()) + to_fraction(amount)
-            <= to_fraction(context.capacity(resource))
-            for resource, amount in usage.items()
-        )
-
     def _slot(self, configuration: Configuration, connector: str) -> bool:
         cap, sibling = configuration.context.connectors[connector].max_publishers, self.change.sibling(connector)
-        beside = 0 if sibling is None else len(configuration.publishers_on(sibling))
-        return cap is None or publishers_count(configuration, connector) + beside < cap
+        beside = 0 if sibling is None else len(configuration.publishers_on(sibling)) - self._publishing[sibling]
+        return cap is None or publishers_count(configuration, connector) - self._publishing[connector] + beside < cap

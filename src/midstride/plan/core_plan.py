@@ -20,7 +20,8 @@ from midstride.plan.constraints import ConstraintMonitor
 from midstride.plan.core import Op, parts
 from midstride.plan.core_losses import PartLosses, fullest
 from midstride.plan.core_search import PartResult, PartSearch
-from midstride.plan.disruption import Levels
+from midstride.plan.disruption import DIGITS, Levels
+from midstride.plan.plan import BoundPart
 from midstride.plan.plan_builder import PlanBuilder
 from midstride.plan.search_state import SearchState
 
@@ -47,10 +48,14 @@ class Budget:
 
 @dataclass(frozen=True, slots=True)
 class CoreResult:
-    """No plan loses less than ``lower_bound`` (infinite: there is none). ``moves`` are tied actions, in order."""
+    """No plan loses less than ``lower_bound`` (infinite: there is none). ``moves`` are tied actions, in order.
+
+    ``certificate``: the bound by independent parts of the conflict core, without those that lose nothing.
+    """
 
     lower_bound: float = 0.0
     moves: tuple[tuple[Op, ...], ...] | None = ()
+    certificate: tuple[BoundPart, ...] = ()
 
 
 def search_core(
@@ -101,7 +106,12 @@ def search_core(
         for part, result in zip(found, results, strict=True)
         for move in result.moves
     ]
-    return CoreResult(bound, tuple(moves))
+    certificate = (
+        BoundPart(tuple(sorted(set(part.roles))), round(result.lower_bound, DIGITS))
+        for part, result in zip(found, results, strict=True)
+        if result.lower_bound > 0.0
+    )
+    return CoreResult(bound, tuple(moves), tuple(certificate))
 
 
 def _keeps(levels: Levels, constraints: Iterable[Constraint]) -> dict[FunctionalityRef, int]:

@@ -24,7 +24,7 @@ from midstride.plan.change import Change, Detour
 from midstride.plan.change_builder import change_between
 from midstride.plan.detours import with_detours
 from midstride.plan.explain import Degradation, LevelShift
-from midstride.plan.plan import Plan, ProofSpace
+from midstride.plan.plan import BoundPart, Plan, ProofSpace
 from midstride.plan.runtime_values import RuntimeValue
 from midstride.plan.state import left_behind
 from midstride.plan.step_forms import (
@@ -72,6 +72,18 @@ class DetourForm(PlanPart, frozen=True, kw_only=True):
         return Detour(self.role, self.moved, self.stand_in)
 
 
+class BoundPartForm(PlanPart, frozen=True, kw_only=True):
+    """What the creations and removals of some roles lose at least, whatever the others do."""
+
+    what: ClassVar[str] = "a part of a bound"
+
+    roles: Annotated[list[str], field("a list of nodes")]
+    bound: Annotated[FiniteNumber, field("a disruption", "in weighted functionality-seconds")]
+
+
+Certificate: TypeAlias = Annotated[
+    list[BoundPartForm], field("a list of parts", "of the lower bound, which add up to it; absent where there is none")
+]
 Detours: TypeAlias = Annotated[list[DetourForm], field("a list of detours", "what is done beyond the change itself")]
 
 
@@ -110,6 +122,7 @@ class PlanPreview(PlanCosts, frozen=True, kw_only=True):
     own_state: OwnState | UnsetType = UNSET
     remarks: Remarks | UnsetType = UNSET
     detours: Detours | UnsetType = UNSET
+    certificate: Certificate | UnsetType = UNSET
 
     @classmethod
     def of(cls, plan: Plan) -> PlanPreview:
@@ -129,6 +142,7 @@ class PlanForm(PlanCosts, frozen=True, kw_only=True):
     own_state: OwnState | UnsetType = UNSET
     remarks: Remarks | UnsetType = UNSET
     detours: Detours | UnsetType = UNSET
+    certificate: Certificate | UnsetType = UNSET
 
     @classmethod
     def of(cls, plan: Plan, **more: Any) -> PlanForm:
@@ -155,6 +169,7 @@ def _fields(plan: Plan) -> dict[str, Any]:
         "standing": _standing(plan.change.origin) or UNSET,
         "parameters": list(plan.parameters) or UNSET,
         "remarks": list(plan.remarks) or UNSET,
+        "certificate": [BoundPartForm(roles=[*each.roles], bound=each.bound) for each in plan.certificate] or UNSET,
         "detours": [DetourForm.of(detour) for detour in plan.change.detours] or UNSET,
         "own_state": left_behind(plan.change, (step.action for step in plan.steps)) or UNSET,
     }
@@ -208,6 +223,7 @@ def decode_plan(document: object) -> Plan:
         parameters=() if form.parameters is UNSET else tuple(form.parameters),
         remarks=() if form.remarks is UNSET else tuple(form.remarks),
         proof_space=form.proof_space,
+        certificate=tuple(BoundPart(tuple(each.roles), each.bound) for each in form.certificate or ()),
     )
 
 

@@ -68,7 +68,7 @@ def minimal(change: Change, budget: Budget | None = None) -> Plan:
     """
     levels = Levels(change)
     constraints = in_force(change)
-    found, bound = _best(levels, constraints, budget or Budget())
+    found, core = _best(levels, constraints, budget or Budget())
     if found is None or found.breaches:
         broken = () if found is None else found.breaches
         relevant = _relevant(change, found, constraints)
@@ -81,16 +81,16 @@ def minimal(change: Change, budget: Budget | None = None) -> Plan:
             conflicting = conflict(relevant, can_meet)
             raise refusal(conflicting, broken, _limits(levels, conflicting))
         raise PlanRefused("no order of the steps was found that respects all caps and capacities")
-    return Plan.of("minimal", found.steps, levels, bound, found.makespan)
+    return Plan.of("minimal", found.steps, levels, core.lower_bound, found.makespan, core.certificate)
 
 
-def _best(levels: Levels, constraints: Sequence[Constraint], budget: Budget) -> tuple[Candidate | None, float]:
-    """The best plan found, and a lower bound on the disruption of any."""
+def _best(levels: Levels, constraints: Sequence[Constraint], budget: Budget) -> tuple[Candidate | None, CoreResult]:
+    """The best plan found, and what is known of the conflict core: a lower bound on the disruption of any."""
     core = search_core(levels, constraints, budget)
     along = cheapest_along(core, levels, constraints)
     if levels.change.detours:  # the search by moves knows no instance that comes and goes
-        return along, core.lower_bound
-    return _find(levels, constraints, along, few=sum(map(len, core.moves or ())) > _MANY), core.lower_bound
+        return along, core
+    return _find(levels, constraints, along, few=sum(map(len, core.moves or ())) > _MANY), core
 
 
 def _limits(levels: Levels, constraints: Sequence[Constraint]) -> list[str]:

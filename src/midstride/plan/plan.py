@@ -22,6 +22,14 @@ _EPSILON: Final = 1e-6
 ProofSpace: TypeAlias = Literal["direct", "detours"]
 
 
+@dataclass(frozen=True, slots=True)
+class BoundPart:
+    """A part of a lower bound: what the creations and removals of ``roles`` lose at least, whatever the others do."""
+
+    roles: tuple[str, ...]
+    bound: float
+
+
 @dataclass(frozen=True)
 class Plan:
     """A sequence of steps, each valid, that ends in ``best`` of the target.
@@ -30,6 +38,7 @@ class Plan:
     steps that do not commute, ``seconds`` the plain sum. ``fallen`` names roles' functionalities
     that are ever below the baseline. ``proved_minimal`` is claimed only where it is proved.
     ``proof_space``: the plans that ``lower_bound`` speaks of, without detours or with them as well.
+    ``certificate``: parts that add up to ``lower_bound``, from which a check can start; empty where there is none.
     ``parameters``: what becomes of the values that were set at run time. ``remarks``: what it does besides, and why.
     """
 
@@ -45,6 +54,7 @@ class Plan:
     parameters: tuple[RuntimeValue, ...] = ()
     remarks: tuple[str, ...] = ()
     proof_space: ProofSpace = "direct"
+    certificate: tuple[BoundPart, ...] = ()
 
     @classmethod
     def of(
@@ -54,6 +64,7 @@ class Plan:
         levels: Levels,
         lower_bound: float = 0.0,
         critical_path: float | None = None,
+        certificate: tuple[BoundPart, ...] = (),
     ) -> Plan:
         """The plan that consists of ``steps``, with its costs; no plan has less disruption than ``lower_bound``.
 
@@ -63,7 +74,7 @@ class Plan:
         *_, (_, meter) = follow(levels, steps)
         # Sums of floats in another order may differ by less than any plan does.
         if lower_bound > meter.disruption + _EPSILON:
-            lower_bound = 0.0
+            lower_bound, certificate = 0.0, ()
         is_minimal = meter.disruption - lower_bound < _EPSILON
         return cls(
             strategy=strategy,
@@ -75,6 +86,7 @@ class Plan:
             makespan=makespan(steps, levels) if critical_path is None else critical_path,
             seconds=round(sum(step.seconds for step in steps), DIGITS),
             fallen=tuple(sorted(meter.fallen)),
+            certificate=certificate,
         )
 
     def configurations(self) -> Iterator[Configuration]:

@@ -6,8 +6,9 @@ section 5, F2 and F3): support that arrives earlier, or is withdrawn later, does
 the order of clashing pairs is valid, step by step.
 
 Two more kinds of steps keep their order, although validity alone does not require it: the steps that determine the
-level of a replaced role, and a step by which a functionality falls below its baseline, which waits for every earlier
-creation and removal. Overlapping must not keep a functionality below its baseline for longer than the sequence does.
+level of a role that is replaced or whose outputs move, and a step by which a functionality falls below its baseline,
+which waits for every earlier step. So nothing is below its baseline for longer than in the sequence: between the fall
+and the step that ends it, there is nothing to wait for but what the sequence has between them.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from typing import Final
 from midstride.model.action import Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.specification import Order
-from midstride.plan.change import Change
+from midstride.plan.change import Attachment, Change
 from midstride.plan.constraints import in_force
 from midstride.plan.disruption import DIGITS, Levels, follow
 from midstride.plan.step import Step
@@ -60,7 +61,9 @@ Mark = tuple[Hashable, Claim]
 class _Marker:
     def __init__(self, change: Change) -> None:
         self.change = change
-        self.replaced = {change.role_of(old) for old in change.replaced}
+        # The roles whose level depends on the order of their own structural steps.
+        self.moving = {change.role_of(old) for old in change.replaced}
+        self.moving |= self._roles_of_outputs(change.detached) & self._roles_of_outputs(change.attached)
         self.orders = [constraint for constraint in in_force(change) if isinstance(constraint, Order)]
         self._attached: dict[PortRef, list[str]] = defaultdict(list)
         self._inputs: dict[str, list[PortRef]] = defaultdict(list)
@@ -69,6 +72,9 @@ class _Marker:
             if port.port in change.component_of(port.instance).inputs:
                 self._inputs[connector].append(port)
         self._consumers: dict[str, list[FunctionalityRef]] = {}
+
+    def _roles_of_outputs(self, attachments: Iterable[Attachment]) -> set[str]:
+        return {self.change.role_of(port.instance) for port, _ in attachments if self.change.is_output(port)}
 
     def of(self, step: Step) -> Iterator[Mark]:
         action = step.action
@@ -81,6 +87,7 @@ class _Marker:
         match action:
             case Create():
                 yield ("live", action.instance.name), Claim.OWN
+                yield from self._role(action.instance.role)
                 for resource in action.instance.component.resource_usage:
                     yield ("resource", resource), Claim.ACQUIRE
             case Remove():
@@ -108,7 +115,7 @@ class _Marker:
                 yield ("parameters", action.instance), Claim.OWN
 
     def _role(self, role: str) -> Iterator[Mark]:
-        if role in self.replaced:
+        if role in self.moving:
             yield ("role", role), Claim.OWN
 
     def _attachment(self, port: PortRef, connector: str, claim: Claim) -> Iterator[Mark]:
@@ -157,26 +164,26 @@ class _Marker:
         return self._consumers[connector]
 
 
-def _marks(steps: Sequence[Step], levels: Levels) -> Iterator[Iterable[Mark]]:
+def _marks(steps: Sequence[Step], levels: Levels) -> Iterator[tuple[Iterable[Mark], bool]]:
+    """The marks of each step, and whether a functionality falls below its baseline by it."""
     marker = _Marker(levels.change)
     for step, (_, meter) in zip(steps, islice(follow(levels, steps), 1, None), strict=True):
-        marks = dict.fromkeys(marker.of(step))
-        if isinstance(step.action, (Create, Remove)):
-            marks["creation or removal", Claim.BEFORE] = None
-        if any(moved.after > moved.before for moved in meter.changes):
-            marks["creation or removal", Claim.AFTER] = None
-        yield marks
+        yield dict.fromkeys(marker.of(step)), any(moved.after > moved.before for moved in meter.changes)
 
 
 def dependencies(steps: Sequence[Step], levels: Levels) -> tuple[tuple[int, ...], ...]:
     """For each step the earlier ones that it must wait for; the others it commutes with."""
     earlier: dict[Mark, list[int]] = defaultdict(list)
     found: list[tuple[int, ...]] = []
-    for index, marks in enumerate(_marks(steps, levels)):
+    last_fall = 0
+    for index, (marks, falls) in enumerate(_marks(steps, levels)):
         waits: set[int] = set()
         for thing, claim in marks:
             for awaited in _WAITS_FOR.get(claim, ()):
                 waits.update(earlier.get((thing, awaited), ()))
+        if falls:  # for every earlier one: the last such step waits for those before it
+            waits.update(range(last_fall, index))
+            last_fall = index
         found.append(tuple(sorted(waits)))
         for mark in marks:
             earlier[mark].append(index)

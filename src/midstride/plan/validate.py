@@ -64,7 +64,7 @@ def replay(plan: Plan) -> ReplayResult:
     """The result for a plan. The replay stops at the first refused step, since what follows has no meaning."""
     configuration = plan.change.start
     findings = [ReplayFinding(None, f"the start is not valid: {each}") for each in violations(configuration)]
-    ledger = _Ledger(plan)
+    ledger = Ledger(plan)
     for number, step in enumerate(plan.steps, start=1):
         reasons = [str(reason) for reason in step.action.check(configuration)] or list(
             _misfits(plan, configuration, step.action)
@@ -78,7 +78,7 @@ def replay(plan: Plan) -> ReplayResult:
     findings += [ReplayFinding(None, because) for because in ledger.differences()]
     if findings:
         return ReplayResult("violated", tuple(findings), len(plan.steps))
-    bound = check_bound(plan, ledger.loss)
+    bound = check_bound(plan, ledger.loss, ledger.is_allowed)
     if bound.outcome == "violated":
         findings.append(ReplayFinding(None, f"its lower bound, {plan.lower_bound:g}, is too high: {bound.because}"))
     return ReplayResult("violated" if findings else "holds", tuple(findings), len(plan.steps), bound)
@@ -177,7 +177,7 @@ def _counted(start: Specification, target: Specification) -> Iterator[_Counted]:
             yield _Counted(FunctionalityRef(role, name), needed, max(len(was.modes), len(will.modes)))
 
 
-class _Ledger:
+class Ledger:
     """The costs of a plan, entered step by step."""
 
     def __init__(self, plan: Plan) -> None:
@@ -195,6 +195,8 @@ class _Ledger:
             if isinstance(constraint, Keep) and (ref := constraint.functionality) in self.levels:
                 chain = self.target.component_of(ref.instance).functionalities[ref.functionality]
                 self.keeps[constraint] = max(chain.mode_index(constraint.mode), self.levels[ref])
+        limits = (each for each in in_force(plan.change) if isinstance(each, Limit))
+        self.never = [each.functionality for each in limits if not each.seconds and each.functionality in self.levels]
         self.roles: list[set[str]] = []
         self.broken: dict[str, None] = {}
 
@@ -222,6 +224,13 @@ class _Ledger:
         """The weighted sum of the levels below the baseline."""
         levels = self._now(configuration)
         return sum(self._below(ref, levels) * self._weight(ref) for ref in levels)
+
+    def is_allowed(self, configuration: Configuration) -> bool:
+        """Whether no ``keep`` and no ``limit`` of 0 s forbids it."""
+        levels = self._now(configuration)
+        return all(levels[keep.functionality] <= threshold for keep, threshold in self.keeps.items()) and not any(
+            self._below(ref, levels) for ref in self.never
+        )
 
     def enter(self, action: Action, seconds: float, start: Configuration, after: Configuration) -> None:
         before, self.levels = self.levels, self._now(after)

@@ -6,6 +6,7 @@ each component that can be reached.
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Awaitable, Callable, Collection, Container, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -43,6 +44,7 @@ from midstride.runtime.new_publishers import ATTACH_TIMEOUT, DETACH_TIMEOUT
 from midstride.runtime.observed_configuration import own_degradations_in
 from midstride.runtime.parameter_transfer import ParameterTransfer
 from midstride.runtime.probation import watch_after
+from midstride.runtime.reports import ModeSkew
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.simulated_time import stretch_of
 from midstride.runtime.state_moves import StateMoves
@@ -54,6 +56,9 @@ R = TypeVar("R")
 
 # How long a call of user code may take to return before a mode change is given up (s).
 DRAIN_TIMEOUT: Final = 5.0
+# For how much longer than that components hold functionalities that are to change their modes at once (s): long enough
+# for the commands that change them, which end that.
+HELD_LONGER: Final = 2.0
 
 
 @dataclass(slots=True)
@@ -82,6 +87,8 @@ class ActionDriver:
     timing: Mapping[str, float] = field(default_factory=dict)  # of the specification
     leaving: Container[str] = ()  # the instances that the plan removes
     change: Change | None = None  # what the plan does
+    # How far apart the functionalities of several instances changed their modes that were to do so at once.
+    skews: list[ModeSkew] = field(default_factory=list)
     fences: Fences = field(init=False)
     _settled: float = -math.inf  # when the inputs have settled that were attached (steady s)
     _keeping: set[str] = field(default_factory=set)  # instances that keep state, also where they have exited since
@@ -348,25 +355,51 @@ class ActionDriver:
             raise
 
     async def _set_modes(self, action: Degrade | Upgrade, because: str) -> None:
-        """The functionalities of each instance at once, the instances one after the other."""
-        changed: list[tuple[str, commands.ModesCommand]] = []
-        try:
-            for instance, modes in by_instance(action.modes).items():
-                if isinstance(action, Degrade) and (self._is_gone(instance) or instance in self.fences.fenced):
-                    continue
+        """The functionalities of all instances at once; those of several are held between two calls before that."""
+        groups = by_instance(action.modes)
+        if isinstance(action, Degrade):
+            gone = [name for name in groups if self._is_gone(name) or name in self.fences.fenced]
+            groups = {name: modes for name, modes in groups.items() if name not in gone}
+        if len(groups) > 1:
+            await self._hold(groups)
+        found = await asyncio.gather(
+            *(self._enter(name, modes, action, because) for name, modes in groups.items()), return_exceptions=True
+        )
+        if failed := [each for each in found if isinstance(each, BaseException)]:
+            for instance, modes in reversed(groups.items()):
                 before = {ref: self.configuration.modes[ref] for ref in modes}
-                changed.append((instance, self._modes_command(before, "roll-back")))
-                command = self._modes_command(modes, because)
-                try:
-                    await self.client.change(instance, command)
-                except CommandRefused:
-                    if isinstance(action, Upgrade) or not await self._has_degraded(instance):
-                        raise
-                    await self.client.change(instance, command)  # whatever mode it has fallen to
-        except Exception:
-            for instance, undo in reversed(changed):
-                await self.client.undo(instance, undo)
-            raise
+                await self.client.undo(instance, self._modes_command(before, "roll-back"))
+            raise failed[0]
+        moments = [each.at for each in found if isinstance(each, commands.PreviousModes) and each.at is not None]
+        if len(moments) > 1:
+            names = [str(ref) for modes in groups.values() for ref in modes]
+            self.skews.append(ModeSkew(action.kind, names, round((max(moments) - min(moments)) / 1e9, 9)))
+
+    async def _hold(self, groups: Mapping[str, Mapping[FunctionalityRef, int]]) -> None:
+        """Have each instance begin no call of its functionalities until their modes change. Raises what one raises."""
+
+        async def hold(instance: str) -> None:
+            names = [ref.functionality for ref in groups[instance]]
+            seconds = self.drain_timeout + HELD_LONGER  # others may take as long as the drain timeout
+            command = commands.HoldCommand(functionalities=names, seconds=seconds, timeout=self.drain_timeout)
+            await self.client.change(instance, command)
+
+        found = await asyncio.gather(*map(hold, groups), return_exceptions=True)
+        if failed := [each for each in found if each is not None]:
+            end = commands.HoldCommand(functionalities=[], seconds=0.0)
+            await asyncio.gather(*(self.client.undo(instance, end) for instance in groups))
+            raise failed[0]
+
+    async def _enter(
+        self, instance: str, modes: Mapping[FunctionalityRef, int], action: Degrade | Upgrade, because: str
+    ) -> commands.PreviousModes:
+        command = self._modes_command(modes, because)
+        try:
+            return await self.client.change(instance, command)
+        except CommandRefused:
+            if isinstance(action, Upgrade) or not await self._has_degraded(instance):
+                raise
+            return await self.client.change(instance, command)  # whatever mode it has fallen to
 
     async def _has_degraded(self, instance: str) -> bool:
         """Whether it has degraded by itself since the change began."""

@@ -23,6 +23,7 @@ from midstride.model.wording import counted
 from midstride.plan.change_builder import change_between, requested_change
 from midstride.plan.estimate import Estimate
 from midstride.plan.forms import PlanForm, PlanPreview
+from midstride.plan.overlap import overlap
 from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
 from midstride.plan.request import PlanRequest
@@ -205,7 +206,9 @@ class ChangeSession:
         outcome: OutcomeKind = "done"
         because = None
         try:
-            await executor.run(actions, preview.steps)
+            # Alloy judges the configurations of the sequence: a change that is verified takes one step after another.
+            found = await asyncio.to_thread(overlap, plan) if verifier is None else None
+            await executor.run(actions, preview.steps, found)
             if target != system.specification:
                 self.store.write_specification(target)
             system.specification = target
@@ -258,6 +261,8 @@ class ChangeSession:
             outcome=outcome,
             plan=PlanForm.of(plan),
             seconds=round(seconds, 6),
+            steps=executor.times,
+            skews=executor.driver.skews,
             fallen=degraded_seconds,
             swaps=swaps,
             late=executor.driver.late,

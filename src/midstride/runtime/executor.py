@@ -11,7 +11,7 @@ import contextlib
 import logging
 from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any
 
 from immutables import Map
 from msgspec import UNSET
@@ -21,29 +21,51 @@ from midstride.model.action import Action, Create, Degrade, Handover, Remove, Se
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.wording import counted
+from midstride.plan.overlap import Overlap, one_by_one
 from midstride.plan.step_forms import AnyStep
 from midstride.runtime.action_driver import ActionDriver, by_instance
 from midstride.runtime.backend import Exited
+from midstride.runtime.early_starts import EarlyStarts, StartFailedEarly
 from midstride.runtime.journal import JournalEntry
-from midstride.runtime.pacing import room_for_a_start
+from midstride.runtime.reports import StepTime
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.state_store import StateStore
 
 log = logging.getLogger(__name__)
 
+# The actions that are done, each with the configuration that it was applied to.
 Done = list[tuple[Action, Configuration]]
 
-# After how long a process that could not be started ahead of its step is tried again (s): what was in its way, such as
-# an earlier node of its name, may have gone.
-START_AGAIN: Final = 1.0
 
+@dataclass(slots=True)
+class _Run:
+    """The steps of one change, in words as soon as they begin, those that are done, and how long they took."""
 
-class _AheadFailed(Exception):
-    """A process that was started ahead of its step could not start, or has exited; ``error`` says why."""
+    actions: Sequence[Action]
+    forms: Sequence[AnyStep]
+    overlap: Overlap
+    began: float  # steady s
+    words: dict[int, str] = field(default_factory=dict)
+    done: Done = field(default_factory=list)
+    times: dict[int, StepTime] = field(default_factory=dict)
+    looked: int = 0  # how many numbers of steps have been looked up in ``overlap.starts``
 
-    def __init__(self, action: Create, error: MidstrideError) -> None:
-        super().__init__(str(error))
-        self.action, self.error = action, error
+    def name(self, index: int) -> str:
+        return self.words.get(index) or self.actions[index].describe()
+
+    def position(self, index: int) -> dict[str, Any]:
+        step = self.forms[index] if self.forms else UNSET
+        return {"index": index, "of": len(self.actions), "step": step}
+
+    def numbered(self, index: int, words: str) -> str:
+        return f"{index + 1}/{len(self.actions)} {words}"
+
+    def may_start(self, begun: int) -> list[Create]:
+        """The later creations whose processes may start from now on, where the steps before ``begun`` are done."""
+        numbers = range(self.looked, begun + 1)
+        self.looked = numbers.stop
+        indices = [index for number in numbers for index in self.overlap.starts.get(number, ()) if index > begun]
+        return [action for index in indices if isinstance(action := self.actions[index], Create)]
 
 
 @dataclass(slots=True)
@@ -64,106 +86,160 @@ class Executor:
     entry: JournalEntry | None = None
     on_performed: Callable[[Action], Awaitable[None]] | None = None
     commanding: asyncio.Lock = field(default_factory=asyncio.Lock)
-    _one_start: asyncio.Lock = field(default_factory=asyncio.Lock)
-    _ahead: asyncio.Task[None] | None = None  # starts the processes of the next creations
+    # The steps of the plan that were done, as measured.
+    times: list[StepTime] = field(default_factory=list)
+    _starts: EarlyStarts = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._starts = EarlyStarts(self.driver, self.store, self._require_lease)
+
+    async def _require_lease(self) -> None:
+        if self.entry is not None:
+            await self.entry.require_lease()
 
     @property
     def system(self) -> RunningSystem:
         return self.driver.system
 
-    async def run(self, actions: Sequence[Action], forms: Sequence[AnyStep] = ()) -> None:
-        """Carry out ``actions`` in order.
+    async def run(
+        self, actions: Sequence[Action], forms: Sequence[AnyStep] = (), overlap: Overlap | None = None
+    ) -> None:
+        """Carry out ``actions`` in order; ``overlap`` says which of them at once, and which processes start ahead.
 
         Raises StepFailed after the roll-back; its ``outcome`` says whether that succeeded. If cancelled, it rolls back
         as well.
         """
-        done: Done = []
+        run = _Run(actions, forms, overlap or one_by_one(actions), self.driver.backend.clock.steady())
         self.driver.leaving = {action.instance for action in actions if isinstance(action, Remove)}
-        for index, action in enumerate(actions):
-            position = _position(actions, index, forms)
-            what = action.describe(self.system.configuration)
-            self.driver.events.add("step", f"{index + 1}/{len(actions)} {what}", **position)
+        for indices in run.overlap.rounds:
+            for index in indices:
+                run.words[index] = actions[index].describe(self.system.configuration)
+                words = run.numbered(index, run.words[index])
+                self.driver.events.add("step", words, **run.position(index))
+            failures: dict[int, BaseException]
             try:
                 if self.entry is not None:
-                    await self.entry.step(what)
-                if isinstance(action, Create):
-                    await self._start(action)
-                    if index == 0 or not isinstance(actions[index - 1], Create):
-                        await self._stop_starting()
-                        self._ahead = asyncio.ensure_future(self._start_ahead(actions[index + 1 :]))
-                await self._timed_step(action, done, actions)
-                await self.driver.watch(action)
-                if index == len(actions) - 1:
-                    await self.driver.settle()
-                if self.after_step is not None:
-                    await self.after_step(self.system.configuration)
-            except (Exception, asyncio.CancelledError) as raised:
-                error: BaseException = raised
-                if isinstance(raised, _AheadFailed):  # not this step has failed, but a later one
-                    error, what = raised.error, raised.action.describe()
-                    position = _position(actions, actions.index(raised.action), forms)
-                why = _words(error)
-                self.driver.events.add("step_failed", f"{what} failed: {why}", **position)
-                if isinstance(error, Superseded) or not (self.entry is None or await self.entry.failed()):
-                    # What runs is the other manager's.
-                    await self._stop_starting()
-                    words = f"{what}: {why}; nothing is rolled back, since another manager has taken over"
-                    raise StepFailed(words, "failed") from error
-                problems = [*await self._abandon_started(actions[index:]), *await self._roll_back(done)]
-                if isinstance(error, asyncio.CancelledError):
-                    raise
-                if not problems:
-                    raise StepFailed(f"{what}: {why}", "rolled_back") from error
-                raise StepFailed(f"{what}: {why}; and the roll-back failed: {'; '.join(problems)}", "failed") from error
-            self.driver.events.add("step_done", f"{index + 1}/{len(actions)} done", **position)
-        await self._stop_starting()
+                    await self.entry.step(*(run.words[index] for index in indices))
+                self._starts.check()
+                if isinstance(action := actions[indices[0]], Create):
+                    await self._starts.start(action)
+                self._starts.begin(run.may_start(indices[0]))
+                failures = await self._round(indices, run)
+            except StartFailedEarly as early:  # not this step has failed, but a later one
+                failures = {actions.index(early.action): early.error}
+            except (Exception, asyncio.CancelledError) as error:
+                failures = {indices[0]: error}
+            await self._starts.at_rest()
+            for index in sorted(run.times.keys() & indices):  # of a round when all of it has ended
+                self.driver.events.add("step_done", run.numbered(index, "done"), **run.position(index))
+                self.times.append(run.times[index])
+            if failures:
+                await self._fail(indices, failures, run)
+        await self._starts.stop()
 
-    async def _timed_step(self, action: Action, done: Done, actions: Sequence[Action]) -> None:
-        clock, key = self.driver.backend.clock, _estimates(action, self.system.configuration, actions)
+    async def _round(self, indices: Sequence[int], run: _Run) -> dict[int, BaseException]:
+        """Take the steps of one round. Returns which of several have failed; raises what a single one raises.
+
+        If cancelled, or if one fails, it waits for the others to end, in bounded time, so that none is left incomplete.
+        """
+        if len(indices) == 1:
+            await self._take(indices[0], run)
+            return {}
+        async with self.commanding:
+            taking = [asyncio.ensure_future(self._take(index, run, place)) for place, index in enumerate(indices)]
+            try:
+                await asyncio.wait(taking)
+            finally:
+                errors = await asyncio.gather(*map(asyncio.shield, taking), return_exceptions=True)
+        for index in indices:
+            await self._performed(run.actions[index])
+        return {index: error for index, error in zip(indices, errors, strict=True) if error is not None}
+
+    async def _take(self, index: int, run: _Run, place: int | None = None) -> None:
+        """Carry out one step until everything is done that belongs to it; ``place``: in its round, unless alone."""
+        action, clock = run.actions[index], self.driver.backend.clock
+        key = _estimates(action, self.system.configuration, run.actions) if place is None else None
         begun = clock.steady()
-        await self._step(action, done)
+        await self._step(action, run.done, alone=place is None)
         if self.entry is not None:
-            self.entry.took(clock.steady() - begun, key)
+            self.entry.took(clock.steady() - begun, key, place or 0)
+        await self.driver.watch(action)
+        if index == len(run.actions) - 1:
+            await self.driver.settle()
+        if self.after_step is not None:
+            await self.after_step(self.system.configuration)
+        run.times[index] = StepTime(index + 1, round(begun - run.began, 6), round(clock.steady() - begun, 6))
 
-    async def _step(self, action: Action, done: Done) -> None:
+    async def _step(self, action: Action, done: Done, *, alone: bool) -> None:
         """Perform ``action`` and append it to ``done``.
 
         If cancelled, it first waits for the action to end, in bounded time, so that no step is left incomplete. Only a
         creation is interrupted: it cleans up after itself. So it is as soon as a process started ahead has failed: this
         one may be waiting for that one, and would be blamed.
         """
-        before = self.system.configuration
-        performing = asyncio.ensure_future(self.perform(action))
+        performing = asyncio.ensure_future(self.perform(action) if alone else self._perform(action))
         try:
-            if isinstance(action, Create) and self._ahead is not None:
-                await asyncio.wait({performing, self._ahead}, return_when=asyncio.FIRST_COMPLETED)
-                if not performing.done():
-                    self._ahead.result()
-            await asyncio.shield(performing)
-        except (asyncio.CancelledError, _AheadFailed):
+            if isinstance(action, Create):
+                await self._starts.wait(performing)
+            before = await asyncio.shield(performing)
+        except (asyncio.CancelledError, StartFailedEarly):
             if isinstance(action, Create):
                 performing.cancel()
             await asyncio.wait({performing})
             if not performing.cancelled() and performing.exception() is None:
-                done.append((action, before))
+                done.append((action, performing.result()))
             raise
         done.append((action, before))
+        if alone:
+            await self._performed(action)
+
+    async def _performed(self, action: Action) -> None:
         if self.on_performed is not None:
             await self.on_performed(action)
 
-    async def perform(self, action: Action) -> None:
-        """Check the precondition of one action, carry it out, and update the model. Raises MidstrideError."""
-        before = self.system.configuration
-        after = action.apply(before)
-        because = f"the plan asked for it: {action.describe(before)}"
+    async def _fail(self, indices: Sequence[int], failures: Mapping[int, BaseException], run: _Run) -> None:
+        """Roll back, and raise StepFailed: the steps ``failures`` have failed while those at ``indices`` were taken."""
+        reasons = {index: _words(error) for index, error in failures.items()}
+        for index, why in reasons.items():
+            words = f"{run.name(index)} failed: {why}"
+            self.driver.events.add("step_failed", words, **run.position(index))
+        because = "; ".join(f"{run.name(index)}: {why}" for index, why in reasons.items())
+        errors = list(failures.values())
+        error = next((each for each in errors if isinstance(each, asyncio.CancelledError | Superseded)), errors[0])
+        failed = [place for place, index in enumerate(indices) if index in failures]
+        if isinstance(error, Superseded) or not (self.entry is None or await self.entry.failed(failed)):
+            # What runs is the other manager's.
+            await self._starts.stop()
+            because += "; nothing is rolled back, since another manager has taken over"
+            raise StepFailed(because, "failed") from error
+        problems = [*await self._abandon_started(run.actions[indices[0] :]), *await self._roll_back(run.done)]
+        if isinstance(error, asyncio.CancelledError):
+            raise error
+        if not problems:
+            raise StepFailed(because, "rolled_back") from error
+        raise StepFailed(f"{because}; and the roll-back failed: {'; '.join(problems)}", "failed") from error
+
+    async def perform(self, action: Action) -> Configuration:
+        """Check the precondition of one action, carry it out, and update the model. Raises MidstrideError.
+
+        Returns the configuration that it was applied to.
+        """
         async with contextlib.nullcontext() if isinstance(action, Create) else self.commanding:
-            await self.driver.perform(action, because)
+            return await self._perform(action)
+
+    async def _perform(self, action: Action) -> Configuration:
+        before = self.system.configuration
+        action.apply(before)
+        await self.driver.perform(action, f"the plan asked for it: {action.describe(before)}")
+        before = self.system.configuration  # steps beside it may have been done meanwhile
+        after = action.effect(before)
         self._moved(after, action.instances())
         match action:
             case Remove(instance):
                 self.store.remove_instance(instance)
             case SetParameters(instance):
                 self.store.write_instance(after.instances[instance], self.driver.launcher.handles.get(instance))
+        return before
 
     def _moved(self, configuration: Configuration, instances: Collection[str]) -> None:
         self.system.moved(configuration)
@@ -229,10 +305,9 @@ class Executor:
         while True:
             try:
                 if isinstance(undoing, Create):
-                    await self._start(undoing)  # the next manager must find what was removed and is there again
+                    await self._starts.start(undoing)  # the next manager must find what was removed and is there again
                 await self.perform(undoing)
-                if self.on_performed is not None:
-                    await self.on_performed(undoing)
+                await self._performed(undoing)
                 return None
             except Exception as error:
                 problem = f"{what}: {_words(error)}"
@@ -255,50 +330,10 @@ class Executor:
             killed = True
         return killed
 
-    async def _start_ahead(self, actions: Iterable[Action]) -> None:
-        """Start the processes of the next consecutive creations, so that they load in parallel, as the machine can.
-
-        Raises _AheadFailed as soon as one of them cannot start, or has exited before it registered.
-        """
-        launcher, clock, started = self.driver.launcher, self.driver.backend.clock, dict[str, Create]()
-        for action in actions:
-            if not isinstance(action, Create):
-                break
-            await room_for_a_start(clock, launcher.starting)
-            try:
-                await self._start(action)
-            except MidstrideError:
-                await clock.sleep(START_AGAIN)  # meanwhile its own step may try it, and fail with the reason
-                try:
-                    await self._start(action)
-                except MidstrideError as error:
-                    raise _AheadFailed(action, error) from error
-            started[action.instance.name] = action
-        if (exited := await launcher.first_exit(started)) is not None:
-            name, failure = exited
-            raise _AheadFailed(started[name], failure)
-
-    async def _start(self, action: Create) -> None:
-        """Start the process of a creation unless it is starting already. Raises StartFailed."""
-        instance = action.instance
-        async with self._one_start:
-            if instance.name in self.system.configuration.instances:
-                return
-            if await self.driver.start(instance):
-                self.system.started(instance.name)
-                self.store.write_instance(instance, self.driver.launcher.handles.get(instance.name))
-
-    async def _stop_starting(self) -> None:
-        if self._ahead is not None:
-            async with self._one_start:  # not between the start of a process and its record
-                self._ahead.cancel()
-            await asyncio.gather(self._ahead, return_exceptions=True)
-            self._ahead = None
-
     async def _abandon_started(self, actions: Iterable[Action]) -> list[str]:
         """Terminate what was started for ``actions``. Returns why each of the others could not be."""
         problems: list[str] = []
-        await self._stop_starting()
+        await self._starts.stop()
         for action in actions:
             if isinstance(action, Create) and action.instance.name not in self.system.configuration.instances:
                 error = await self.driver.launcher.abandon(action.instance.name)
@@ -318,10 +353,6 @@ def _estimates(action: Action, configuration: Configuration, actions: Sequence[A
         case Remove(name):
             return f"remove {configuration.component(name).name}"
     return action.kind
-
-
-def _position(actions: Sequence[Action], index: int, forms: Sequence[AnyStep]) -> dict[str, Any]:
-    return {"index": index, "of": len(actions), "step": forms[index] if forms else UNSET}
 
 
 def _words(error: BaseException) -> str:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import sqlite3
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -258,29 +258,41 @@ class JournalEntry:
 
     journal: Journal
     number: int | None
-    _step: int = 0
-    _seconds: float | None = None  # how long the step took; None while it is not done
+    _steps: range = range(0)  # those that were begun last
+    _seconds: dict[int, float] = field(default_factory=dict)  # how long those of them took that are done
     _durations: list[tuple[str, float]] = field(default_factory=list)
 
-    async def step(self, words: str) -> None:
-        """The next step is about to begin: returns once this is durable. Raises Superseded."""
+    async def step(self, *words: str) -> None:
+        """The next steps are about to begin, at once: returns when this is durable. Raises Superseded."""
         if self.number is None:
             return
-        before = self._end_of_step("done")
-        self._step, self._seconds = self._step + 1, None
+        before = self._end_of_steps("done")
+        self._steps, self._seconds = range(self._steps.stop, self._steps.stop + len(words)), {}
         insert = "INSERT INTO steps (change, number, words) VALUES (?, ?, ?)"
-        await self.journal.write(*before, (insert, (self.number, self._step, words)))
+        rows = ((self.number, step + 1, each) for step, each in zip(self._steps, words, strict=True))
+        await self.journal.write(*before, *((insert, row) for row in rows))
 
-    def took(self, seconds: float, estimates: str | None) -> None:
-        """The step is done; that is recorded with the next one. ``estimates``: the key of the estimate, if any."""
-        self._seconds = round(seconds, 6)
+    async def require_lease(self) -> None:
+        """Raises Superseded if another manager has taken over. A disk that refuses everything cannot tell."""
+        await self.journal.write()
+
+    def took(self, seconds: float, estimates: str | None, place: int = 0) -> None:
+        """A step is done, the one at ``place`` of those that were begun last; that is recorded with the next ones.
+
+        ``estimates``: the key of the estimate, if any.
+        """
+        if self.number is not None:
+            self._seconds[self._steps[place]] = round(seconds, 6)
         if estimates is not None:
             self._durations.append((estimates, seconds))
 
-    async def failed(self) -> bool:
-        """The step has failed, and those before it are to be rolled back; False if another manager has taken over."""
+    async def failed(self, places: Collection[int] = (0,)) -> bool:
+        """The steps at ``places`` have failed, and what is done is to be rolled back.
+
+        False if another manager has taken over.
+        """
         try:
-            await self.journal.write(*self._end_of_step("failed"))
+            await self.journal.write(*self._end_of_steps("failed", places))
         except Superseded:
             return False
         return True
@@ -290,7 +302,7 @@ class JournalEntry:
         if self.number is None:
             return
         update = "UPDATE changes SET outcome = ?, because = ?, seconds = ? WHERE number = ?"
-        last = self._end_of_step("done") if outcome == "done" else []
+        last = self._end_of_steps("done") if outcome == "done" else []
         await self.journal.write(*last, (update, (outcome, because, seconds, self.number)))
         if outcome == "done" and self._durations:
             await self.journal.keep_durations(self._durations)
@@ -301,8 +313,12 @@ class JournalEntry:
             form = msgspec.json.encode(list(swaps)).decode()
             await self.journal.write(("UPDATE changes SET swaps = ? WHERE number = ?", (form, self.number)))
 
-    def _end_of_step(self, outcome: OutcomeKind) -> list[Statement]:
-        if not self._step:
-            return []
+    def _end_of_steps(self, outcome: OutcomeKind, places: Collection[int] = ()) -> list[Statement]:
+        """The statements for the steps begun last: ``outcome`` for those at ``places`` and those that are not done."""
         update = "UPDATE steps SET outcome = ?, seconds = ? WHERE change = ? AND number = ?"
-        return [(update, (outcome, self._seconds, self.number, self._step))]
+        statements: list[Statement] = []
+        for place, step in enumerate(self._steps):
+            seconds = self._seconds.get(step)
+            ended = outcome if place in places or seconds is None else "done"
+            statements.append((update, (ended, seconds, self.number, step + 1)))
+        return statements

@@ -63,17 +63,23 @@ class NewChange:
 
 @dataclass(frozen=True, slots=True)
 class Interrupted:
-    """A change that an earlier manager began, and did not end. ``step`` is the number of the last that was begun."""
+    """A change that an earlier manager began, and did not end.
+
+    ``step`` is the number of the last step that was begun, ``since`` that of the first which had not ended.
+    """
 
     number: int
     command: str
     steps: int
     target: Specification
     step: int | None
+    since: int | None
 
     def __str__(self) -> str:
-        where = "before the first step" if self.step is None else f"during step {self.step} of {self.steps}"
-        return f"the manager ended {where}"
+        if self.step is None:
+            return "the manager ended before the first step"
+        several = f"s {self.since} to {self.step}" if self.since not in (None, self.step) else f" {self.step}"
+        return f"the manager ended during step{several} of {self.steps}"
 
 
 def beginning(database: Database, change: NewChange) -> tuple[int, list[Statement]]:
@@ -121,12 +127,13 @@ def _removals(database: Database, number: int) -> list[Statement]:
 def interrupted(database: Database) -> list[Interrupted]:
     """The changes that were begun and have not ended, oldest first. Raises as :func:`decode_specification` does."""
     query = """
-    SELECT changes.number, command, total, form, (SELECT max(number) FROM steps WHERE change = changes.number)
+    SELECT changes.number, command, total, form, (SELECT max(number) FROM steps WHERE change = changes.number),
+        (SELECT min(number) FROM steps WHERE change = changes.number AND outcome IS NULL)
     FROM changes JOIN specifications ON version = after WHERE outcome IS NULL ORDER BY changes.number
     """
     return [
-        Interrupted(number, command, steps, decode_specification(msgspec.json.decode(form)), step)
-        for number, command, steps, form, step in database.read(query)
+        Interrupted(number, command, steps, decode_specification(msgspec.json.decode(form)), step, since)
+        for number, command, steps, form, step, since in database.read(query)
     ]
 
 

@@ -77,12 +77,30 @@ class FencedInstance(Report, frozen=True, kw_only=True):
     words: str
 
 
+class StepTime(Report, frozen=True):
+    """How long a step took, and when it began after the first one, in seconds. Steps that overlap are in one round."""
+
+    step: Annotated[int, Meta(description="its number in the plan, from 1")]
+    begun: float
+    seconds: float
+
+
+class ModeSkew(Report, frozen=True):
+    """Functionalities of several instances that support each other, and so changed their modes in one step."""
+
+    kind: Annotated[str, Meta(description="`degrade` or `upgrade`")]
+    functionalities: list[str]
+    seconds: Annotated[float, Meta(description="between the first and the last of them, as measured")]
+
+
 class Outcome(Report, frozen=True, kw_only=True):
     """The result of a change; `refused`: nothing was changed."""
 
     outcome: OutcomeKind
     plan: PlanForm | None = None
     seconds: float = 0.0
+    steps: Annotated[list[StepTime], Meta(description="those that were done, as measured")] = []
+    skews: list[ModeSkew] = []
     fallen: Annotated[dict[str, float], Meta(description="measured seconds below the baseline")] = {}
     swaps: list[SwapReport] = []
     late: Annotated[

@@ -160,9 +160,10 @@ class Detached(WireValue, frozen=True, kw_only=True):
 
 
 class PreviousModes(WireValue, frozen=True, kw_only=True):
-    """The modes before a change, by functionality."""
+    """The modes before a change, by functionality. ``at``: when it happened (steady ns), where it ended a hold."""
 
     before: dict[str, str]
+    at: int | None = None
 
 
 class PreviousParameters(WireValue, frozen=True, kw_only=True):
@@ -385,6 +386,16 @@ class ModesCommand(Command[PreviousModes], frozen=True, kw_only=True, tag="modes
 
     modes: dict[str, str]
     because: str = "the manager requested it"
+
+
+class HoldCommand(Command[Done], frozen=True, kw_only=True, tag="hold"):
+    """Begin no call of these functionalities until their modes change, for ``seconds`` at most; 0 ends that.
+
+    Done as soon as no call of them is under way; refused, and withdrawn, if one does not return in time.
+    """
+
+    functionalities: list[str]
+    seconds: Seconds
 
 
 class SetParametersCommand(Command[PreviousParameters], frozen=True, kw_only=True, tag="set"):

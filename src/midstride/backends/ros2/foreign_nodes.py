@@ -116,9 +116,12 @@ class ForeignNodes:
         )
         path = order_file(self._folder, launch.instance)
         order.write(path)
-        self._relayed[launch.instance] = node
-        self.names.add(node)
+        self._relays(launch.instance, node)
         return path
+
+    def _relays(self, instance: str, node: str) -> None:
+        self._relayed[instance] = node
+        self.names.add(node)
 
     async def _opened(self, environment: Mapping[str, str]) -> tuple[Page, Path]:
         library = await asyncio.to_thread(build.library, environment)
@@ -150,7 +153,7 @@ class ForeignNodes:
                 await self._opened(os.environ)
             await self._answer(record)
         with suppress(BackendError):
-            self._relayed[instance] = RelayOrder.read(order_file(self._folder, instance)).node
+            self._relays(instance, RelayOrder.read(order_file(self._folder, instance)).node)
 
     async def _answer(self, record: ForeignRecord) -> None:
         gates = None

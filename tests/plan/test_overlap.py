@@ -1,0 +1,226 @@
+"""What overlaps is safe: every set of done steps that can be reached, beside a slow twin that enumerates them all."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from random import Random
+
+import pytest
+
+from midstride.errors import PlanRefused
+from midstride.model.action import Create, Remove
+from midstride.model.component import FunctionalityRef
+from midstride.model.configuration import Configuration
+from midstride.model.rules import violations
+from midstride.model.specification import initial
+from midstride.plan.change_builder import change_between
+from midstride.plan.disruption import Levels
+from midstride.plan.overlap import one_by_one, overlap
+from midstride.plan.plan import Plan
+from midstride.plan.registry import STRATEGIES
+from tests.plan import systems
+from tests.plan.cases import changed, sound, system, work
+
+FEW_AND_MANY = pytest.mark.parametrize("seeds", [range(21), pytest.param(range(21, 240), marks=pytest.mark.full)])
+# Of plans with more sets of done steps than this, every set would take too long.
+MOST = 3_000
+
+
+def plans(seeds: range, strategies: Sequence[str] = ("minimal", "paper")) -> Iterator[tuple[str, Plan]]:
+    """Every third change is tight."""
+    for seed in seeds:
+        rng = Random(seed)
+        if seed % 3 == 0:
+            start, target = systems.tight(rng, rng.randint(2, 3))
+        else:
+            start, target = systems.change(rng, systems.system(rng, 5, 4), 5)
+        for strategy in strategies:
+            try:
+                yield f"seed {seed}, {strategy}", STRATEGIES[strategy](change_between(initial(start), start, target))
+            except PlanRefused:
+                continue
+
+
+def held(configuration: Configuration) -> dict[str, float]:
+    """How much of each resource is held, and how many publishers each topic has."""
+    found: dict[str, float] = {}
+    for instance in configuration.instances.values():
+        for resource, amount in instance.component.resource_usage.items():
+            found[resource] = found.get(resource, 0.0) + float(amount)
+    for connector in configuration.context.connectors:
+        found[f"publishers of {connector}"] = len(configuration.publishers_on(connector))
+    return found
+
+
+def peak(configurations: Sequence[Configuration]) -> dict[str, float]:
+    amounts = [held(each) for each in configurations]
+    return {what: max(each.get(what, 0.0) for each in amounts) for what in {key for each in amounts for key in each}}
+
+
+def sets_of_done_steps(plan: Plan) -> dict[frozenset[int], Configuration] | None:
+    """Each that can be reached by taking any step once those it waits for are done; None if there are too many.
+
+    A step whose precondition fails raises; so do two orders that lead to different configurations.
+    """
+    found = {frozenset[int](): plan.change.start}
+    pending = [frozenset[int]()]
+    while pending:
+        done = pending.pop()
+        for index, step in enumerate(plan.steps):
+            if index in done or not done.issuperset(plan.dependencies[index]):
+                continue
+            after, configuration = done | {index}, step.action.apply(found[done])
+            if after in found:
+                assert found[after] == configuration
+            elif len(found) == MOST:
+                return None
+            else:
+                found[after] = configuration
+                pending.append(after)
+    return found
+
+
+@FEW_AND_MANY
+def test_whatever_is_done_is_valid_and_holds_no_more_than_the_sequence(seeds: range) -> None:
+    checked = 0
+    for which, plan in plans(seeds):
+        found = sets_of_done_steps(plan)
+        if found is None:
+            continue
+        most = peak(tuple(plan.configurations()))
+        for configuration in found.values():
+            assert violations(configuration) == [], which
+        for what, amount in peak(tuple(found.values())).items():
+            if not what.startswith("publishers") or _is_capped(plan, what):
+                assert amount <= most.get(what, 0.0), f"{which}: {what}"
+        checked += len(found) > len(plan.steps) + 1
+    assert checked > len(seeds) / 2, "many have steps that commute"
+
+
+def _is_capped(plan: Plan, what: str) -> bool:
+    return plan.change.start.context.connectors[what.removeprefix("publishers of ")].max_publishers is not None
+
+
+# -- disruption --------------------------------------------------------------------------------------------
+
+# By step: when it begins, and when it ends.
+Times = Sequence[tuple[float, float]]
+
+
+def missing_levels(plan: Plan, times: Times) -> dict[FunctionalityRef, float]:
+    """Levels below the baseline x seconds, of each functionality; during a step the worse of before and after counts.
+
+    An action has its effect when its step ends.
+    """
+    levels, roles, found = Levels(plan.change), [*plan.change.specification.nodes], dict[FunctionalityRef, float]()
+    moments = sorted({moment for interval in times for moment in interval})
+    in_order = sorted(range(len(times)), key=lambda index: (times[index][1], index))
+    for now, then in itertools.pairwise(moments):
+        done = [index for index in in_order if times[index][1] <= now]
+        configuration = plan.change.start
+        for index in done:
+            configuration = plan.steps[index].action.apply(configuration)
+        below = dict(levels.fallen(configuration, roles))
+        for index in in_order:
+            if times[index][0] <= now and index not in done:
+                after = levels.fallen(plan.steps[index].action.apply(configuration), roles)
+                below |= {ref: max(loss, below.get(ref, 0)) for ref, loss in after.items()}
+        for ref, loss in below.items():
+            found[ref] = found.get(ref, 0.0) + loss * (then - now)
+    return found
+
+
+def in_sequence(seconds: Sequence[float]) -> Times:
+    times: list[tuple[float, float]] = []
+    for each in seconds:
+        begin = times[-1][1] if times else 0.0
+        times.append((begin, begin + each))
+    return times
+
+
+def as_early_as_possible(plan: Plan, seconds: Sequence[float]) -> Times:
+    times: list[tuple[float, float]] = []
+    for waits, each in zip(plan.dependencies, seconds, strict=True):
+        begin = max((times[index][1] for index in waits), default=0.0)
+        times.append((begin, begin + each))
+    return times
+
+
+def assert_no_worse(which: str, plan: Plan, seconds: Sequence[float]) -> None:
+    """Than in the sequence, if every step begins as soon as it may."""
+    sequence = missing_levels(plan, in_sequence(seconds))
+    for ref, loss in missing_levels(plan, as_early_as_possible(plan, seconds)).items():
+        assert loss <= sequence.get(ref, 0.0) + 1e-6, f"{which}: {ref}"
+
+
+@FEW_AND_MANY
+def test_nothing_is_below_its_baseline_for_longer_than_in_the_sequence(seeds: range) -> None:
+    """However long the steps take, in whole milliseconds: their sums are exact."""
+    shorter = 0
+    for which, plan in plans(seeds):
+        rng = Random(which)
+        seconds = [float(rng.choice((1, 10, 100, 1000, 3000))) for _ in plan.steps]
+        assert_no_worse(which, plan, seconds)
+        shorter += bool(plan.steps) and max(end for _, end in as_early_as_possible(plan, seconds)) < sum(seconds)
+    assert shorter > len(seeds) / 2
+
+
+@pytest.mark.parametrize(
+    ("seed", "strategy", "because"),
+    [
+        (5, "minimal", "the replaced role would be without an instance"),
+        (19, "minimal", "the output would be on no topic while it moves"),
+        (35, "paper", "a detach that the fall need not wait for would delay what ends it"),
+    ],
+)
+def test_what_would_be_valid_and_disrupt_more_keeps_its_order(seed: int, strategy: str, because: str) -> None:
+    [(which, plan)] = plans(range(seed, seed + 1), [strategy])
+    assert_no_worse(f"{which}: {because}", plan, [round(1000 * step.seconds) for step in plan.steps])
+
+
+# -- what the executor overlaps ----------------------------------------------------------------------------
+
+
+@FEW_AND_MANY
+def test_rounds_are_the_steps_in_order_and_start_no_process_too_early(seeds: range) -> None:
+    several = ahead = 0
+    for which, plan in plans(seeds, sorted(STRATEGIES)):
+        found, configurations = overlap(plan), list(plan.configurations())
+        assert [index for some in found.rounds for index in some] == list(range(len(plan.steps)))
+        for some in found.rounds:
+            several += len(some) > 1
+            for index in some[1:]:
+                assert not set(plan.dependencies[index]) & set(some)
+                assert isinstance(plan.steps[index].action, Remove)
+        created = [index for index, step in enumerate(plan.steps) if isinstance(step.action, Create)]
+        assert sorted(index for starts in found.starts.values() for index in starts) == created
+        most = peak(configurations)
+        for done, configuration in enumerate(configurations):
+            for number, starts in found.starts.items():
+                for index in starts:
+                    if number <= done <= index:
+                        configuration = plan.steps[index].action.apply(configuration)
+                        ahead += done < index
+            assert violations(configuration) == [], which
+            assert all(amount <= most[what] for what, amount in held(configuration).items())
+    assert several > len(seeds) / 10 and ahead > len(seeds)
+
+
+def test_processes_start_beside_each_other_also_where_other_steps_are_between_their_creations() -> None:
+    parts = [work(name, outputs=["out"]) for name in ("A", "B", "A2", "B2")]
+    start = system(parts, {"a": ("A", {"out": "/x"}), "b": ("B", {"out": "/y"})})
+    target = system(parts, {"a": ("A2", {"out": "/x"}), "b": ("B2", {"out": "/y"})})
+    plan = sound(changed(start, target, "paper"))
+    kinds = [step.action.kind for step in plan.steps]
+    first, second = (index for index, kind in enumerate(kinds) if kind == "create")
+    assert "attach" in kinds[first:second]
+    removed = [index for index, kind in enumerate(kinds) if kind == "remove"]
+    assert overlap(plan).starts == {removed[0] + 1: [first], removed[1] + 1: [second]}
+
+
+def test_one_by_one_only_processes_of_creations_in_a_row_start_at_once() -> None:
+    create, other = Create.__new__(Create), Remove("a")
+    found = one_by_one([other, create, create, other, create])
+    assert found.rounds == ((0,), (1,), (2,), (3,), (4,))
+    assert found.starts == {1: [1, 2], 4: [4]}

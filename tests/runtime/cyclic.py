@@ -1,0 +1,100 @@
+"""A system with a cycle: the estimator and the corrector each rely on what the other writes, and change together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from midstride.lang.load import load_text
+from midstride.model.specification import Specification
+from midstride.plan.request import PlanRequest
+
+TEXT = """
+system loop
+
+contract Image = std_msgs/msg/String @ 10 Hz
+contract Words = std_msgs/msg/String @ 2 Hz
+
+topic /image      : Image
+topic /estimate   : Words
+topic /correction : Words
+
+component Camera {
+  run "python3 camera.py"
+  output out
+  functionality see { produces out   mode normal { guarantee out : Image }   mode degraded { } }
+}
+component Estimator {
+  run "python3 estimator.py"
+  input image : Image
+  input other : Words
+  output out
+  functionality work {
+    uses image, other
+    produces out
+    mode normal { assume image   assume other   guarantee out : Words }
+    mode degraded { }
+  }
+}
+component Corrector {
+  run "python3 corrector.py"
+  input other : Words
+  output out
+  functionality work {
+    uses other
+    produces out
+    mode normal { assume other   guarantee out : Words }
+    mode degraded { }
+  }
+}
+
+node camera    : Camera    { out -> /image }
+node estimator : Estimator { image <- /image   other <- /correction   out -> /estimate }
+node corrector : Corrector { other <- /estimate   out -> /correction }
+"""
+CAMERA = """
+from midstride import Component
+from std_msgs.msg import String
+
+comp = Component("camera")
+out = comp.create_output("out", String)
+see = comp.create_functionality("see", outputs=[out])
+see.set_normal_mode(lambda: out.write(String(data="an image")), rate=10, outputs=[out])
+see.set_degraded_mode(lambda: None)
+comp.start()
+"""
+# Each call takes most of the time until the next one: a change of modes has to wait for it.
+MEMBER = """
+from midstride import Component
+from std_msgs.msg import String
+
+comp = Component({name!r})
+inputs = [comp.create_input(name, String, rate=rate) for name, rate in {inputs!r}]
+out = comp.create_output("out", String)
+work = comp.create_functionality("work", inputs=inputs, outputs=[out])
+
+async def normal():
+    await comp.clock.sleep({seconds})
+    out.write(String(data="from {name}"))
+
+work.set_normal_mode(normal, rate=2, inputs=inputs, outputs=[out])
+work.set_degraded_mode(lambda: None)
+comp.start()
+"""
+MEMBERS = {"estimator.work", "corrector.work"}
+WITHOUT_CAMERA = PlanRequest(remove=("camera",))
+
+
+def cyclic(folder: Path) -> Specification:
+    """The system; its programs are written to ``folder``."""
+    folder.mkdir(exist_ok=True)
+    (folder / "camera.py").write_text(CAMERA)
+    for name, inputs, seconds in (
+        ("estimator", [("image", 10), ("other", 2)], 0.4),
+        ("corrector", [("other", 2)], 0.3),
+    ):
+        (folder / f"{name}.py").write_text(MEMBER.format(name=name, inputs=inputs, seconds=seconds))
+    return load_text(TEXT).require()
+
+
+def with_camera(specification: Specification) -> PlanRequest:
+    return PlanRequest(add=(specification.nodes["camera"],))

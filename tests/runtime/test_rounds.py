@@ -1,0 +1,248 @@
+"""The executor where a plan overlaps: several steps in one round, and processes that start before their turn."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from midstride.errors import BackendError, StartFailed, StepFailed
+from midstride.model.action import Attach, Create, Remove
+from midstride.model.configuration import Configuration
+from midstride.plan.overlap import Overlap, one_by_one
+from midstride.runtime.backend import Exited, Handle, Launch
+from midstride.runtime.journal import Journal
+from midstride.runtime.journal_records import NewChange
+from tests.model import build
+from tests.runtime.scripted import LISTENER, TALKER, Bench, ScriptedBackend, bench, instance
+
+OLD = {name: instance(name, TALKER) for name in ("first", "second", "third")}
+REMOVALS = [Remove(name) for name in OLD]
+AT_ONCE = Overlap(((0, 1, 2),), {})
+
+
+def idle() -> Configuration:
+    """Three talkers that are attached to nothing."""
+    return build.system(dict.fromkeys(OLD, TALKER), [], modes={})
+
+
+class Ending:
+    """The processes of a bench end only when they may."""
+
+    def __init__(self, b: Bench) -> None:
+        self.may = {name: asyncio.Event() for name in OLD}
+        self.begun: list[str] = []
+        self._backend = b.backend
+        b.backend.end = self._end  # type: ignore[method-assign]
+
+    async def _end(self, instance: str, grace: float) -> None:
+        self.begun.append(instance)
+        await self.may[instance].wait()
+        await ScriptedBackend.end(self._backend, instance, grace)
+
+    async def have_begun(self) -> None:
+        while len(self.begun) < len(OLD):
+            await asyncio.sleep(0.01)
+
+
+def test_the_steps_of_one_round_are_taken_at_once_and_each_is_in_the_model_when_it_is_done(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        ending = Ending(b)
+        running = asyncio.ensure_future(b.executor.run(REMOVALS, overlap=AT_ONCE))
+        await ending.have_begun()
+        assert b.kinds() == ["step"] * 3
+        await asyncio.sleep(1)
+        ending.may["third"].set()
+        await asyncio.sleep(1)
+        assert set(b.system.configuration.instances) == {"first", "second"}
+        assert b.kinds() == ["step"] * 3, "the round has not ended"
+        ending.may["first"].set()
+        ending.may["second"].set()
+        await running
+        assert not b.system.configuration.instances
+        assert [(event.kind, event.index) for event in b.events.since()] == [
+            (kind, index) for kind in ("step", "step_done") for index in range(3)
+        ]
+        times = [(time.step, time.begun, round(time.seconds)) for time in b.executor.times]
+        assert times == [(1, 0.0, 2), (2, 0.0, 2), (3, 0.0, 1)]
+
+    bench(idle(), tmp_path, body)
+
+
+def test_where_one_of_a_round_fails_the_others_end_and_are_undone(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.startable(*OLD.values())
+        ending = Ending(b)
+        b.backend.fail_end["second"] = BackendError("the kernel keeps it")
+        entry = await b.journal.begin(NewChange("apply", None, None, b.specification, 3))
+        b.executor.entry = entry
+        running = asyncio.ensure_future(b.executor.run(REMOVALS, overlap=AT_ONCE))
+        await ending.have_begun()
+        ending.may["second"].set()
+        await asyncio.sleep(1)
+        assert not running.done(), "the others may still end their processes"
+        for name in ("first", "third"):
+            ending.may[name].set()
+        with pytest.raises(StepFailed, match=r"^remove second: the kernel keeps it$") as failed:
+            await running
+        assert failed.value.outcome == "rolled_back"
+        assert b.system.configuration == idle()
+        assert [launch.instance for launch in b.backend.launches] in (["third", "first"], ["first", "third"])
+        assert b.words("step_failed") == ["remove second failed: the kernel keeps it"]
+        assert [event.index for event in b.events.since() if event.kind == "step_done"] == [0, 2]
+        [change] = (await b.journal.history(9)).changes
+        assert [step.outcome for step in change.steps] == ["done", "failed", "done"]
+        b.journal.close()
+
+    bench(idle(), tmp_path, body)
+
+
+def test_cancelled_in_a_round_it_waits_for_the_end_of_each_step_and_undoes_all(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.startable(*OLD.values())
+        ending = Ending(b)
+        running = asyncio.ensure_future(b.executor.run(REMOVALS, overlap=AT_ONCE))
+        await ending.have_begun()
+        running.cancel()
+        for name in OLD:
+            await asyncio.sleep(1)
+            assert not running.done()
+            ending.may[name].set()
+        with pytest.raises(asyncio.CancelledError):
+            await running
+        assert b.system.configuration == idle()
+        assert sorted(launch.instance for launch in b.backend.launches) == sorted(OLD)
+
+    bench(idle(), tmp_path, body)
+
+
+def test_a_crash_is_responded_to_when_the_round_has_ended(tmp_path: Path) -> None:
+    """What responds sends commands, as the steps do; so it is called without the lock that they hold."""
+
+    async def body(b: Bench) -> None:
+        performed: list[str] = []
+
+        async def respond(action: object) -> None:
+            async with b.executor.commanding:
+                performed.append(str(action))
+
+        b.executor.on_performed = respond
+        await b.executor.run(REMOVALS, overlap=AT_ONCE)
+        assert performed == [str(each) for each in REMOVALS]
+
+    bench(idle(), tmp_path, body)
+
+
+def test_what_is_begun_at_once_is_durable_before_and_the_next_manager_says_which(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        ending = Ending(b)
+        b.executor.entry = await b.journal.begin(NewChange("apply", None, None, b.specification, 4))
+        fourth = instance("fourth", LISTENER)
+        b.startable(fourth)
+        actions = [Create(fourth), *REMOVALS]
+        running = asyncio.ensure_future(b.executor.run(actions, overlap=Overlap(((0,), (1, 2, 3)), {0: [0]})))
+        await ending.have_begun()
+        [interrupted] = await b.journal.take_over()
+        assert str(interrupted) == "the manager ended during steps 2 to 4 of 4"
+        for each in ending.may.values():
+            each.set()
+        await running
+        b.journal.close()
+
+    bench(idle(), tmp_path, body)
+
+
+# -- processes that start before their turn -------------------------------------------------------------
+
+NEW = {name: instance(name, TALKER) for name in ("one", "two", "three")}
+ATTACH = Attach(build.port("one.out"), "/chatter")
+CREATE_ATTACH_CREATE = [Create(NEW["one"]), ATTACH, Create(NEW["two"])]
+
+
+def test_a_process_starts_before_its_turn_and_is_in_the_model_at_its_step(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        overlap = Overlap(one_by_one(CREATE_ATTACH_CREATE).rounds, {0: [0, 2]})
+        running = asyncio.ensure_future(b.executor.run(CREATE_ATTACH_CREATE, overlap=overlap))
+        await asyncio.sleep(1)
+        assert [launch.instance for launch in b.backend.launches] == ["one", "two"]
+        assert b.saved() == ["one", "two"], "the next manager must find both"
+        b.client.register(NEW["two"])
+        await asyncio.sleep(1)
+        assert not {"one", "two"} & set(b.system.configuration.instances)
+        b.client.register(NEW["one"])
+        await running
+        assert {"one", "two"} <= set(b.system.configuration.instances)
+        assert len(b.backend.launches) == 2
+
+    bench(build.system({"listener": LISTENER}, ["listener.in /chatter"], modes={}), tmp_path, body)
+
+
+def test_a_process_does_not_start_before_what_its_step_waits_for(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.startable(*NEW.values())
+        launched: list[int] = []
+        b.executor.on_moved = lambda *_: launched.append(len(b.backend.launches))
+        actions = [*REMOVALS, Create(NEW["one"])]
+        await b.executor.run(actions, overlap=Overlap(one_by_one(actions).rounds, {2: [3]}))
+        assert launched == [0, 0, 1, 1], "it is started when two steps are done, before the third is"
+
+    bench(idle(), tmp_path, body)
+
+
+def test_a_process_that_exits_before_its_turn_ends_the_change_at_the_next_step(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.startable(NEW["one"])
+        b.executor.on_moved = lambda *_: b.launcher.exited(Exited("two", 2, "no such file"))
+        actions = [*CREATE_ATTACH_CREATE[:2], Remove("first"), CREATE_ATTACH_CREATE[2]]
+        overlap = Overlap(one_by_one(actions).rounds, {0: [0, 3]})
+        with pytest.raises(StepFailed, match=r"^create two \(Talker\): two exited with status 2") as failed:
+            await b.executor.run(actions, overlap=overlap)
+        assert failed.value.outcome == "rolled_back"
+        assert "first" not in [name for name, _ in b.backend.ended]
+        assert b.system.configuration == idle() and b.saved() == []
+        b.executor.on_moved = lambda *_: None
+        await b.executor.run(REMOVALS)
+        assert not b.system.configuration.instances, "what failed is forgotten"
+
+    bench(idle(), tmp_path, body)
+
+
+def test_a_process_that_cannot_start_before_its_turn_leaves_nothing(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.startable(NEW["one"], NEW["three"])
+        b.backend.fail_start["two"] = StartFailed("cannot start `./nosuch`")
+        actions = [Create(NEW["one"]), ATTACH, Create(NEW["three"]), Create(NEW["two"])]
+        with pytest.raises(StepFailed, match=r"^create two \(Talker\): cannot start `./nosuch`"):
+            await b.executor.run(actions, overlap=Overlap(one_by_one(actions).rounds, {0: [0, 2, 3]}))
+        assert b.backend.running == {"listener"} and b.saved() == []
+
+    bench(build.system({"listener": LISTENER}, ["listener.in /chatter"], modes={}), tmp_path, body)
+
+
+@pytest.mark.parametrize("launched", [False, True])
+def test_a_manager_that_is_superseded_leaves_no_process_that_it_has_started_ahead(
+    launched: bool, tmp_path: Path
+) -> None:
+    """The other one takes over before the start, or while the process is being started."""
+
+    async def body(b: Bench) -> None:
+        other = Journal(b.journal.path, b.backend.name)
+        b.executor.entry = await b.journal.begin(NewChange("apply", None, None, b.specification, 3))
+        start = b.backend.start
+
+        async def start_and_lose(launch: Launch) -> Handle:
+            if (launch.instance == "two") == launched:
+                await other.take_over()
+            return await start(launch)
+
+        b.backend.start = start_and_lose  # type: ignore[method-assign]
+        overlap = Overlap(one_by_one(CREATE_ATTACH_CREATE).rounds, {0: [0, 2]})
+        with pytest.raises(StepFailed, match="nothing is rolled back, since another manager has taken over"):
+            await b.executor.run(CREATE_ATTACH_CREATE, overlap=overlap)
+        assert [launch.instance for launch in b.backend.launches] == (["one", "two"] if launched else ["one"])
+        assert "two" not in b.backend.running
+        other.close()
+        b.journal.close()
+
+    bench(build.system({"listener": LISTENER}, ["listener.in /chatter"], modes={}), tmp_path, body)
