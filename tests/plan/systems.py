@@ -10,6 +10,7 @@ from random import Random
 
 from immutables import Map
 
+from midstride.model.best import best, lowered
 from midstride.model.component import (
     Assumption,
     ComponentSpec,
@@ -22,8 +23,9 @@ from midstride.model.component import (
     ParameterSpec,
     Resource,
 )
+from midstride.model.configuration import Configuration
 from midstride.model.contract import Interval, OneOf, Predicate, QoS, ValueSet, satisfies
-from midstride.model.specification import Keep, Limit, Node, Order, Specification
+from midstride.model.specification import Keep, Limit, Node, Order, Specification, initial
 
 TYPES = ("std_msgs/msg/A", "std_msgs/msg/B")
 PROFILES = (QoS(), QoS(reliability="best_effort"), QoS(durability="transient_local"), QoS(deadline=0.5))
@@ -369,3 +371,78 @@ def tight(rng: Random, replaced: int) -> tuple[Specification, Specification]:
         }
     )
     return replace(start, resources=resources), replace(target, resources=resources)
+
+
+def exclusive(rng: Random, roles: int) -> tuple[Specification, Specification]:
+    """Nodes that write topics with caps, and from start to target exchange these or are replaced, at random.
+
+    Some read what others write, so a new one may be silent at first, and cannot take a topic over. Some hold a device.
+    """
+    predicate = Predicate(TYPES[0], 5.0)
+    topics = [f"/t{number}" for number in range(roles)]
+    caps = {topic: rng.choice((1, 1, 2, None)) for topic in topics}
+    components, pair = {}, dict[str, list[Node]]()
+    ends: list[dict[str, tuple[str, ...]]] = []
+    for _ in range(2):
+        shuffled = rng.sample(topics, len(topics))
+        end: dict[str, tuple[str, ...]] = {f"n{number}": (topic,) for number, topic in enumerate(shuffled)}
+        for role in end:
+            more = rng.choice(topics)
+            taken = sum(more in some for some in end.values())
+            if more not in end[role] and rng.random() < 0.4 and taken < (caps[more] or roles):
+                end[role] = (*end[role], more)
+        ends.append(end)
+    for role in ends[0]:
+        stays = rng.random() < 0.4
+        reads = tuple(rng.sample(topics, 1)) if rng.random() < 0.4 else ()
+        holds = {"device": 1.0} if rng.random() < 0.3 else {}
+        for kind in ("Stay",) if stays else ("Old", "New"):
+            normal = Mode("m0", (InputAlternatives(("in",)),) if reads else (), Map({"out": predicate}))
+            chain = (normal, Mode("m1", (), Map({"out": predicate}) if rng.random() < 0.2 else Map()))
+            components[f"{kind}{role}"] = ComponentSpec.of(
+                f"{kind}{role}",
+                inputs={"in": predicate} if reads else {},
+                outputs=("out",),
+                functionalities=(
+                    FunctionalitySpec("f", chain, ("in",) if reads else (), ("out",), float(rng.choice((1, 2, 5)))),
+                ),
+                holds=holds,
+                run=f"python3 {kind}{role}.py",
+                takes=rng.choice((0.5, 1.0, 2.0)),
+            )
+        pair[role] = [
+            Node(role, f"{kind}{role}", Map({"out": end[role], **({"in": reads} if reads else {})}))
+            for kind, end in zip(("Stay", "Stay") if stays else ("Old", "New"), ends, strict=True)
+        ]
+    held = sum(components[nodes[0].component].resource_usage.get("device", 0.0) for nodes in pair.values())
+    start, target = (
+        Specification(
+            "exclusive",
+            connectors=Map({topic: Connector(topic, predicate, cap) for topic, cap in caps.items()}),
+            components=Map(components),
+            nodes=Map({role: nodes[end] for role, nodes in pair.items()}),
+            resources=Map({"device": Resource("device", max(held, 1.0))}),
+            timing=Map({"remove": 0.25}),
+        )
+        for end in range(2)
+    )
+    return start, target
+
+
+def degraded(
+    rng: Random, start: Specification, target: Specification
+) -> tuple[Configuration, Specification, Specification]:
+    """What runs when some functionalities have degraded, its specification and the target.
+
+    Either some have by themselves, and can be raised again; or what the environment guaranteed is gone, and the target
+    does without it.
+    """
+    running = initial(start)
+    if target.environment and rng.random() < 0.6:
+        target = replace(target, environment=target.environment[1:])
+        return running.with_modes(best(running.with_context(target.context)).modes), start, target
+    refs = sorted(running.modes)
+    fallen = {ref: running.functionality(ref).last_mode for ref in rng.sample(refs, min(len(refs), 2))}
+    running = running.with_modes(fallen)
+    consumers = [other for ref in fallen for other in running.downstream(ref)]
+    return running.with_modes(lowered(running, consumers)), start, target

@@ -53,6 +53,18 @@ def between(start: Specification, target: Specification) -> Change:
         raise
 
 
+def drawn_to_be_hard(seed: int, most: int = 4) -> Change:
+    """Outputs that exchange capped topics, or a start in which something has degraded; every other change each."""
+    rng = Random(seed)
+    if seed % 2:
+        start, target = systems.exclusive(rng, rng.randint(2, most))
+    else:
+        start, target = systems.change(rng, systems.system(rng, 4, 3), 4)
+    if seed % 2 and rng.random() < 0.7:
+        return change_between(initial(start), start, target)
+    return change_between(*systems.degraded(rng, start, target))
+
+
 def planned(change: Change, strategy: str) -> Plan:
     """The plan; it may be refused on account of the user's constraints alone."""
     try:
@@ -86,6 +98,43 @@ def test_every_plan_holds_on_drawn_systems(start: Specification, seed: int, stra
 @given(specifications(), specifications(), NAMES)
 def test_every_plan_holds_between_any_two_systems(start: Specification, target: Specification, strategy: str) -> None:
     holds(planned(between(start, target), strategy))
+
+
+@settings(max_examples=40)
+@given(SEEDS, NAMES)
+def test_every_plan_holds_from_a_degraded_start_and_among_capped_topics(seed: int, strategy: str) -> None:
+    plan = planned(drawn_to_be_hard(seed), strategy)
+    assert decode_plan(json.loads(json.dumps(encode_plan(plan)))).change == plan.change
+    holds(plan)
+
+
+@settings(max_examples=25)
+@given(SEEDS)
+def test_minimal_is_as_good_from_a_degraded_start_and_among_capped_topics(seed: int) -> None:
+    change = drawn_to_be_hard(seed, 3)
+    try:
+        least = Exhaustive(change, 10).optimum()
+    except TooLarge:
+        assume(False)
+    plan = planned(change, "minimal")
+    assert plan.disruption == pytest.approx(least)
+    assert plan.proved_minimal
+
+
+@pytest.mark.long
+def test_minimal_is_as_good_on_many_degraded_starts_and_capped_topics() -> None:
+    costly = {True: 0, False: 0}
+    for seed in range(4000):
+        change = drawn_to_be_hard(seed)
+        try:
+            least = Exhaustive(change, 10).optimum()
+        except TooLarge:
+            continue
+        plan = STRATEGIES["minimal"](change)
+        assert plan.disruption == pytest.approx(least), f"seed {seed}"
+        assert plan.proved_minimal, f"seed {seed}"
+        costly[bool(change.lowered)] += bool(least)
+    assert min(costly.values()) > 50
 
 
 @given(SEEDS, NAMES)
