@@ -21,6 +21,7 @@ from midstride.plan.request import PlanRequest
 from midstride.runtime.backend import Launch
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Outcome
+from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.simulation.disk import SimulatedDisk
 from midstride.simulation.lives import Life
@@ -152,7 +153,9 @@ class Managed:
 
     async def up(self) -> None:
         self.life = self._disk.life = Life(self.lab.simulator)
-        self.manager = Manager(self.lab.specification, self.life.backend, self._workspace, FOLDER, disk=self._disk)
+        saved = StateStore(self._workspace.state, disk=self._disk).load()
+        declared = self.lab.specification if saved is None else saved.specification
+        self.manager = Manager(declared, self.life.backend, self._workspace, FOLDER, disk=self._disk)
         await self.manager.up()
 
     async def change(self, *replacements: tuple[str, str]) -> Outcome:

@@ -97,6 +97,7 @@ async def _managed(robot: Managed, event: str, during: float, said: list[str]) -
     faults = robot.lab.simulator.faults
     if event == "the manager dies":
         change = asyncio.ensure_future(robot.change(*CHANGES[event]))
+        change.add_done_callback(lambda task: task.cancelled() or task.exception())  # what dies with it is no news
         await asyncio.sleep(during)
         robot.life.kill()
         change.cancel()

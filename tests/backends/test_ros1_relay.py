@@ -193,7 +193,11 @@ def test_a_node_that_hangs_has_its_dependants_degraded(tmp_path: Path) -> None:
         async def mode() -> str:
             return (await manager.peek("throttle")).functionalities["thin"].mode
 
-        await until_async(lambda: is_normal(mode))
+        async def receives() -> bool:  # what never came is not missed
+            return (await manager.peek("throttle")).ports["in"]["/chat"].count > 0
+
+        await until_async(receives, 60)
+        await until_async(lambda: is_normal(mode), 60)
         (talker,) = psutil.Process((await manager.peek("talker")).pid).children()
         talker.suspend()
         try:

@@ -331,15 +331,36 @@ def test_the_plans_of_every_strategy_are_compared_on_one_time_axis(capsys: pytes
     ]
 
 
-def test_a_plan_is_explained_with_what_it_would_cost_to_keep_what_falls(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def on_one_gpu(folder: Path) -> Path:
+    """A talker and its replacement that do not fit on the GPU together."""
     document = json.loads(Path(TALKER).read_text())
     document["resources"] = {"gpu": {"capacity": 1}}
     for name in ("Talker", "NewTalker"):
         document["components"][name]["holds"] = {"gpu": 1}
-    file = tmp_path / "talker.json"
+    document["components"]["Light"] = {**document["components"]["Talker"], "holds": {}}
+    file = folder / "talker.json"
     file.write_text(json.dumps(document))
+    return file
+
+
+def test_a_plan_may_make_detours(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("plan", str(on_one_gpu(tmp_path)), "--replace", "talker=NewTalker", "--detours")
+    status, out, err = run(capsys, *words)
+    assert (status, err) == (0, "")
+    assert "Detour: talker_3 (Light) stands in for talker during the change." in out
+    assert "Disruption 0 weighted functionality-seconds (proved minimal, with detours)" in out
+    plan = json.loads(run(capsys, *words, "--json")[1])
+    assert (plan["proof_space"], plan["proved_minimal"], plan["fallen"]) == ("detours", True, [])
+    plans = json.loads(run(capsys, *words, "--compare", "--json")[1])["strategies"]
+    assert [plan["proof_space"] for plan in plans.values()] == ["detours", "direct", "direct", "direct"]
+    status, _, err = run(capsys, *words, "--strategy", "paper")
+    assert (status, "--detours is for the strategy minimal alone" in err) == (2, True)
+
+
+def test_a_plan_is_explained_with_what_it_would_cost_to_keep_what_falls(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = on_one_gpu(tmp_path)
     status, out, err = run(capsys, "plan", str(file), "--replace", "talker=NewTalker", "--explain")
     assert (status, err) == (0, "")
     assert "`create talker_2 (NewTalker)` has to wait: resource gpu: 2 held by talker, talker_2" in out

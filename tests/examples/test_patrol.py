@@ -71,6 +71,13 @@ def test_what_degrades_costs_less_than_by_quiescence_and_is_never_blind(trial: A
 
 
 @pytest.mark.full
+def test_a_manager_that_dies_after_the_new_driver_is_in_is_followed_by_one_that_manages_it(trial: Any) -> None:
+    row = trial.run(5, "the manager dies", "paper", after=10.0)
+    assert (row["said"], row["collisions"]) == ([], 0)
+    assert row["lost"] < 150  # the driver was missing for the change, and not until the next manager
+
+
+@pytest.mark.full
 def test_a_run_is_the_same_again(trial: Any) -> None:
     first, second = (trial.run(SEED, "the detector hangs", "minimal", after=5.0) for _ in range(2))
     assert first == second

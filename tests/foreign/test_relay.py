@@ -13,8 +13,9 @@ import pytest
 
 from midstride.codec.component import NamedComponentForm
 from midstride.errors import MidstrideError, NodeError
-from midstride.foreign.relay import RelayedProgram, RelayOrder, differing, private_topics
+from midstride.foreign.relay import RelayedProgram, RelayOrder, differing, patient, private_topics
 from midstride.lang.load import load
+from midstride.model.contract import QoS
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.reaper import process_info
@@ -247,3 +248,11 @@ def test_a_program_that_cannot_be_started_is_named(tmp_path: Path) -> None:
 def test_the_variables_of_the_program() -> None:
     found = differing({"A": "1", "B": "2"}, {"A": "1", "B": "3", "C": "4"})
     assert found == {"B": "2", "C": None}
+
+
+def test_a_reliable_output_may_wait_in_a_relay() -> None:
+    """For 2 s at its rate; with best effort, as with 1 kHz for longer, messages are dropped as ever."""
+    for declared, rate, depth in ((None, 50.0, 100), (200, 50.0, 200), (None, None, 10), (5, 9e9, 1000)):
+        assert patient(QoS(depth=declared), rate).effective().depth == depth
+    sensor, everything = QoS(reliability="best_effort", depth=5), QoS(history="keep_all")
+    assert (patient(sensor, 50.0), patient(everything, 50.0)) == (sensor, everything)

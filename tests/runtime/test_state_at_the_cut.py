@@ -93,6 +93,24 @@ def test_a_component_with_two_grids_moves_its_one_state_once(slow: float, gap: f
     counting(system(tmp_path, at_rates(out=fast, log=slow), out=fast, log=slow), body)
 
 
+@pytest.mark.parametrize("messages", [False, pytest.param(True, marks=pytest.mark.full)])
+def test_reports_between_the_two_that_are_lost_cost_no_number(messages: bool, tmp_path: Path) -> None:
+    """The old one sees, when it would resume, that the new one has written; else it would write the same numbers."""
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        reader = Reader(simulator, "/out")
+        await settle()
+        simulator.faults.fail_next("counter", "taken", "lost_request", 1000)
+        outcome = await exchanged(manager)
+        assert (outcome.outcome, outcome.because) == ("done", None)
+        await settle()
+        reader.assert_exactly_once()
+        assert reader.changes == 1
+
+    folder = system(tmp_path, for_messages(200), source=200) if messages else system(tmp_path, at_rates(out=50), out=50)
+    counting(folder, body)
+
+
 _RAISES = "raise ValueError('lost')"
 
 

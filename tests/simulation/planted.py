@@ -27,6 +27,16 @@ def _acknowledgement_dropped(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(cut_protocol.CutOutTask, "taken", taken)
 
 
+def _resumed_without_claim(patch: pytest.MonkeyPatch) -> None:
+    """The old side of a cut writes again although the new one may have taken over: its report is late."""
+    patch.setattr(cut_protocol.CutOutTask, "_may_resume", lambda self: not self._taken)
+
+
+def _written_without_claim(patch: pytest.MonkeyPatch) -> None:
+    """The new side of a cut writes although the old one may write again."""
+    patch.setattr(cut.IncomingCut, "admits", cut.IncomingCut.passes)
+
+
 def _write_not_durable(patch: pytest.MonkeyPatch) -> None:
     """A write returns before it is durable: it is committed with the next one, as without an fsync."""
     write = Database.write
@@ -252,6 +262,8 @@ PLANTED: Final[dict[str, Plant]] = {
     function.__name__.strip("_").replace("_", " "): function
     for function in (
         _acknowledgement_dropped,
+        _resumed_without_claim,
+        _written_without_claim,
         _write_not_durable,
         _lease_forgotten,
         _superseded_goes_on,

@@ -50,6 +50,7 @@ print([run.digest for run in simulate_many({seeds!r})])
     ("name", "words"),
     [
         ("gate opened early", "both"),
+        ("resumed without claim", "both"),
         ("dependants not lowered", "although what it assumes there is broken"),
         ("removal not recorded", "saved are"),
     ],

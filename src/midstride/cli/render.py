@@ -179,6 +179,8 @@ def _shift(shift: Document) -> str:
 def cost(document: Document) -> str:
     """The cost of a plan, and whether its disruption is proved minimal."""
     bound = "proved minimal" if document.get("proved_minimal") else f"at least {document.get('lower_bound', 0):.3g}"
+    if document.get("proof_space") == "detours":
+        bound += ", with detours"
     disruption = f"Disruption {document['disruption']:.3g} weighted functionality-seconds"
     # It counts what happens on the way: what is lost for good does not show in it.
     if lower := _lower_afterwards(document):

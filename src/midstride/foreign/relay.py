@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import math
 import os
 import signal
 import subprocess
@@ -20,7 +21,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
@@ -47,6 +48,9 @@ from midstride.wire.state import WireValue
 # How long the program may take to create the publishers and subscriptions that are declared (s).
 ENDPOINTS_TIMEOUT: Final = 20.0
 _LOOK: Final = 0.05
+# For how long a reliable output with a rate may wait in a relay without loss (s), and of how many messages at most.
+QUEUE: Final = 2.0
+DEEPEST: Final = 1000
 # How long it may take to end by itself, and once it is asked to (s).
 _ENDS: Final = 0.5
 _GRACE: Final = 2.0
@@ -112,6 +116,16 @@ def differing(program: Mapping[str, str], relay: Mapping[str, str]) -> dict[str,
 def private_topics(component: ComponentSpec, instance: str) -> dict[str, str]:
     """Where the program publishes instead, by output: hidden from ROS 2's tools by the first character."""
     return {port: f"/_midstride/relay/{instance.strip('/')}/{port}" for port in component.outputs}
+
+
+def patient(qos: QoS, rate: float | None) -> QoS:
+    """The same with a queue that is deep enough for a relay that is not given a core for a while, where it is reliable.
+
+    Such a queue fills at once and is emptied at once, where that of the program would have done so message by message.
+    """
+    depth = qos.effective().depth or 1
+    wanted = min(max(depth, math.ceil((rate or 0.0) * QUEUE)), DEEPEST)
+    return replace(qos, depth=max(depth, wanted)) if qos.is_reliable and qos.history != "keep_all" else qos
 
 
 class RelayedProgram:
@@ -234,12 +248,14 @@ class RelayComponent:
         endpoint, owner = self.component.output_endpoint(name), self.component.owner(name)
         if endpoint is None:
             raise NodeError(f"output {name} of {self.component.name} has no type: no mode guarantees anything for it")
-        type_, qos = self._type_of(endpoint[0]), endpoint[1]
-        output = Output(name, type_, qos)
-        output.relayed = True
-        source = Input(name, type_, Predicate(endpoint[0], None, qos))
         rate = self.component.stated_rate(name, {owner.name: owner.modes[0].name})
-        return Relay(source, output, self.order.topics[name], qos, rate is not None)
+        type_, qos = self._type_of(endpoint[0]), endpoint[1]
+        deeper = patient(qos, rate)
+        # Late joiners get as many messages of a transient-local output as are declared.
+        output = Output(name, type_, qos if qos.is_transient_local else deeper)
+        output.relayed = True
+        source = Input(name, type_, Predicate(endpoint[0], None, deeper))
+        return Relay(source, output, self.order.topics[name], deeper, rate is not None)
 
     def _functionality(self, functionality: FunctionalitySpec) -> Functionality:
         inputs = tuple(self.parts.inputs[name] for name in functionality.inputs)

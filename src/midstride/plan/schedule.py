@@ -61,8 +61,8 @@ Mark = tuple[Hashable, Claim]
 class _Marker:
     def __init__(self, change: Change) -> None:
         self.change = change
-        # The roles whose level depends on the order of their own structural steps.
-        self.moving = {change.role_of(old) for old in change.replaced}
+        # The roles whose level depends on the order of their steps: those of several instances, or with moving outputs.
+        self.moving = {each.role for each in change.coming if each.role in change.start.instances_by_role}
         self.moving |= self._roles_of_outputs(change.detached) & self._roles_of_outputs(change.attached)
         self.orders = [constraint for constraint in in_force(change) if isinstance(constraint, Order)]
         self._attached: dict[PortRef, list[str]] = defaultdict(list)

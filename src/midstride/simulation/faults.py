@@ -63,6 +63,9 @@ _REQUEST_FAULTS: Final[dict[FaultKind, RequestFault]] = {
 REQUESTS: Final = 40
 # The requests of a hand-over at which a fault strikes on purpose: between any two of them, another side knows more.
 CRITICAL: Final = ("meet", "cut_out", "cut_in", "await_cut", "taken", "cancel_cut")
+# What keeps one side of a hand-over from hearing of the other for longer than it waits; of requests, so many.
+STALLS: Final[tuple[FaultKind, ...]] = ("lost request", "lost reply", "unreachable", "freeze")
+LASTING: Final = 20
 # How many requests a step makes at most, where that is more than three.
 REQUESTS_OF: Final = {"handover": 18, "create": 6}
 
@@ -102,13 +105,14 @@ def _draw(random: random.Random, steps: Sequence[str], kinds: Sequence[str]) -> 
     op = random.choice(CRITICAL) if "handover" in steps and random.random() < 0.25 else None
     step = "handover" if op is not None else random.choice(steps) if steps and random.random() < 0.75 else None
     after = 0 if op is not None else random.randrange(REQUESTS if step is None else REQUESTS_OF.get(step, 3))
+    stalls = op is not None and kinds is KINDS and random.random() < 0.4
     return Fault(
-        kind=cast("FaultKind", random.choice(kinds)),
+        kind=cast("FaultKind", random.choice(STALLS if stalls else kinds)),
         step=step,
         after=after,
         involved=random.random() < 0.6,
         seconds=random.choice((0.005, 0.03, 0.1, 0.3, 1.0, 3.0, 8.0)),
-        times=random.choice((1, 1, 2, 3) if op is None else (1, 2, 2, 20)),
+        times=LASTING if stalls else random.choice((1, 1, 2, 3) if op is None else (1, 2)),
         op=op,
     )
 
