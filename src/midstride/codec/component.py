@@ -67,11 +67,12 @@ class EndpointForm(Form, frozen=True):
 
 
 class InputForm(PredicateForm, frozen=True):
-    """What an input assumes of its topics, and how many missed messages in succession it tolerates."""
+    """What an input assumes of its topics, how many missed messages it tolerates, and whether it is a condition."""
 
     what: ClassVar[str] = "an input"
 
     tolerates: Annotated[int, field("a number of messages", "missed in succession", ge=1)] | UnsetType = UNSET
+    condition: Annotated[bool, field("true or false", "whether its last message decides")] = False
 
 
 class AssumptionForm(ShapedForm, frozen=True):
@@ -202,7 +203,9 @@ class ComponentForm(Form, frozen=True):
             allows=[msgspec.convert(endpoint, EndpointForm, from_attributes=True) for endpoint in component.allows],
             inputs={
                 name: InputForm(
-                    **predicate_keys(component.inputs[name]), tolerates=component.tolerates.get(name, UNSET)
+                    **predicate_keys(component.inputs[name]),
+                    tolerates=component.tolerates.get(name, UNSET),
+                    condition=name in component.conditions,
                 )
                 for name in component.input_order
             },
@@ -226,6 +229,7 @@ class ComponentForm(Form, frozen=True):
             package=given(self.package),
             takes=given(self.takes_seconds),
             tolerates={port: form.tolerates for port, form in self.inputs.items() if form.tolerates is not UNSET},
+            conditions=[port for port, form in self.inputs.items() if form.condition],
             gate=given(self.gate),
             topics=self.topics,
         )

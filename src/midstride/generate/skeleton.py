@@ -69,6 +69,8 @@ class _Builder:
             arguments = [repr(name), *self._stated(component.inputs[name])]
             if name in component.tolerates:
                 arguments.append(f"tolerates={component.tolerates[name]}")
+            if name in component.conditions:
+                arguments.append("condition=True")
             result.declarations.append(f"{self.ports[name]} = self.component.create_input({', '.join(arguments)})")
         for name in component.outputs:
             self.ports[name] = self.names.take(name, "output")

@@ -76,7 +76,8 @@ MODEL: Final = (
         "E004: number out of range",
         """The number is not finite or is out of range: rates and capacities must be greater than 0; times and
         weights cannot be negative. Numbers are at most 1e18, in Hz and seconds; integer parameters have at most
-        64 bits. A number of tolerated messages needs a rate, since without one no message is ever missed.""",
+        64 bits. A number of tolerated messages needs a rate, since without one no message is ever missed. A condition
+        needs a constraint on a field, since without one every message meets it.""",
         "write a finite number within the range that the message names",
         TALKING + "resource memory = -1\n",
         TALKING + "limit talker.talk below baseline -1 s\n",
@@ -85,6 +86,7 @@ MODEL: Final = (
         TALKING + "timing { create -1 s }\n",
         "system s\ntopic /chatter : std_msgs/msg/String qos(deadline = 0 s)\n",
         _component("  input a : std_msgs/msg/String tolerates 3 missed\n"),
+        _component("  input a : std_msgs/msg/String condition\n"),
         _json('{"system": "s", "topics": {"/chatter": {"type": "std_msgs/msg/String", "rate": -1}}}\n'),
         _json('{"system": "s", "topics": {"/chatter": {"type": "std_msgs/msg/String", "rate": 1e308}}}\n'),
     ),
@@ -274,11 +276,12 @@ MODEL: Final = (
     _entry(
         "E027: gate that cannot work",
         """A component with a `gate`, whose program does not use Midstride's API, has no `run` command, a parameter that
-        is `changeable`, or a mode between the first and the last that sets no parameter; with `gate lifecycle`, it has
-        several functionalities; with `gate relay`, a mode between the first and the last, one with parameters, or an
-        output for which no mode states a type; its node attaches a port to several topics; or a component without a
-        `gate` has a name for the topic of a port (`as`), or a mode with parameters. A parameter of a mode is declared
-        in the component, with a value of the same type, and belongs to the modes of one functionality.""",
+        is `changeable`, an input that is a `condition`, or a mode between the first and the last that sets no
+        parameter; with `gate lifecycle`, it has several functionalities; with `gate relay`, a mode between the first
+        and the last, one with parameters, or an output for which no mode states a type; its node attaches a port to
+        several topics; or a component without a `gate` has a name for the topic of a port (`as`), or a mode with
+        parameters. A parameter of a mode is declared in the component, with a value of the same type, and belongs to
+        the modes of one functionality.""",
         "correct the statement that the message names",
         STARTED.replace("output out", "output out as chat") + NODE,
         STARTED.replace('talker"', 'talker" gate preload').replace("mode silent", "mode quiet { }\n    mode silent")

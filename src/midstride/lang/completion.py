@@ -135,8 +135,8 @@ class _CursorContext:
             functionality = find(found.functionalities, self.statement[3]) if found else None
             yield "mode", [mode.name.text for mode in functionality.modes] if functionality else ()
         else:
-            if first == "input" and ":" in self.statement and "tolerates" not in self.statement:
-                yield "keyword", ("tolerates",)
+            if first == "input" and ":" in self.statement and "condition" not in self.statement:
+                yield "keyword", ("condition",) if "tolerates" in self.statement else ("condition", "tolerates")
             yield "keyword", _STATEMENTS.get(block, ())
             if block == "node":
                 found = self._declared(self._word_after(self.blocks[-1], 3))

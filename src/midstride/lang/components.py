@@ -192,6 +192,7 @@ class ComponentBuilder:
             package=None if run is None or run.package is None else run.package.text,
             takes=None if run is None or run.startup is None else run.startup.value,
             tolerates={each.name.text: int(each.tolerates.value) for each in declaration.inputs if each.tolerates},
+            conditions=[each.name.text for each in declaration.inputs if each.condition],
             gate=next((gate for gate in GATES if run and run.gate and run.gate.text == gate), None),
             topics={own.name.text: own.topic.text for own in declaration.topics},
         )

@@ -130,4 +130,5 @@ class _Hover:
 
 def _tolerance(component: ComponentSpec, name: str) -> str:
     missed = component.tolerates.get(name)
-    return "" if missed is None else f", tolerates {missed} missed"
+    tolerance = "" if missed is None else f", tolerates {missed} missed"
+    return f"{tolerance}, a condition" if name in component.conditions else tolerance

@@ -94,8 +94,10 @@ class ComponentParser(ContractParser):
         self.expect(":", f"after input `{name.text}`", ("name", "path"))
         contract = self.contract(f"for input `{name.text}`")
         tolerated = self._tolerated() if self.accept_word("tolerates") else None
+        span = self.span()
+        condition = span if self.accept_word("condition") else None
         self._own_topic(name, topics)
-        return syntax.InputDeclaration(name, contract, tolerated)
+        return syntax.InputDeclaration(name, contract, tolerated, condition)
 
     def _own_topic(self, port: syntax.Name, topics: list[syntax.OwnTopic]) -> None:
         if self.accept_word("as"):

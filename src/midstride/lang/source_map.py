@@ -107,6 +107,8 @@ def _component(declaration: syntax.ComponentDeclaration, rest: Subject) -> Span:
             return entry.name.span
         case ["inputs", name, "tolerates"] if (port := find(declaration.inputs, name)) is not None and port.tolerates:
             return port.tolerates.span
+        case ["inputs", name, "condition"] if (port := find(declaration.inputs, name)) is not None and port.condition:
+            return port.condition
         case ["inputs", name, *inner] if (port := find(declaration.inputs, name)) is not None:
             return _contract(port.contract, inner, port.name.span)
         case ["outputs", *inner]:

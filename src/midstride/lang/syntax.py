@@ -118,6 +118,7 @@ class InputDeclaration(NamedTuple):
     name: Name
     contract: ContractExpression
     tolerates: Number | None
+    condition: Span | None
 
 
 class OwnTopic(NamedTuple):

@@ -10,7 +10,7 @@ nothing, so a functionality that loses its inputs can always degrade to it inste
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final, Literal, NamedTuple, TypeAlias, get_args
 
@@ -179,7 +179,8 @@ class ComponentSpec:
 
     ``run`` is the command that starts it (None: it is started elsewhere), ``package`` the ROS 2 package of which its
     program is an executable, if any, ``startup_seconds`` how long the start takes (s), where known. ``tolerates``: how
-    many missed messages in succession an input tolerates, where stated.
+    many missed messages in succession an input tolerates, where stated; ``conditions``: the inputs whose last message
+    decides whether what they assume holds.
     ``gate``: what holds back the outputs of a program that does not use Midstride's API (None: it does use it), and
     ``topics`` the names that such a program has for its ports, where they are not the ports' own.
     """
@@ -196,6 +197,7 @@ class ComponentSpec:
     run: str | None = None
     startup_seconds: float | None = None
     tolerates: Map[str, int] = field(default_factory=Map)
+    conditions: frozenset[str] = frozenset()
     gate: Gate | None = None
     topics: Map[str, str] = field(default_factory=Map)
     package: str | None = None
@@ -229,6 +231,7 @@ class ComponentSpec:
         run: str | None = None,
         takes: float | None = None,
         tolerates: Mapping[str, int] | None = None,
+        conditions: Iterable[str] = (),
         gate: Gate | None = None,
         topics: Mapping[str, str] | None = None,
         package: str | None = None,
@@ -248,6 +251,7 @@ class ComponentSpec:
             run=run,
             startup_seconds=takes,
             tolerates=Map(tolerates or {}),
+            conditions=frozenset(conditions),
             gate=gate,
             topics=Map(topics or {}),
             package=package,
@@ -334,6 +338,7 @@ class ComponentSpec:
         return (
             self.inputs,
             self.tolerates,
+            self.conditions,
             frozenset(self.outputs),
             {functionality.name: functionality.meaning() for functionality in self},
             self.resource_usage,

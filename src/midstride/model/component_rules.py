@@ -90,6 +90,9 @@ def _tolerance(component: ComponentSpec, name: str, path: Path) -> Iterator[Prob
     if missed is not None and assumption.type and assumption.rate is None and assumption.qos.deadline is None:
         message = f"input {name} tolerates {missed} missed messages, but assumes no rate, so none is ever missed"
         yield Problem("E004", path, message, "state the rate that it assumes (`@ 10 Hz`), or leave out `tolerates`")
+    if name in component.conditions and assumption.type and not assumption.fields:
+        message = f"input {name} is a condition, but constrains no field, so every message meets it"
+        yield Problem("E004", (*path[:-1], "condition"), message, "add `where …`, or leave out `condition`")
 
 
 def _ownership(component: ComponentSpec, path: Path) -> Iterator[Problem]:

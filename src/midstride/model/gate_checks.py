@@ -41,6 +41,9 @@ def gate_problems(component: ComponentSpec, path: Path) -> Iterator[Problem]:
                 message = f"mode {mode.name} of {functionality.name} does the same as the normal mode"
                 help = "with a gate, state what differs: `parameters { … }`; the gate is closed in the last mode only"
                 yield Problem(_CODE, where, message, help)
+    for port in sorted(component.conditions):
+        message = f"input {port} of {name} cannot be a condition: {name} does not use Midstride's API"
+        yield Problem(_CODE, (*path, "inputs", port, "condition"), message, "omit `condition`")
     for parameter, declared in sorted(component.parameters.items()):
         if declared.changeable:
             message = f"parameter {parameter} of {name} cannot be set in place: {name} does not use Midstride's API"

@@ -68,9 +68,11 @@ class Attachments:
         port = self.port(command.port)
         if port.link(topic) is not None:
             raise CommandRefused(f"{port.name} is already attached to {topic}")
-        if isinstance(port, Input) and command.rate is not None:
-            port.rate = command.rate
-            port.tolerates = command.tolerates or port.tolerates
+        if isinstance(port, Input):
+            port.condition = port.condition or command.condition
+            if command.rate is not None:
+                port.rate = command.rate
+                port.tolerates = command.tolerates or port.tolerates
         link = await self.data.run(lambda: self._create(port, topic), timeout)
         try:
             handed_over = command.gate == "closed"

@@ -58,7 +58,8 @@ class Revision:
 
 @dataclass
 class CommandHandlers:
-    """``degraded`` is called on either thread when a functionality degrades by itself, ``changed`` after a cut.
+    """``degraded`` is called on either thread when a functionality degrades by itself, ``changed`` after a cut, and
+    when a condition has turned.
 
     ``token`` returns the token for connections to peers.
     """
@@ -75,7 +76,7 @@ class CommandHandlers:
         self._under_way = 0
         self._hold: Hold | None = None
         self._expiry: asyncio.Task[None] | None = None  # of the hold
-        self.reflex = Reflex(self.host, self._runners, lambda: self._under_way > 0, self.degraded)
+        self.reflex = Reflex(self.host, self._runners, lambda: self._under_way > 0, self.degraded, self.changed)
         self._data = DataExecutor(self.host, self._busy_words)
         self._attachments = Attachments(self.parts, self.host, self._data)
         self._hooks = StateHooks(self.parts.callbacks, self._data)

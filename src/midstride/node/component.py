@@ -66,6 +66,7 @@ class Component:
         qos: QoS | int | None = None,
         where: Where | None = None,
         tolerates: int | None = None,
+        condition: bool = False,
     ) -> Input:
         """An input port, with what it assumes about any topic that it is attached to (docs/semantics.md section 1).
 
@@ -78,6 +79,8 @@ class Component:
         - ``tolerates`` is how many messages in succession may be missed before a mode that assumes this input is left
           (docs/semantics.md section 7, Local reflex); None: 10, and silence of at least 5 s. It needs a rate. What the
           specification states takes precedence.
+        - ``condition``: the last message alone decides, by ``where``, whether what it assumes holds: a mode that
+          assumes it is left at once, and restored at once (docs/semantics.md section 7, Conditions).
 
         Raises NodeError.
         """
@@ -87,7 +90,9 @@ class Component:
         hertz, profile = contracts.check_rate(rate, where_), contracts.check_qos(qos, where_)
         assumption = Predicate(contracts.type_name(message_type), hertz, profile, fields)
         missed = contracts.check_missed(tolerates, assumption, where_)
-        self._parts.inputs[name] = Input(name, message_type, assumption, missed)
+        if condition and not fields:
+            raise NodeError(f"{where_}: a condition needs a constraint, else every message meets it; write where=")
+        self._parts.inputs[name] = Input(name, message_type, assumption, missed, condition)
         return self._parts.inputs[name]
 
     def create_output(self, name: str, type: type, qos: QoS | int | None = None) -> Output:

@@ -66,6 +66,7 @@ def declare(name: str, parts: DeclaredParts) -> model.ComponentSpec:
         name,
         inputs={name: port.assumption for name, port in parts.inputs.items()},
         tolerates={name: port.tolerates for name, port in parts.inputs.items() if port.tolerates is not None},
+        conditions=[name for name, port in parts.inputs.items() if port.condition],
         outputs=tuple(parts.outputs),
         functionalities=tuple(map(_functionality, parts.functionalities.values())),
         parameters={

@@ -78,6 +78,10 @@ class FieldChecks:
         if self._due - LONGEST <= now < self._due:  # earlier than that, the clock has jumped back
             return
         self._due = now + SHORTEST + now * _FACTOR % _PRIME
+        self.check(message)
+
+    def check(self, message: Any) -> None:
+        """Check ``message``, however short it came after the one before."""
         met = [constraint.check(message) for constraint in self._constraints]
         self.violated = not all(met)
 

@@ -57,6 +57,8 @@ class FunctionalityRunner(OutputOwner):
         self.falling: tuple[int, str] | None = None
         # Whether the local reflex has entered the current mode.
         self.reflex = False
+        # Whether a condition that does not hold, and nothing else, is why it is not in a better mode.
+        self.conditional = False
         # Whether a call may start. Only an async call, a switch that waits for one, or a hold makes it False.
         self.ready = True
         self._host = host
@@ -91,6 +93,7 @@ class FunctionalityRunner(OutputOwner):
             because=because,
             busy=None if busy is None else (now - busy) / 1e9,
             reflex=self.reflex or self.falling is not None,
+            conditional=self.conditional and self.falling is None,
         )
 
     @property
@@ -123,8 +126,16 @@ class FunctionalityRunner(OutputOwner):
         self._postponed.clear()
         self._held.clear()
 
-    def enter_mode(self, index: int, because: str, failed: bool = False, reflex: bool = False) -> None:
-        """Switch to mode ``index``; :meth:`start_calls` starts its calls."""
+    def enter_mode(
+        self, index: int, because: str, failed: bool = False, reflex: bool = False, conditional: bool = False
+    ) -> None:
+        """Switch to mode ``index``; :meth:`start_calls` starts its calls.
+
+        ``conditional``: of the reflex, a condition is why. A command that does not lead to the best mode changes
+        nothing about that.
+        """
+        commanded = not failed and not reflex
+        self.conditional = conditional or (commanded and self.conditional and index > 0)
         self.index = index
         self.because = because
         self.since = self._steady()

@@ -144,7 +144,8 @@ class ModeSwitch:
 
     ``guard`` is called at that moment; a reason that it returns refuses the change. ``settled`` is called on the data
     thread once the change has happened or is refused, before the new modes' first calls. ``reflex``: the local
-    reflex asks for it. ``hold``: keeps them between two calls, and ends with the switch.
+    reflex asks for it; ``conditional``: because of a condition. ``hold``: keeps them between two calls, and ends with
+    the switch.
     """
 
     targets: dict[FunctionalityRunner, int]
@@ -152,6 +153,7 @@ class ModeSwitch:
     guard: Callable[[], str | None]
     settled: Callable[[], object]
     reflex: bool = False
+    conditional: bool = False
     hold: Hold | None = None
     at: int | None = None  # when the last mode was entered (steady ns)
     before: dict[str, str] = field(default_factory=dict)
@@ -184,7 +186,7 @@ class ModeSwitch:
         self.before = {runner.name: runner.mode.name for runner in self.targets}
         for runner, index in moved.items():
             runner.stop_calls()
-            runner.enter_mode(index, self.because, reflex=self.reflex)
+            runner.enter_mode(index, self.because, reflex=self.reflex, conditional=self.conditional)
             self.at = runner.since
         if self.hold is not None:
             self.hold.release()

@@ -323,17 +323,22 @@ class Input(_Port[InputLink]):
     """An input port. Created by ``Component.create_input``.
 
     ``rate`` (Hz) is what it relies on, and ``tolerates`` how many missed messages in succession it tolerates; None if
-    nothing is stated. The manager attaches it with those of the specification (docs/semantics.md section 7, Local
-    reflex).
+    nothing is stated. ``condition``: its last message decides whether what it assumes holds. The manager attaches it
+    with those of the specification (docs/semantics.md section 7, Local reflex).
     """
 
-    def __init__(self, name: str, type_: type, assumption: Predicate, tolerates: int | None = None) -> None:
+    def __init__(
+        self, name: str, type_: type, assumption: Predicate, tolerates: int | None = None, condition: bool = False
+    ) -> None:
         self.name = name
         self.type = type_
         self.assumption = assumption
         deadline = assumption.qos.deadline
         self.rate = 1 / deadline if assumption.rate is None and deadline else assumption.rate
         self.tolerates = tolerates
+        self.condition = condition
+        # Called on the data thread when a message of a condition decides otherwise than the one before.
+        self.turned: Callable[[], object] = lambda: None
         #: The newest message since the input was attached; None if there is none.
         self.latest: Any = None
         self.listeners: tuple[Listener, ...] = ()
@@ -359,12 +364,27 @@ class Input(_Port[InputLink]):
             self._received_at = now = mark()
             link.count += 1
             if fields.active:
-                fields.sample(message, now)
+                if self.condition:
+                    self._decide(fields, message)
+                else:
+                    fields.sample(message, now)
                 link.violating += fields.violated
             for listener in self.listeners:
                 listener(message, info)
 
         return receive
+
+    def _decide(self, fields: FieldChecks, message: Any) -> None:
+        before = fields.violated
+        fields.check(message)
+        if fields.violated != before:
+            self.turned()
+
+    @property
+    def denied(self) -> bool:
+        """Whether it is a condition that does not hold, by the last message on every topic that it has received."""
+        received = [link for link in self.links if link.count] if self.condition else []
+        return bool(received) and all(link.fields.violated for link in received)
 
     def remove(self, link: InputLink) -> None:
         super().remove(link)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Final
 
 from midstride.node.functionality_runner import FunctionalityRunner
@@ -19,11 +20,14 @@ from midstride.node.mode_switch import ModeSwitch
 from midstride.node.ports import Input, Output
 from midstride.node.shortfall import FLOOR, LONG_FLOOR, Shortfall, Stopwatch, tolerated_periods
 
-# How often it looks (s): a fraction of the shortest silence that is tolerated, within these; or while nothing is due.
+# How often it looks (s), unless a condition turns: a fraction of the shortest silence that is tolerated, within these;
+# or while nothing is due.
 PART: Final = 0.2
 SHORTEST: Final = 0.01
 LONGEST: Final = 0.1
 IDLE: Final = 0.5
+# How long after a condition has turned it looks (s): a message that decides several inputs reaches them one by one.
+SETTLING: Final = 0.003
 # A data thread that takes longer than that for a change has had no time for messages either (s).
 LATE: Final = 0.2
 
@@ -98,19 +102,22 @@ class Watch:
 
     # -- assumptions -------------------------------------------------------------------------------------
 
-    def broken_assumption(self, speed: float) -> str | None:
-        """Which assumption of the mode does not hold any more, in words."""
+    def broken_assumption(self, speed: float) -> list[Input]:
+        """The inputs of the first assumption of the mode that does not hold any more; none if all do."""
         for group in self.runner.mode.assumptions:
             broken = [port for port in group if self._broken(port, self.tolerated(port, speed))]
             if broken and all(port in broken or not port.count for port in group):
-                return "; ".join(self._why(port, speed) for port in broken)
-        return None
+                return broken
+        return []
 
     def _broken(self, port: Input, periods: float) -> bool:
-        return self.inputs[port].exceeds(periods, slow=port.tolerates is not None)
+        return port.denied or self.inputs[port].exceeds(periods, slow=port.tolerates is not None)
 
-    def _why(self, port: Input, speed: float) -> str:
+    def why(self, port: Input, speed: float) -> str:
+        """Why ``port``, which is broken, is, in words."""
         rate, topics = port.rate, ", ".join(link.topic for link in port.links)
+        if port.denied:
+            return f"condition {port.name} does not hold on {topics}: {'; '.join(port.violations)}"
         assert rate is not None
         came, seconds = self.inputs[port].words(rate)
         tolerated = f"silence is tolerated for {self.tolerated(port, speed) / rate:.2g} s"
@@ -127,8 +134,10 @@ class Watch:
         relied = {port for group in self.runner.mode.assumptions for port in group}
 
         def in_order(port: Input) -> bool:
+            if port.denied:
+                return False
             if port.rate is None:
-                return port in relied and port.attached
+                return port.attached and (port in relied or (port.condition and port.count > 0))
             return port.count > 0 and not self._broken(port, self.tolerated(port, speed) / 2)
 
         for index in range(self.runner.index + 1, self.runner.last):
@@ -147,23 +156,47 @@ class Reflex:
     """Watches the functionalities of a component, on the control thread.
 
     ``commanded``: whether a command of the manager is being carried out, which may keep the data thread busy.
-    ``degraded`` is called once a functionality has degraded, or its state shows so; on either thread.
+    ``degraded`` is called once a functionality has degraded, or its state shows so; on either thread. ``turned`` is
+    called on the control thread when a condition has begun or ceased to hold.
     """
 
     host: Host
     runners: Sequence[FunctionalityRunner]
     commanded: Callable[[], bool]
     degraded: Callable[[FunctionalityRunner], None]
+    turned: Callable[[], None]
     _watches: dict[FunctionalityRunner, Watch] = field(default_factory=dict)
+    _turn: asyncio.Event = field(default_factory=asyncio.Event)
 
     async def run(self) -> None:
         stopwatch, pause = Stopwatch(self.host), IDLE
+        wake = partial(asyncio.get_running_loop().call_soon_threadsafe, self._turn.set)
+        for port in {port for runner in self.runners for port in runner.inputs}:
+            port.turned = wake
         while True:
-            await self.host.sleep(pause)
+            turned = await self._pause(pause)
             seconds, speed = stopwatch.lap(pause), stopwatch.speed
             watches = self._look(None if stopwatch.grace else seconds, speed)
             shortest = [found for watch in watches if (found := watch.shortest(speed)) is not None]
             pause = min(LONGEST, max(SHORTEST, PART * min(shortest))) if shortest else IDLE
+            if turned:
+                self.turned()
+
+    async def _pause(self, seconds: float) -> bool:
+        """Wait for so long, or until a condition turns; whether one did."""
+        if not any(port.condition for runner in self.runners for port in runner.inputs):
+            await self.host.sleep(seconds)
+            return False
+        waits = [asyncio.ensure_future(each) for each in (self._turn.wait(), self.host.sleep(min(seconds, LONGEST)))]
+        try:
+            await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for each in waits:
+                each.cancel()
+        if turned := self._turn.is_set():
+            await self.host.sleep(SETTLING)
+            self._turn.clear()
+        return turned
 
     def _look(self, seconds: float | None, speed: float) -> Iterator[Watch]:
         """``seconds`` have gone by; None: the process has been stopped, and what is lacking now says nothing."""
@@ -171,6 +204,8 @@ class Reflex:
             watch = self._watches.get(runner)
             if watch is None or watch.entered != runner.entered:
                 watch = self._watches[runner] = Watch(runner)
+                if any(port.denied for port in watch.inputs) and runner.index < runner.last and not runner.switching:
+                    self._judge(watch, speed)  # what counts messages begins with the mode; a condition does not
             elif watch.fall is not None:
                 self._follow(watch, watch.fall)
             elif seconds is None:
@@ -182,12 +217,16 @@ class Reflex:
             yield watch
 
     def _judge(self, watch: Watch, speed: float) -> None:
-        if (reason := watch.broken_assumption(speed)) is not None:
-            words = f"the assumption of mode {watch.runner.mode.name} broke: {reason}"
-            self._fall(watch, watch.next_mode(speed), words)
-        elif (reason := self._hang(watch, speed)) is not None:
-            fall = self._fall(watch, watch.runner.last, reason, hangs=True)
-            self._show(watch.runner, fall)
+        runner = watch.runner
+        if broken := watch.broken_assumption(speed):
+            reason = "; ".join(watch.why(port, speed) for port in broken)
+            words = f"the assumption of mode {runner.mode.name} broke: {reason}"
+            # What another fault has degraded before is not restored at once because a condition holds again.
+            conditional = all(port.denied for port in broken) and (runner.conditional or not runner.reflex)
+            self._fall(watch, watch.next_mode(speed), words, conditional=conditional)
+        elif (hang := self._hang(watch, speed)) is not None:
+            fall = self._fall(watch, runner.last, hang, hangs=True)
+            self._show(runner, fall)
 
     def _hang(self, watch: Watch, speed: float) -> str | None:
         """Why a promised output is silent, where a call of user code is the cause.
@@ -223,7 +262,7 @@ class Reflex:
                 return f"a call of {other.name} has not returned for {seconds:.2f} s"
         return "user code occupies its thread"
 
-    def _fall(self, watch: Watch, index: int, because: str, hangs: bool = False) -> Fall:
+    def _fall(self, watch: Watch, index: int, because: str, hangs: bool = False, conditional: bool = False) -> Fall:
         """Have the data thread change the mode, unless it has been entered anew by then."""
         runner, steady = watch.runner, self.host.steady
 
@@ -241,7 +280,8 @@ class Reflex:
                 fall.switch.attempt()
             fall.attempted = True
 
-        fall = watch.fall = Fall(ModeSwitch({runner: index}, because, guard, settled, reflex=True), attempt, steady())
+        switch = ModeSwitch({runner: index}, because, guard, settled, reflex=True, conditional=conditional)
+        fall = watch.fall = Fall(switch, attempt, steady())
         self._post(fall)
         return fall
 

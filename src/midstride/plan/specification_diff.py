@@ -132,6 +132,7 @@ def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterat
             yield _became(what, old, new)
     yield from _named("input", before.inputs, after.inputs)
     yield from _named("tolerates", before.tolerates, after.tolerates)
+    yield from _named("condition", *(dict.fromkeys(sorted(each.conditions), "") for each in (before, after)))
     yield from _named("output", dict.fromkeys(before.outputs, ""), dict.fromkeys(after.outputs, ""))
     yield from _named("topic of", before.topics, after.topics)
     yield from _named("holds", before.resource_usage, after.resource_usage)

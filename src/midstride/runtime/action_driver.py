@@ -342,9 +342,12 @@ class ActionDriver:
         """What the specification states for an input; nothing for an output."""
         component = self.configuration.component(port.instance)
         assumption = component.inputs.get(port.port)
-        if assumption is None or assumption.rate is None:
+        if assumption is None:
             return {}
-        return {"rate": assumption.rate, "tolerates": component.tolerates.get(port.port)}
+        stated = {"condition": port.port in component.conditions}
+        if assumption.rate is None:
+            return stated
+        return {**stated, "rate": assumption.rate, "tolerates": component.tolerates.get(port.port)}
 
     async def _or_undo(self, instance: str, command: Command[R], undo: Command[Any]) -> R:
         """The reply to ``command``; if it fails, send ``undo`` in case it was partly carried out."""

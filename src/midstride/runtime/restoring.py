@@ -45,12 +45,14 @@ HANGS: Final = 0.5
 class _Record:
     """What is known of a functionality that the local reflex has degraded.
 
-    ``fallen``: it has not been restored since. ``number``: of the next attempt; ``left``: why there is none.
+    ``fallen``: it has not been restored since; ``conditional``: because of a condition, so that it is restored as
+    soon as that holds. ``number``: of the next attempt; ``left``: why there is none.
     ``supported_since``: what it relies on is back, and has been since then; ``seen``: its last report (steady s).
     """
 
     attempts: Attempts = field(default_factory=Attempts)
     fallen: bool = False
+    conditional: bool = False
     number: int = 0
     left: str | None = None
     supported_since: float | None = None
@@ -60,7 +62,7 @@ class _Record:
         """When it is to be restored, if what it relies on stays (steady s)."""
         if not self.fallen or self.left is not None or self.supported_since is None:
             return None
-        return self.supported_since + POLICY.delay_before(self.number)
+        return self.supported_since + (0.0 if self.conditional else POLICY.delay_before(self.number))
 
 
 @dataclass(slots=True)
@@ -132,14 +134,17 @@ class Restorer:
         if latest is None or ref not in configuration.modes:
             return False
         view = latest.state.functionalities[ref.functionality]
-        return (view.reflex or ref in self._left_out) and configuration.mode(ref).name == view.mode
+        return (view.reflex or view.conditional or ref in self._left_out) and configuration.mode(ref).name == view.mode
 
     def _look(self, ref: FunctionalityRef, view: FunctionalityState) -> None:
         now, record = self.clock.steady(), self._records.setdefault(ref, _Record())
-        if not record.fallen:
-            record.fallen = True
+        if not record.fallen or (record.conditional and not view.conditional):
+            record.fallen, record.conditional = True, view.conditional
             record.attempts.stopped(now)
-            self._count(ref, record)
+            if record.conditional:
+                record.number, record.left, record.supported_since = 1, None, None
+            else:
+                self._count(ref, record)
         gone, record.seen = now - record.seen, now
         if (view.busy or 0.0) > HANGS or ref not in self.improved([ref]):
             record.supported_since = None
@@ -154,7 +159,7 @@ class Restorer:
 
     def _count(self, ref: FunctionalityRef, record: _Record, failed: str = "") -> None:
         """It has fallen, or could not be restored: there is another attempt, or the last one has been made."""
-        record.supported_since = None
+        record.supported_since, record.conditional = None, False
         number = record.attempts.next(POLICY)
         if number is not None:
             record.number = number
@@ -181,7 +186,7 @@ class Restorer:
                     self.events.add("note", f"{words}: what it relies on has gone again, or a command has restored it")
                     return
                 for ref, record in records.items():
-                    attempt = f"({record.number} of {POLICY.limit})"
+                    attempt = "(a condition)" if record.conditional else f"({record.number} of {POLICY.limit})"
                     self.events.add("restore", f"what {ref} relies on is back: it is restored {attempt}")
                 try:
                     outcome = await self.change(PlanRequest(restore=tuple(sorted(self._carrying.items()))))
@@ -198,6 +203,11 @@ class Restorer:
             log.exception("%s failed", words)
         finally:
             self._carrying = {}
+            if self.enabled and (
+                due := [ref for ref in self._due(self.clock.steady()) if self._records[ref].conditional]
+            ):
+                # A condition that has come to hold meanwhile does not wait for the next report.
+                self._restoring = asyncio.get_running_loop().create_task(self._restore(due))
 
     # -- what is supported -------------------------------------------------------------------------------
 
@@ -220,7 +230,8 @@ class Restorer:
             return now
         if not asked and record is not None and record.fallen and (record.number > attempts or record.left is not None):
             return now
-        if not state.functionalities[ref.functionality].reflex:
+        view = state.functionalities[ref.functionality]
+        if not view.reflex and not view.conditional:
             return 0
         return next((index for index in range(now) if not any(lacking(configuration, ref, index, state))), now)
 
@@ -249,7 +260,10 @@ def lacking(configuration: Configuration, ref: FunctionalityRef, index: int, sta
             for name in _inputs(configuration, ref, assumption)
             if evaluator.input_satisfied(PortRef(ref.instance, name))
         ]
-        if not any(_receives(component.inputs[name], state.ports.get(name, {}).values()) for name in ports):
+        conditions = component.conditions
+        if not any(
+            _receives(component.inputs[name], state.ports.get(name, {}).values(), name in conditions) for name in ports
+        ):
             yield from ports
 
 
@@ -261,14 +275,16 @@ def _inputs(configuration: Configuration, ref: FunctionalityRef, assumption: Ass
     return [name for name in configuration.functionality(ref).inputs if satisfies(inputs[name], assumption)]
 
 
-def _receives(assumption: Predicate, links: Collection[LinkState]) -> bool:
+def _receives(assumption: Predicate, links: Collection[LinkState], condition: bool) -> bool:
     """Whether one of the attachments has kept the rate, and constraints on fields; as the local reflex, nothing is
-    concluded of an input without a rate, nor of one that has never received anything."""
+    concluded of one that has never received anything, nor of an input without a rate, unless it is a condition."""
     deadline = assumption.qos.deadline
     rate = 1 / deadline if assumption.rate is None and deadline else assumption.rate
-    if rate is None or not any(link.count for link in links):
+    received = [link for link in links if link.count]
+    if (rate is None and not condition) or not received:
         return True
     return any(
-        link.measured is not None and link.measured.meets(rate) and all(each.run == 0 for each in link.fields.values())
-        for link in links
+        (rate is None or (link.measured is not None and link.measured.meets(rate)))
+        and all(each.run == 0 for each in link.fields.values())
+        for link in received
     )

@@ -1,13 +1,11 @@
 """Stand-ins for the programs of a system: the real node code, around functions that only write what they guarantee.
 
-A stand-in has no thread: its functions do not block, so they are called on the simulator's loop. What a program that
-hangs would do is a fault (:mod:`midstride.simulation.faults`).
+Their functions do not block, so they need no threads (:mod:`.threadless`).
 """
 
 from __future__ import annotations
 
 import contextlib
-import contextvars
 import json
 import zlib
 from collections.abc import Callable, Collection
@@ -20,7 +18,6 @@ from typing import Any, Final
 from immutables import Map
 
 from midstride.backends.simulator.clock import SimulatedClock
-from midstride.backends.simulator.cooperative_thread import CooperativeThread, Ended, Yielded
 from midstride.backends.simulator.process import SimulatedProcess
 from midstride.backends.simulator.program import ProcessOutput, SimulatedProgram
 from midstride.codec.component import encode_component
@@ -28,6 +25,7 @@ from midstride.model.component import ComponentSpec
 from midstride.model.specification import Specification
 from midstride.node.host import Host
 from midstride.runtime.backend import Launch
+from midstride.simulation.threadless import ThreadlessProcess
 from midstride.testing.puppet import Puppet
 from midstride.wire.state import ComponentState
 
@@ -63,12 +61,17 @@ def _stand_in(component: ComponentSpec, keeps_state: bool) -> ComponentSpec:
 
 
 def _with_the_api(component: ComponentSpec) -> ComponentSpec:
-    """The same for a program that uses Midstride's API, which has no gate and sets parameters in its code."""
+    """The same for a program that uses Midstride's API, which has no gate and sets parameters in its code.
+
+    Without its conditions: the messages of stand-ins have no values that could meet them.
+    """
     functionalities = {
         each.name: replace(each, modes=tuple(replace(mode, parameters=Map()) for mode in each.modes))
         for each in component
     }
-    return replace(component, functionalities=Map(functionalities), gate=None, topics=Map(), package=None)
+    return replace(
+        component, functionalities=Map(functionalities), gate=None, topics=Map(), package=None, conditions=frozenset()
+    )
 
 
 @cache
@@ -88,10 +91,6 @@ def _message_type(name: str) -> type:
         "__getattr__": lambda message, field: message,
     }
     return type(name.rpartition("/")[2], (), attributes)
-
-
-class _Waits(BaseException):
-    """The component has been started, and waits for work."""
 
 
 class _Program(SimulatedProgram):
@@ -118,37 +117,7 @@ class _Program(SimulatedProgram):
         return _NOTHING
 
 
-class _OnLoop(CooperativeThread):
-    """Calls each piece of work where a thread would be resumed with it."""
-
-    process: StandIn
-    _begun = False
-
-    def resume(self, work: Any = None) -> Yielded:
-        if self.ended:
-            return Ended(None)
-        try:
-            if not self._begun:
-                self._begun = True
-                self._context.run(self._function)
-            elif work is not None:
-                self._context.run(work)
-        except _Waits:
-            return None
-        except BaseException as error:
-            self.ended = True
-            return Ended(error)
-        main = self.process.main
-        if main is not None and main.done():
-            self.ended = True
-            return Ended(None if main.cancelled() else main.exception())
-        return None
-
-    def kill(self) -> None:
-        self.ended = True
-
-
-class StandIn(SimulatedProcess):
+class StandIn(ThreadlessProcess):
     """The process of a stand-in. ``on_state`` is called when it has published its state."""
 
     def __init__(
@@ -193,11 +162,3 @@ class StandIn(SimulatedProcess):
     def _new_program(self, launch: Launch) -> SimulatedProgram:
         self._stand_in = _Program(launch, self.log)
         return self._stand_in
-
-    def _new_thread(self, context: contextvars.Context) -> CooperativeThread:
-        thread = _OnLoop(self.instance, self._program.run, context)
-        thread.process = self
-        return thread
-
-    def run_work(self) -> None:
-        raise _Waits

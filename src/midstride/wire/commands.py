@@ -357,8 +357,9 @@ class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
     """Create the endpoint and wait until ``peers`` compatible endpoints are matched; only then open the gate.
 
     ``everyone`` is how many readers to wait for beyond that, and ``reader_ids`` which, at most ``patience`` seconds. An
-    input relies on ``rate`` (Hz), and ``tolerates`` so many missed messages; None: what its code states. ``settle``:
-    whether to wait until an input has settled, too; if not, the manager does before what relies on it.
+    input relies on ``rate`` (Hz), and ``tolerates`` so many missed messages; None: what its code states.
+    ``condition``: its last message decides whether what it assumes holds. ``settle``: whether to wait until an input
+    has settled, too; if not, the manager does before what relies on it.
     """
 
     port: str
@@ -371,6 +372,7 @@ class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
     timeout: Seconds = 5.0
     rate: float | None = None
     tolerates: int | None = None
+    condition: bool = False
     settle: bool = True
 
 

@@ -26,7 +26,8 @@ class Endpoint(WireValue, frozen=True, kw_only=True):
 class FunctionalityState(WireValue, frozen=True, kw_only=True):
     """``since``: seconds in this mode. ``busy``: for how many seconds a call of user code has been running.
 
-    ``reflex``: the local reflex has entered this mode; no command did, and no exception.
+    ``reflex``: the local reflex has entered this mode; no command did, and no exception. ``conditional``: a condition
+    that does not hold has led to it, or to a lower one before it, and nothing else.
     """
 
     mode: str
@@ -34,6 +35,7 @@ class FunctionalityState(WireValue, frozen=True, kw_only=True):
     because: str
     busy: float | None = None
     reflex: bool = False
+    conditional: bool = False
 
 
 class Measured(WireValue, frozen=True, kw_only=True):

@@ -1,0 +1,59 @@
+"""Simulated processes without threads: their code is called on the simulator's loop, which is several times faster.
+
+So it must not block: `time.sleep` would stop the whole simulation, and for real. What a program that hangs would do is
+a fault (:mod:`midstride.simulation.faults`).
+"""
+
+from __future__ import annotations
+
+import contextvars
+from typing import Any
+
+from midstride.backends.simulator.cooperative_thread import CooperativeThread, Ended, Yielded
+from midstride.backends.simulator.process import SimulatedProcess
+
+
+class _Waits(BaseException):
+    """The component has been started, and waits for work."""
+
+
+class _OnLoop(CooperativeThread):
+    """Calls each piece of work where a thread would be resumed with it."""
+
+    process: SimulatedProcess
+    _begun = False
+
+    def resume(self, work: Any = None) -> Yielded:
+        if self.ended:
+            return Ended(None)
+        try:
+            if not self._begun:
+                self._begun = True
+                self._context.run(self._function)
+            elif work is not None:
+                self._context.run(work)
+        except _Waits:
+            return None
+        except BaseException as error:
+            self.ended = True
+            return Ended(error)
+        main = self.process.main
+        if main is not None and main.done():
+            self.ended = True
+            return Ended(None if main.cancelled() else main.exception())
+        return None
+
+    def kill(self) -> None:
+        self.ended = True
+
+
+class ThreadlessProcess(SimulatedProcess):
+    """The same as its base, for programs that do not block."""
+
+    def _new_thread(self, context: contextvars.Context) -> CooperativeThread:
+        thread = _OnLoop(self.instance, self._program.run, context)
+        thread.process = self
+        return thread
+
+    def run_work(self) -> None:
+        raise _Waits
