@@ -17,6 +17,7 @@ from midstride.errors import CommandRefused, StepFailed
 from midstride.foreign.agent import ForeignAgent
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import NodeGraph
+from midstride.foreign.page import Page
 from midstride.foreign.record import ForeignRecord
 from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode, PortRef
 from midstride.model.contract import Predicate
@@ -256,3 +257,10 @@ def test_by_default_a_node_must_keep_its_rate_for_a_moment(tmp_path: Path, progr
 def test_the_default_probation_is_short() -> None:
     found = {rate: default_probation(rate) for rate in (1000.0, 50.0, 10.0, 5.0, 2.5, 2.4, 0.1)}
     assert found == {1000.0: 0.2, 50.0: 0.2, 10.0: 1.0, 5.0: 2.0, 2.5: 2.0, 2.4: 0.0, 0.1: 0.0}
+
+
+def test_an_output_with_a_rate_has_half_its_period_in_the_page(tmp_path: Path, gate_library: Path) -> None:
+    page = Page(tmp_path / "page", gate_library)
+    gates = Gates(page, page.allocate("node"), TALKER)
+    gates.prepare({"out": TOPIC})
+    assert gates.entry("out").half == 2500  # us, at 200 Hz

@@ -125,6 +125,24 @@ def test_the_old_one_misses_one_slot_if_the_new_one_does_not_write(lab: Lab) -> 
     assert lab.overlaps() == 0
 
 
+def test_a_slot_is_left_to_the_successor_only_if_it_had_time_to_come(lab: Lab) -> None:
+    """An old node that was late writes what it owes at once: that leaves the new one no time, and is no slot."""
+    period = 50 * MS
+    old, new, baton = started(lab, period, RATED)
+    lab.port(old).half = period // 2 // 1000
+    os.kill(lab.processes[new].pid, signal.SIGSTOP)
+    os.kill(lab.processes[old].pid, signal.SIGSTOP)
+    begun, gated = time.monotonic_ns(), lab.port(old).gated
+    lab.page.step(baton, BatonStep.NAME_SUCCESSOR, old, new)
+    until(lambda: time.monotonic_ns() - begun > 5 * period, "no time passes")
+    os.kill(lab.processes[old].pid, signal.SIGCONT)
+    until(lambda: lab.port(old).gated > gated, "it leaves no slot")
+    written = lab.written_by(old)
+    until(lambda: lab.written_by(old) > written, "it does not go on")
+    (hole,) = [(last, later) for last, later in pairwise(lab.records()) if later[1] != last[1] + 1]
+    assert hole[1][2] - hole[0][2] > period // 2
+
+
 def test_one_that_is_stopped_is_fenced_and_held_back_when_it_goes_on(lab: Lab) -> None:
     old, new, baton = started(lab, MS, RATED)
     os.kill(lab.processes[old].pid, signal.SIGSTOP)

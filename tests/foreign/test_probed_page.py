@@ -18,7 +18,7 @@ from midstride.capture.probe import ProbedPort
 from midstride.codec.component import NamedComponentForm
 from midstride.errors import BackendError
 from midstride.foreign.gates import Gates
-from midstride.foreign.page import INPUT, OPEN, OUTPUT, PagePort
+from midstride.foreign.page import INPUT, OPEN, OUTPUT, PagePort, PortFlag
 from midstride.foreign.record import ForeignRecord
 from midstride.model.component import ComponentSpec
 from tests.foreign.lab import Lab, until
@@ -99,7 +99,7 @@ def test_an_input_is_closed_while_it_is_watched(relay: Relay) -> None:
     with probing(relay.folder) as gates:
         opened = gates.watch(None, 0.0, 0.1)
         closed = gates.watch(IN, 0.05, 0.1)
-        assert relay.port(1).shut == 0 and not relay.closed
+        assert relay.port(1).flags == 0 and not relay.closed
     assert opened[OUT].passed > 0 and opened[IN].passed > 0 and opened[IN].held == 0
     assert (closed[OUT].passed, closed[IN].passed) == (0, 0)
     assert closed[IN].held > 0 and closed[OUT].longest >= 0.1
@@ -133,11 +133,11 @@ def test_the_input_is_open_again_however_the_probe_ends(relay: Relay, how: signa
     finally:
         prober.kill()
         prober.wait()
-    assert relay.port(1).shut == (how is signal.SIGKILL)  # else it has opened the input itself
+    assert relay.port(1).flags == (PortFlag.SHUT if how is signal.SIGKILL else 0)  # else it has opened the input itself
     if how is signal.SIGSTOP:
         assert "its input opened by itself" in said
     with probing(relay.folder) as gates:  # and another one may begin, which does not close what that one closed
-        assert relay.port(1).shut == 0 and gates.watch(None, 0.0, 0.05)[IN].passed > 0
+        assert relay.port(1).flags == 0 and gates.watch(None, 0.0, 0.05)[IN].passed > 0
 
 
 def test_one_probe_at_a_time(relay: Relay, tmp_path: Path) -> None:

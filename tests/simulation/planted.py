@@ -79,7 +79,7 @@ def _steps_swapped(patch: pytest.MonkeyPatch) -> None:
 
     run = executor.Executor.run
 
-    async def swapped(self: Any, actions: Any, forms: Any = ()) -> None:
+    async def swapped(self: Any, actions: Any, forms: Any = (), overlap: Any = None) -> None:
         actions = list(actions)
         removes = [index for index, action in enumerate(actions) if isinstance(action, Remove) and index]
         for index in removes[-1:]:
@@ -149,7 +149,7 @@ def _started_ahead_left(patch: pytest.MonkeyPatch) -> None:
     """What was started for steps that are not reached is left running."""
 
     async def abandon(self: Any, actions: Any) -> list[str]:
-        await self._stop_starting()
+        await self._starts.stop()
         return []
 
     patch.setattr(executor.Executor, "_abandon_started", abandon)

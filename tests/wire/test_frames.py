@@ -170,6 +170,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
             timeout=1.5,
             rate=50.0,
             tolerates=3,
+            condition=True,
             settle=False,
         ),
         Attached(matched=2),

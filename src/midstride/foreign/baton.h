@@ -21,7 +21,7 @@
 
 enum { UNUSED = 0, OUTPUT = 1, INPUT = 2 };             /* of a port: direction */
 enum { CLOSED = 0, OPEN = 1 };                          /* of a port: gate */
-enum { RATED = 1, LAYS = 2, TIMED = 4, KEEPS = 8 };     /* of a port: flags, see below */
+enum { RATED = 1, LAYS = 2, TIMED = 4, KEEPS = 8, SHUT = 16 }; /* of a port: flags, see below */
 enum { IN_USE = 1, LISTS = 2 };                         /* of a node; LISTS: the library adds a port for each topic, open */
 
 struct port {
@@ -36,7 +36,7 @@ struct port {
   _Atomic uint32_t endpoints; /* how many publishers or subscriptions of the process have this topic */
   _Atomic uint32_t matched;   /* with how many endpoints they are matched, as the middleware of the process sees it */
   _Atomic uint32_t kept;      /* whether a message is kept that was written behind the gate */
-  _Atomic uint32_t shut;      /* an input that a probe closes, as long as the lease of the page lasts */
+  _Atomic uint32_t half;      /* half the period of an output with a rate (us); 0: any write is a slot */
   char topic[NAME];
 };
 
@@ -100,13 +100,16 @@ static inline uint64_t baton_word(unsigned generation, unsigned predecessor, uns
 enum verdict { PASS, HOLD_BACK, SKIP, ASK, BUSY };
 
 /* A writer `me` (index + 1) is about to publish on a port with `flags`. `skipped`: for how many slots it has left the
- * baton to its successor; `waited`: whether `patience` is over; `dead`: whether the holder is (-1: not known). For PASS,
+ * baton to its successor; `waited`: whether its part of the time is over, see below; `dead`: whether the holder is (-1: not known). For PASS,
  * `next` is what the word must become before it publishes.
  *
  * `skipped` goes on from SKIP to SKIP (of a port with a rate), is SLOTS once `patience` was over, and is 0 again after a
  * message that the baton did not lie for.
  *
- * RATED: the port has a rate, so its writes are slots. TIMED: no port that shares the baton has one. */
+ * RATED: the port has a rate, so its writes are slots, but for one that comes sooner than half a period after the baton
+ * was laid down (`waited`): a writer that was late catches up, and leaves its successor no time. TIMED: no port that shares
+ * the baton has one; `waited` is whether `patience` is over. SHUT: an input that a probe closes, as long as the lease of
+ * the page lasts. */
 static inline enum verdict baton_enter(uint64_t word, unsigned me, unsigned flags, unsigned skipped, int waited, int dead,
                                        uint64_t *next)
 {
@@ -120,7 +123,7 @@ static inline enum verdict baton_enter(uint64_t word, unsigned me, unsigned flag
     }
     if (state != LAID)
       return HOLD_BACK;
-    if (flags & RATED ? skipped + 1 < SLOTS : flags & TIMED && !waited && skipped < SLOTS)
+    if (flags & RATED ? waited && skipped + 1 < SLOTS : flags & TIMED && !waited && skipped < SLOTS)
       return SKIP;
     /* The successor has not come, or nothing of this output may be lost: publish, and lay it down again afterwards. */
     *next = baton_word(generation + 1, PREDECESSOR(word), SUCCESSOR(word), me, HELD, 1);

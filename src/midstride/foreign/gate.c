@@ -301,7 +301,8 @@ static bool enter(struct page *shared, unsigned own, int file, struct port *port
   uint64_t seen = atomic_load(&baton->word);
   for (;;) {
     uint64_t next;
-    int waited = STATE(seen) == LAID && now_ns() - atomic_load(&baton->laid) > atomic_load(&baton->patience);
+    int64_t left = pass->flags & RATED ? atomic_load(&port->half) * INT64_C(1000) : atomic_load(&baton->patience);
+    int waited = STATE(seen) == LAID && now_ns() - atomic_load(&baton->laid) > left;
     switch (baton_enter(seen, own, pass->flags, *skipped, waited, dead, &next)) {
     case PASS:
       if (!atomic_compare_exchange_weak(&baton->word, &seen, next)) {
@@ -583,7 +584,7 @@ static int taken(const void *subscription, int result)
   if (!entry)
     return result;
   bool open = atomic_load_explicit(&entry->port->gate, memory_order_acquire) == OPEN;
-  if (open && atomic_load_explicit(&entry->port->shut, memory_order_acquire))
+  if (open && atomic_load_explicit(&entry->port->flags, memory_order_acquire) & SHUT)
     open = now_ns() >= atomic_load(&page->lease);
   count(entry->port, open);
   return open ? 0 : TAKE_FAILED;

@@ -59,7 +59,9 @@ class Gates:
             entry = self.entry(port)
             if self.component.has_output(port):
                 entry.baton = baton
-                entry.flags = PortFlag(0) if self.rate(port) else PortFlag.KEEPS
+                rate = self.rate(port)
+                entry.flags = PortFlag(0) if rate else PortFlag.KEEPS
+                entry.half = int(min(5e5 / rate, 2**32 - 1)) if rate else 0
             else:
                 entry.gate = OPEN
 

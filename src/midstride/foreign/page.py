@@ -38,12 +38,14 @@ class PortFlag(IntFlag):
     """RATED: its writes are slots. LAYS: the baton is laid down after one. TIMED: no port that shares it is rated.
 
     KEEPS: of what is written behind the gate, the last message is kept, and published when the gate lets it pass.
+    SHUT: an input that a probe closes, as long as the lease of the page lasts.
     """
 
     RATED = 1
     LAYS = 2
     TIMED = 4
     KEEPS = 8
+    SHUT = 16
 
 
 class PagePort(ctypes.Structure):
@@ -59,7 +61,7 @@ class PagePort(ctypes.Structure):
         ("endpoints", c_uint32),
         ("matched", c_uint32),
         ("kept", c_uint32),
-        ("shut", c_uint32),
+        ("half", c_uint32),
         ("topic", c_char * NAME),
     ]
 

@@ -5,8 +5,8 @@ capacity. Two steps commute unless two of their marks clash. The table relies on
 section 5, F2 and F3): support that arrives earlier, or is withdrawn later, does no harm. So every order that preserves
 the order of clashing pairs is valid, step by step.
 
-Two more kinds of steps keep their order, although validity alone does not require it: the steps that determine the
-level of a role that is replaced or whose outputs move, and a step by which a functionality falls below its baseline,
+Two more kinds of steps keep their order, although validity alone does not require it: those that determine the level of
+a role with several instances or with outputs that move, and a step by which a functionality falls below its baseline,
 which waits for every earlier step. So nothing is below its baseline for longer than in the sequence: between the fall
 and the step that ends it, there is nothing to wait for but what the sequence has between them.
 """

@@ -18,7 +18,7 @@ from typing import Final
 from midstride.capture.probe import Count, ProbedPort
 from midstride.errors import BackendError
 from midstride.foreign import build
-from midstride.foreign.page import OUTPUT, PAGE, UNUSED, Page, PagePort
+from midstride.foreign.page import OUTPUT, PAGE, UNUSED, Page, PagePort, PortFlag
 from midstride.foreign.record import ForeignRecord
 
 LEASE: Final = 2.0
@@ -39,7 +39,7 @@ class ProbedPage:
         }
         for node in self._page.layout.nodes:
             for port in node.ports:
-                port.shut = 0
+                port.flags &= ~PortFlag.SHUT
         self._lease = 0
 
     def ports(self) -> set[ProbedPort]:
@@ -65,7 +65,7 @@ class ProbedPage:
             self._renew()
             before = 0 if shut is None else int(shut.gated)
             if shut is not None:
-                shut.shut = 1
+                shut.flags |= PortFlag.SHUT
             self._wait(settling)
             counters = {port: _Counter(entry) for port, (_, entry) in entries.items()}
             self._wait(counting, counters)
@@ -76,7 +76,7 @@ class ProbedPage:
             return found
         finally:
             if shut is not None:
-                shut.shut = 0
+                shut.flags &= ~PortFlag.SHUT
 
     def _wait(self, seconds: float, counters: Mapping[ProbedPort, _Counter] | None = None) -> None:
         end = time.monotonic() + seconds
