@@ -17,9 +17,9 @@ def expected_altitude(visibility: float) -> float | None:
 
 @dataclass
 class Metrics:
-    """All times in seconds of one clock; ``altitude`` as a node of SUAVE has it before a mode was entered."""
+    """All times in seconds of one clock; ``altitude`` is that of the best mode, which the search is started in."""
 
-    altitude: float = 1.0
+    altitude: float = 3.0
     visibility: float | None = None
     began: float | None = None
     found: float | None = None

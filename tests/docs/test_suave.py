@@ -28,7 +28,7 @@ def example(monkeypatch: pytest.MonkeyPatch) -> Iterator[SimpleNamespace]:
 def test_reactions_are_counted_from_the_diagnostics_to_their_result(example: SimpleNamespace) -> None:
     found = example.metrics.Metrics()
     found.began = 1.0
-    found.on_diagnostic("water_visibility", "2.5", 10.0)  # 2 m are expected, and it is at 1 m
+    found.on_diagnostic("water_visibility", "2.5", 10.0)  # 2 m are expected, and it is at 3 m
     found.on_diagnostic("water_visibility", "2.4", 11.0)
     found.on_altitude(3.0, 11.5)  # wrong still
     found.on_altitude(2.0, 12.0)
