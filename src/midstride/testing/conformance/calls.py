@@ -11,7 +11,7 @@ async def calls_at_its_rate(lab: Lab) -> None:
     """The first call comes on entry, the others on the grid; a degraded mode without rate is called once."""
     await lab.start("talker", puppets.talker(rate=50))
     assert (await lab.exported("talker"))["calls"] == {"talk.degraded": 1}
-    assert await lab.mode("talker", "talk", "normal") == {"before": {"talk": "degraded"}}
+    assert await lab.mode("talker", "talk", "normal") == {"before": {"talk": "degraded"}, "at": None}
     await lab.eventually("the first call comes", lambda: lab.calls("talker", "talk.normal"))
     grid = await lab.read("talker", "grid", port="out")
     assert grid["trigger"] == "rate" and grid["period"] == 0.02 and grid["epoch"] <= grid["now"], grid
@@ -23,7 +23,7 @@ async def calls_at_its_rate(lab: Lab) -> None:
     later = await lab.read("talker", "grid", port="out")
     slots = (later["epoch"] - grid["epoch"]) / 20e6
     assert abs(slots - round(slots)) < 1e-3 and slots > 90, "a slot off the grid"
-    assert await lab.mode("talker", "talk", "degraded") == {"before": {"talk": "normal"}}
+    assert await lab.mode("talker", "talk", "degraded") == {"before": {"talk": "normal"}, "at": None}
     calls = await lab.exported("talker")
     await lab.sleep(0.2)
     assert await lab.exported("talker") == calls and calls["calls"]["talk.degraded"] == 2
@@ -100,7 +100,7 @@ async def refuses_unknown_modes(lab: Lab) -> None:
     words = await lab.refusal("talker", "modes", modes={"talk": "loud"})
     assert "loud" in words and "normal, degraded" in words, words
     before = await lab.functionality("talker", "talk")
-    assert await lab.mode("talker", "talk", "degraded") == {"before": {"talk": "degraded"}}
+    assert await lab.mode("talker", "talk", "degraded") == {"before": {"talk": "degraded"}, "at": None}
     after = await lab.functionality("talker", "talk")
     assert after["because"] == before["because"], "a change to its current mode must change nothing"
 
