@@ -26,7 +26,9 @@ ROOT = Path(__file__).resolve().parent.parent
 
 NAVIGATION = {
     "Start": ["docs/tutorial"],
-    "Examples": [f"examples/{name}/README" for name in ("talker", "obstacle", "filter", "patrol", "autoware_control")],
+    "Examples": [
+        f"examples/{name}/README" for name in ("talker", "obstacle", "filter", "patrol", "suave", "autoware_control")
+    ],
     "How to": ["docs/how-to/*"],
     "Reference": [*(f"docs/reference/{page}" for page in ("commands", "language", "diagnostics", "api")), "docs/http"],
     "Explanation": [
