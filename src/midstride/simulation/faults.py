@@ -64,7 +64,8 @@ REQUESTS: Final = 40
 # The requests of a hand-over at which a fault strikes on purpose: between any two of them, another side knows more.
 CRITICAL: Final = ("meet", "cut_out", "cut_in", "await_cut", "taken", "cancel_cut")
 # What keeps one side of a hand-over from hearing of the other for longer than it waits; of requests, so many.
-STALLS: Final[tuple[FaultKind, ...]] = ("lost request", "lost reply", "unreachable", "freeze")
+LOSSES: Final[tuple[FaultKind, ...]] = ("lost request", "lost reply", "unreachable")
+STALLS: Final[tuple[FaultKind, ...]] = (*LOSSES, "freeze")
 LASTING: Final = 20
 # How many requests a step makes at most, where that is more than three.
 REQUESTS_OF: Final = {"handover": 18, "create": 6}

@@ -15,7 +15,7 @@ from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Event
 from midstride.simulation.convergence import closed_outputs, differences, uncaught
-from midstride.simulation.faults import LATE, OF_THE_MANAGER, PROMPT, Fault, draw, strike
+from midstride.simulation.faults import LATE, LOSSES, OF_THE_MANAGER, PROMPT, Fault, draw, strike
 from midstride.simulation.lives import Life, ManagerKilled
 from midstride.simulation.scenario import Scenario
 from midstride.simulation.stand_in import StandIn
@@ -259,7 +259,8 @@ class Simulation:
 
     def _lateness(self) -> float:
         if not self._has_struck(*LATE):
-            return 0.0
+            # A cut that was passed is cancelled if its manager hears nothing: the old side goes on, on its own grid.
+            return LATE_WRITE if self._has_struck(*LOSSES) else 0.0
         return LATE_WRITE if {each.fault for each in self._struck} <= PROMPT else math.inf
 
     def _uninterrupted(self) -> bool:
