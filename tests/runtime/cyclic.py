@@ -7,6 +7,7 @@ from pathlib import Path
 from midstride.lang.load import load_text
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
+from midstride.runtime.manager import Manager
 
 TEXT = """
 system loop
@@ -98,3 +99,20 @@ def cyclic(folder: Path) -> Specification:
 
 def with_camera(specification: Specification) -> PlanRequest:
     return PlanRequest(add=(specification.nodes["camera"],))
+
+
+async def check_both_ways(manager: Manager, specification: Specification, within: float) -> None:
+    """Without the camera and with it again, the members change their modes in one step, ``within`` so many seconds."""
+    assert (await manager.status()).valid
+    for request, kind, mode in (
+        (WITHOUT_CAMERA, "degrade", "degraded"),
+        (with_camera(specification), "upgrade", "normal"),
+    ):
+        outcome = await manager.change(request)
+        assert outcome.outcome == "done", outcome.because
+        [skew] = outcome.skews
+        assert (skew.kind, set(skew.functionalities)) == (kind, MEMBERS)
+        assert 0.0 <= skew.seconds < within
+        print(f"{kind}: within {1000 * skew.seconds:.2f} ms")
+        for name in ("estimator", "corrector"):
+            assert (await manager.peek(name)).functionalities["work"].mode == mode

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from midstride.backends.simulator import Simulator
 from midstride.runtime.manager import Manager
-from tests.runtime.cyclic import MEMBERS, WITHOUT_CAMERA, cyclic, with_camera
+from tests.runtime.cyclic import check_both_ways, cyclic
 from tests.runtime.systems import managed
 
 
@@ -14,17 +14,6 @@ def test_a_cycle_is_degraded_and_upgraded_at_one_moment_although_calls_are_under
     specification = cyclic(tmp_path / "programs")
 
     async def body(manager: Manager, _: Simulator) -> None:
-        assert (await manager.status()).valid
-        for request, kind, mode in (
-            (WITHOUT_CAMERA, "degrade", "degraded"),
-            (with_camera(specification), "upgrade", "normal"),
-        ):
-            outcome = await manager.change(request)
-            assert outcome.outcome == "done", outcome.because
-            [skew] = outcome.skews
-            assert (skew.kind, set(skew.functionalities)) == (kind, MEMBERS)
-            assert 0.0 <= skew.seconds < 0.01, "a call takes 0.3 s or more"
-            for name in ("estimator", "corrector"):
-                assert (await manager.peek(name)).functionalities["work"].mode == mode
+        await check_both_ways(manager, specification, within=0.01)  # a call takes 0.3 s or more
 
     managed("", tmp_path, body, specification=specification, directory=tmp_path / "programs")

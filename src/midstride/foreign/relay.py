@@ -51,7 +51,7 @@ _LOOK: Final = 0.05
 # For how long a reliable output with a rate may wait in a relay without loss (s), and of how many messages at most.
 QUEUE: Final = 2.0
 DEEPEST: Final = 1000
-# How long it may take to end by itself, and once it is asked to (s).
+# How long it may take to end unasked, and once it is asked to (s).
 _ENDS: Final = 0.5
 _GRACE: Final = 2.0
 _LIBC: Final = ctypes.CDLL(None)

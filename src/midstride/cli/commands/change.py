@@ -6,6 +6,8 @@ import getpass
 import os
 import uuid
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +19,32 @@ from midstride.cli.output import console, is_interactive, json_option, print_jso
 from midstride.cli.systems import find, system_option
 
 
+@dataclass(frozen=True, slots=True)
+class RequestOptions:
+    """What all commands that change the running system have in common."""
+
+    system: str | None
+    strategy: str
+    detours: bool
+    wait: float
+    verify: bool
+    yes: bool
+
+
 def request_options(function: Any) -> Any:
+    """Calls ``function`` with :class:`RequestOptions` as its argument ``options``."""
+
+    @wraps(function)
+    def with_options(
+        system: str | None, strategy: str, detours: bool, wait: float, verify: bool, yes: bool, **arguments: Any
+    ) -> int:
+        return int(function(options=RequestOptions(system, strategy, detours, wait, verify, yes), **arguments))
+
     yes = click.option("--yes", "-y", is_flag=True, help="Do not ask for confirmation.")
     summary = "Verify the plan with Alloy before it starts, and the running system after each step."
     verify = click.option("--verify", is_flag=True, help=summary)
-    options = change_options.strategy_options(change_options.wait_option(verify(yes(function))))
-    return json_option(system_option(options))
+    decorated = change_options.strategy_options(change_options.wait_option(verify(yes(with_options))))
+    return json_option(system_option(decorated))
 
 
 def _components_option(function: Any) -> Any:
@@ -46,22 +68,15 @@ def replace_command(
     component: str,
     file: Path | None,
     declared_parameters: bool,
-    system: str | None,
-    strategy: str,
-    detours: bool,
-    wait: float,
-    verify: bool,
-    yes: bool,
+    options: RequestOptions,
 ) -> int:
     """Replace the component of NODE with COMPONENT, on the same topics."""
     request = {
         "replace": [[node, component]],
         "components": _components(file),
-        "strategy": strategy,
-        "detours": detours,
+        "declared_parameters": declared_parameters,
     }
-    request["declared_parameters"] = declared_parameters
-    return change(system, request, f"replace {node} with {component}", yes, verify, wait)
+    return change(options, request, f"replace {node} with {component}")
 
 
 @click.command("restart")
@@ -71,21 +86,11 @@ def replace_command(
 def restart_command(
     nodes: tuple[str, ...],
     declared_parameters: bool,
-    system: str | None,
-    strategy: str,
-    detours: bool,
-    wait: float,
-    verify: bool,
-    yes: bool,
+    options: RequestOptions,
 ) -> int:
     """Start nodes again, with what their programs are now: each is handed over to a new instance, without a gap."""
-    request = {
-        "restart": list(nodes),
-        "strategy": strategy,
-        "detours": detours,
-        "declared_parameters": declared_parameters,
-    }
-    return change(system, request, f"restart {', '.join(nodes)}", yes, verify, wait)
+    request = {"restart": list(nodes), "declared_parameters": declared_parameters}
+    return change(options, request, f"restart {', '.join(nodes)}")
 
 
 @click.command("add")
@@ -101,17 +106,12 @@ def add_command(
     attachments: tuple[str, ...],
     parameters: tuple[str, ...],
     file: Path | None,
-    system: str | None,
-    strategy: str,
-    detours: bool,
-    wait: float,
-    verify: bool,
-    yes: bool,
+    options: RequestOptions,
 ) -> int:
     """Add NODE, with COMPONENT, and attach its ports to topics."""
     new = change_options.new_node(node, component, attachments, parameters)
-    request = {"add": [new], "components": _components(file), "strategy": strategy, "detours": detours}
-    return change(system, request, f"add {node} ({component})", yes, verify, wait)
+    request = {"add": [new], "components": _components(file)}
+    return change(options, request, f"add {node} ({component})")
 
 
 @click.command("remove")
@@ -119,16 +119,10 @@ def add_command(
 @request_options
 def remove_command(
     nodes: tuple[str, ...],
-    system: str | None,
-    strategy: str,
-    detours: bool,
-    wait: float,
-    verify: bool,
-    yes: bool,
+    options: RequestOptions,
 ) -> int:
     """Remove nodes. The functionalities that rely on them degrade only as far as they must."""
-    request = {"remove": list(nodes), "strategy": strategy, "detours": detours}
-    return change(system, request, f"remove {', '.join(nodes)}", yes, verify, wait)
+    return change(options, {"remove": list(nodes)}, f"remove {', '.join(nodes)}")
 
 
 @click.command("apply")
@@ -140,12 +134,7 @@ def apply_command(
     new: Path,
     keep_code: bool,
     declared_parameters: bool,
-    system: str | None,
-    strategy: str,
-    detours: bool,
-    wait: float,
-    verify: bool,
-    yes: bool,
+    options: RequestOptions,
 ) -> int:
     """Change the running system to the specification NEW, and to the code that its programs have now."""
     from midstride.cli.files import load
@@ -166,12 +155,10 @@ def apply_command(
         return {
             "to": encode_specification(target),
             "restart": sorted(changed),
-            "strategy": strategy,
-            "detours": detours,
             "declared_parameters": declared_parameters,
         }
 
-    return change(system, request, f"apply {new.name}", yes, verify, wait, file=str(new.resolve()))
+    return change(options, request, f"apply {new.name}", file=str(new.resolve()))
 
 
 def _components(file: Path | None) -> list[Document]:
@@ -185,26 +172,24 @@ def _components(file: Path | None) -> list[Document]:
 
 
 def change(
-    system: str | None,
+    options: RequestOptions,
     asked: Document | Callable[[Client], Document],
     title: str,
-    yes: bool,
-    verify: bool,
-    wait: float,
     dry_run: bool = False,
     file: str | None = None,
 ) -> int:
     """Show the plan, ask for confirmation, make the change and report it. The exit status.
 
-    ``asked``: the request, or what makes it with the help of the system's manager. ``dry_run``: only show the plan.
-    ``file``: the one that is applied.
+    ``asked``: the request without the strategy, or what makes it with the help of the system's manager. ``dry_run``:
+    only show the plan. ``file``: the one that is applied.
     """
-    if not (yes or dry_run or is_interactive()):
+    if not (options.yes or dry_run or is_interactive()):
         raise click.UsageError("not a terminal; pass --yes")
-    client, _ = find(system)
+    client, _ = find(options.system)
     request = asked(client) if callable(asked) else asked
+    request = {**request, "strategy": options.strategy, "detours": options.detours}
     expected = None
-    if dry_run or not yes:
+    if dry_run or not options.yes:
         from midstride.cli import render
 
         preview = client.post("/plan", request)
@@ -218,9 +203,9 @@ def change(
             click.echo("Nothing was changed.", err=True)
             return 1
         expected = preview["revision"]
-    document = {"request": request, "expected": expected, "verify": verify, "wait": wait, "file": file}
+    document = {"request": request, "expected": expected, "verify": options.verify, "wait": options.wait, "file": file}
     document["by"] = asked_by(title)
-    outcome = _carry_out(client, document, title, show_plan=yes)
+    outcome = _carry_out(client, document, title, show_plan=options.yes)
     if wants_json():
         print_json(outcome)
     unexpected = outcome["silences"] or any(not each["planned"] for each in outcome["lowered"])

@@ -5,8 +5,7 @@ from __future__ import annotations
 import click
 
 from midstride.cli import change_options
-from midstride.cli.client import Client, Document
-from midstride.cli.commands.change import change, request_options
+from midstride.cli.commands.change import RequestOptions, change, request_options
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.systems import find, system_option
 
@@ -43,27 +42,14 @@ def rollback_command(
     version: int | None,
     dry_run: bool,
     declared_parameters: bool,
-    system: str | None,
-    strategy: str,
-    detours: bool,
-    wait: float,
-    verify: bool,
-    yes: bool,
+    options: RequestOptions,
 ) -> int:
     """Change the running system back to version N of its specification, as `midstride history` numbers them.
 
     By default to the version before the latest change of the specification. Parameter values that were set at run time
     are kept, as by `apply`, and programs start with the code that they have now.
     """
-    client, _ = find(system)
+    client, _ = find(options.system)
     found = client.get("/specification/earlier", **({} if version is None else {"version": version}))
-
-    def request(_: Client) -> Document:
-        return {
-            "to": found["specification"],
-            "strategy": strategy,
-            "detours": detours,
-            "declared_parameters": declared_parameters,
-        }
-
-    return change(system, request, f"rollback to version {found['version']}", yes, verify, wait, dry_run)
+    request = {"to": found["specification"], "declared_parameters": declared_parameters}
+    return change(options, request, f"rollback to version {found['version']}", dry_run)
