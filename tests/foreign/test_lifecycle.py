@@ -18,41 +18,13 @@ from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Outcome
 from midstride.runtime.workspace import Workspace
 from tests.foreign import simulated
+from tests.foreign.chat import chat
 from tests.foreign.simulated import SimulatedNode, SimulatedRos
 from tests.runtime.systems import saved
 
 T = TypeVar("T")
 
-TEXT = """system chat
-
-topic /chat : std_msgs/msg/String @ 50 Hz { publishers <= 1 }
-
-component Talker {
-  run "talker" gate lifecycle
-  parameters { word = "hello" }
-  output out as chatter
-  functionality talk {
-    produces out
-    mode normal { guarantee out : std_msgs/msg/String @ 50 Hz }
-    mode degraded { }
-  }
-}
-
-component Other like Talker { run "other" gate lifecycle }
-
-component Listener {
-  run "listener" gate lifecycle
-  input in : std_msgs/msg/String @ 50 Hz as chatter
-  functionality listen {
-    uses in
-    mode normal { assume in }
-    mode degraded { }
-  }
-}
-
-node talker   : Talker   { out -> /chat }
-node listener : Listener { in <- /chat }
-"""
+TEXT = chat("lifecycle", talker='parameters { word = "hello" }')
 REPLACE = PlanRequest(replace=(("talker", "Other"),))
 
 

@@ -19,38 +19,11 @@ from midstride.model.contract import QoS
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.reaper import process_info
+from tests.foreign.chat import chat
 from tests.foreign.lab import until
 from tests.foreign.relayed import Program, SimulatedRelays, managed
 
-TEXT = """system chat
-
-topic /chat : std_msgs/msg/String @ 50 Hz { publishers <= 1 }
-
-component Talker {
-  run "talker" gate relay
-  output out as chatter
-  functionality talk {
-    produces out
-    mode normal { guarantee out : std_msgs/msg/String @ 50 Hz }
-    mode degraded { }
-  }
-}
-
-component Other like Talker { run "other" gate relay }
-
-component Listener {
-  run "listener" gate relay
-  input in : std_msgs/msg/String @ 50 Hz tolerates 3 missed as chatter
-  functionality listen {
-    uses in
-    mode normal { assume in }
-    mode degraded { }
-  }
-}
-
-node talker   : Talker   { out -> /chat }
-node listener : Listener { in <- /chat }
-"""
+TEXT = chat("relay", listener="tolerates 3 missed")
 ONCE = TEXT.replace(" @ 50 Hz", "").replace(" tolerates 3 missed", "")
 REPLACE = PlanRequest(replace=(("talker", "Other"),))
 
