@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from midstride.model.component import ComponentSpec
+from midstride.model.graph_names import resolved
 
 # Where ROS's tools expect diagnostics.
 DIAGNOSTICS: Final = "/diagnostics"
@@ -29,13 +30,4 @@ def topics_of(component: ComponentSpec, node: str, attached: Mapping[str, str]) 
 
     ``node`` is the full name of its node.
     """
-    return {port: attached.get(port) or _resolved(component.topic_of(port), node) for port in component.ports()}
-
-
-def _resolved(topic: str, node: str) -> str:
-    """The full name of a topic that a node names."""
-    if topic.startswith("/"):
-        return topic
-    if topic.startswith("~"):
-        return f"{node}/{topic.lstrip('~/')}"
-    return f"{split(node)[1].rstrip('/')}/{topic}"
+    return {port: attached.get(port) or resolved(component.topic_of(port), node) for port in component.ports()}

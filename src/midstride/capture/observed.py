@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from midstride.model.contract import QoS
-from midstride.model.infrastructure import is_infrastructure
+from midstride.model.graph_names import is_infrastructure
 
 # The times of so many messages are kept for each publisher.
 MAX_TIMES: Final = 100_000

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 from midstride.model.component import ComponentSpec
 from midstride.model.contract import NOTHING, Predicate, QoS, canonical_type
-from midstride.model.infrastructure import is_infrastructure
+from midstride.model.graph_names import is_infrastructure
 from midstride.model.near_miss import nearest
 
 

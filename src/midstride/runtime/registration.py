@@ -11,6 +11,7 @@ from typing import Final
 
 from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import NOTHING, Predicate, explain
+from midstride.model.graph_names import resolved
 from midstride.wire.state import Endpoint
 
 
@@ -41,7 +42,7 @@ def unexpected_endpoints(declared: ComponentSpec, nodes: Collection[str], endpoi
     ``nodes``: the names that the node may have, of its role or of its instance.
     """
     allowed = {
-        (_REPORTED.get(endpoint.kind, endpoint.kind), _resolved(endpoint.name, node))
+        (_REPORTED.get(endpoint.kind, endpoint.kind), resolved(endpoint.name, node))
         for endpoint in declared.allows
         for node in nodes
     }
@@ -49,17 +50,9 @@ def unexpected_endpoints(declared: ComponentSpec, nodes: Collection[str], endpoi
         f"{endpoint.kind} {endpoint.name}"
         for endpoint in endpoints
         if allowed.isdisjoint(
-            {(endpoint.kind, endpoint.name), *((endpoint.kind, _resolved(endpoint.name, node)) for node in nodes)}
+            {(endpoint.kind, endpoint.name), *((endpoint.kind, resolved(endpoint.name, node)) for node in nodes)}
         )
     ]
-
-
-def _resolved(name: str, node: str) -> str:
-    """``~/reset`` of node ``detector`` is ``/detector/reset``; a relative name lives in the node's namespace."""
-    node = node if node.startswith("/") else f"/{node}"
-    if name.startswith("~"):
-        return f"{node}/{name.lstrip('~/')}"
-    return name if name.startswith("/") else f"{node.rpartition('/')[0]}/{name}"
 
 
 def _names(kind: str, declared: Sequence[str], registered: Sequence[str]) -> Iterator[str]:
