@@ -51,15 +51,16 @@ class TokenAuth:
         scheme, _, bearer = headers.get("authorization", "").partition(" ")
         if scheme == "Bearer" and self._is_token(bearer):
             return None  # no browser sends this unless it is told to
+        given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [])
+        opens = scope["path"] == "/" and scope["method"] == "GET" and bool(given) and self._is_token(given[0])
+        if not opens and not self._is_token(self._cookie_in(headers)):
+            words = "send the header `Authorization: Bearer <token>`, or open the URL that `midstride dashboard` prints"
+            return answer(Failure.named("Unauthorized", words), 401, _UNAUTHORIZED)
         if not self._is_here(headers.get("host", "")):
             words = "this host name is not the one that is listened on; use the address, as http://127.0.0.1:PORT"
             return answer(Failure.named("Forbidden", words), 403, _CLOSE)
-        given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [])
-        if given and scope["path"] == "/" and scope["method"] == "GET" and self._is_token(given[0]):
+        if opens:
             return self._opened()
-        if not self._is_token(self._cookie_in(headers)):
-            words = "send the header `Authorization: Bearer <token>`, or open the URL that `midstride dashboard` prints"
-            return answer(Failure.named("Unauthorized", words), 401, _UNAUTHORIZED)
         if scope["method"] not in _SAFE and headers.get("origin") != f"http://{headers['host']}":
             return answer(Failure.named("Forbidden", "a change may not come from another origin"), 403, _CLOSE)
         return None
