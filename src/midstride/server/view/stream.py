@@ -51,6 +51,8 @@ async def view_events(live: LiveView, since: Position | None) -> AsyncIterator[b
             yield b": midstride\n\n"
             while True:
                 waker.clear()
+                if over := ended.done():
+                    live.refresh(figures=False)  # the last difference is sent as well
                 if not table.knows(sent):
                     sent, sent_at = table.n, loop.time()
                     yield _message("view", live.manager, sent, last, live.document())
@@ -61,7 +63,7 @@ async def view_events(live: LiveView, since: Position | None) -> AsyncIterator[b
                 for event in events.since(last):
                     last = event.n
                     yield _message("event", live.manager, sent, last, msgspec.json.encode(event))
-                if ended.done():
+                if over:
                     return
                 if table.n == sent and events.last == last and not await _woken(waker, ended):
                     yield b": still here\n\n"
