@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -36,7 +36,7 @@ def position(text: str) -> Position | None:
     return Position(manager, int(n), None if event is None else int(event))
 
 
-async def view_events(live: LiveView, since: Position | None) -> AsyncIterator[bytes]:
+async def view_events(live: LiveView, since: Position | None) -> AsyncGenerator[bytes, None]:
     """The view, or what has changed since ``since``, and then each difference, until the manager exits."""
     lifecycle, events, table = live.lifecycle, live.events, live.table
     known = since is not None and since.manager == live.manager
