@@ -14,6 +14,7 @@ from midstride.runtime import reports
 from midstride.runtime.history import History, SpecificationVersion
 from midstride.server.errors import Failure
 from midstride.server.requests import LARGEST_BODY, ParameterSetting, SubmittedChange
+from midstride.server.view import forms
 
 Responses: TypeAlias = dict[int | str, dict[str, Any]]
 
@@ -36,6 +37,9 @@ FORMS: Final = (
     reports.Status,
     reports.UpReport,
     reports.Why,
+    forms.Patch,
+    forms.Timeline,
+    forms.SystemView,
 )
 _TEMPLATE: Final = "#/components/schemas/{name}"
 
