@@ -153,7 +153,7 @@ export class ComponentShape {
       set(shape.mark, "data-linked", String(links.some((each) => each.topic !== null)));
       if (shape.figures.text.textContent === text) continue;
       shape.figures.text.textContent = text;
-      const width = text === "" ? 0 : Math.min(FIGURES - 14, 9 + text.length * 5.6);
+      const width = text === "" ? 0 : Math.min(FIGURES - 12, 10 + text.length * 5.8);
       const middle = Number(shape.figures.text.getAttribute("x"));
       set(shape.figures.back, "x", middle - width / 2);
       set(shape.figures.back, "width", width);

@@ -16,7 +16,7 @@ export const NAME = `600 13px ${FONT}`;
 export const SMALL = `11px ${FONT}`;
 
 /** The space of a measured and a declared rate beside an input, and of an output's link to its topic. */
-export const FIGURES = 78;
+export const FIGURES = 90;
 export const STUB = 10;
 export const ROW = 17;
 export const MODES_TOP = 40;
