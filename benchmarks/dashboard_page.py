@@ -1,7 +1,8 @@
 """The dashboard's page in headless Chromium: how soon a large graph is there, frames while much changes, late changes.
 
-The views are made up and served from here, so that the figures are those of the page; what the manager spends on views is
-measured elsewhere. The browser has no cache and no stored layout. Without a graphics card, Chromium draws on the processor.
+The views are made up and served from here, so that the figures are those of the page; what the manager spends on
+views is measured elsewhere. The browser has no cache and no stored layout. Without a graphics card, Chromium draws on
+the processor.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import statistics
 import sys
 import time
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +45,10 @@ window.laidOut = new Promise((resolve) => {
 _FRAMES = """(milliseconds) => new Promise((resolve) => {
   const frames = [];
   const begun = performance.now();
-  const step = (now) => { frames.push(now); now - begun < milliseconds ? requestAnimationFrame(step) : resolve(frames); };
+  const step = (now) => {
+    frames.push(now);
+    now - begun < milliseconds ? requestAnimationFrame(step) : resolve(frames);
+  };
   requestAnimationFrame(step);
 })"""
 # The time of the frame in which the first component shows another mode, in unix milliseconds.
@@ -125,7 +130,7 @@ def measure_changes(browser: Browser) -> tuple[list[float], list[float]]:
             synthetic.patch([found])
             seen.append(page.evaluate("window.seen_") / 1000 - sent)
         page.context.close()
-    return [(after - before) / 1000 for before, after in zip(stamps, stamps[1:], strict=False)], seen
+    return [(after - before) / 1000 for before, after in pairwise(stamps)], seen
 
 
 def table(figures: Figures) -> str:
