@@ -21,6 +21,7 @@ from midstride.codec.specification import SpecificationForm
 from midstride.errors import MidstrideError, SpecificationError
 from midstride.plan.alternatives import alternatives
 from midstride.plan.request_form import ChangeRequest
+from midstride.runtime.change_report import ChangeReport
 from midstride.runtime.history import History, SpecificationVersion
 from midstride.runtime.reports import (
     DownReport,
@@ -144,6 +145,13 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
     ) -> Response:
         """The latest changes with their figures, also those of earlier managers, and incidents such as crashes."""
         return answer(await manager.history(latest))
+
+    @router.get("/change", responses=answers(ChangeReport))
+    async def past_change(
+        number: Annotated[int | None, Query(ge=1, le=_LARGEST, description="as in /history")] = None,
+    ) -> Response:
+        """A change of the history, by default the latest: its plan, both specifications, what happened, the figures."""
+        return answer(await manager.change_report(number))
 
     @router.get("/why", responses=answers(Why))
     async def why(functionality: Annotated[str, Query(description="as `listener.listen`")]) -> Response:

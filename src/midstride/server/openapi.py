@@ -11,6 +11,7 @@ from midstride.codec.schema import Schema, schemas
 from midstride.codec.specification import SpecificationForm
 from midstride.plan.request_form import ChangeRequest
 from midstride.runtime import reports
+from midstride.runtime.change_report import ChangeReport
 from midstride.runtime.history import History, SpecificationVersion
 from midstride.server.errors import Failure
 from midstride.server.requests import LARGEST_BODY, ParameterSetting, SubmittedChange
@@ -23,6 +24,7 @@ FORMS: Final = (
     ParameterSetting,
     SpecificationForm,
     SubmittedChange,
+    ChangeReport,
     History,
     SpecificationVersion,
     reports.DownReport,
