@@ -15,6 +15,7 @@ from midstride.runtime.change_report import ChangeReport
 from midstride.runtime.history import History, SpecificationVersion
 from midstride.server.errors import Failure
 from midstride.server.requests import LARGEST_BODY, ParameterSetting, SubmittedChange
+from midstride.server.view import forms
 
 Responses: TypeAlias = dict[int | str, dict[str, Any]]
 
@@ -38,6 +39,9 @@ FORMS: Final = (
     reports.Status,
     reports.UpReport,
     reports.Why,
+    forms.Patch,
+    forms.Timeline,
+    forms.SystemView,
 )
 _TEMPLATE: Final = "#/components/schemas/{name}"
 

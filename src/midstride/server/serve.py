@@ -24,6 +24,7 @@ from midstride.server.app import create_app
 from midstride.server.connections import Server, connection_limit
 from midstride.server.errors import Failure, answer
 from midstride.server.lifecycle import Lifecycle
+from midstride.server.view.live import LiveView
 
 log = logging.getLogger(__name__)
 
@@ -52,7 +53,8 @@ async def serve(manager: Manager, workspace: Workspace, *, backend: str, tcp: Tc
     opened; nothing has been started then.
     """
     lifecycle = Lifecycle(manager)
-    app = create_app(lifecycle, backend=backend)
+    live = LiveView(lifecycle, backend=backend)
+    app = create_app(live)
     token_file = workspace.path / "token"
     with contextlib.ExitStack() as stack:
         servers = [Server(app, stack.enter_context(_unix(workspace.socket)), connection_limit(*_UNIX_LIMIT))]
@@ -62,6 +64,7 @@ async def serve(manager: Manager, workspace: Workspace, *, backend: str, tcp: Tc
             protected = _BearerAuth(app, _new_token(token_file))
             servers.append(Server(protected, listening, connection_limit(*_TCP_LIMIT)))
         with _on_signals(lifecycle.ended.set):
+            live.start()
             serving = [asyncio.ensure_future(server.serve()) for server in servers]
             up = asyncio.ensure_future(lifecycle.bring_up())
             over = asyncio.ensure_future(lifecycle.until_over())
@@ -73,6 +76,7 @@ async def serve(manager: Manager, workspace: Workspace, *, backend: str, tcp: Tc
             for server in servers:
                 server.should_exit = True
             ends = await asyncio.gather(*serving, return_exceptions=True)
+            live.close()
             await asyncio.gather(up, over, interrupting, return_exceptions=True)
             await manager.close()
     failures = [end for end in ends if isinstance(end, Exception)]
