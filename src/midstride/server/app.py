@@ -12,7 +12,7 @@ from typing import Annotated, Final
 
 from fastapi import APIRouter, FastAPI, Header, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import StreamingResponse
+from fastapi.responses import HTMLResponse, StreamingResponse
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
@@ -40,6 +40,7 @@ from midstride.server import stream
 from midstride.server.errors import Failure, answer, in_one_line, status_of
 from midstride.server.lifecycle import Lifecycle
 from midstride.server.openapi import answers, document_forms, failures, request_body
+from midstride.server.report.documents import change_file
 from midstride.server.requests import ParameterSetting, SubmittedChange, read_change, read_request, read_setting
 from midstride.server.static import dashboard
 from midstride.server.view.live import LiveView
@@ -158,6 +159,20 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
     ) -> Response:
         """A change of the history, by default the latest: its plan, both specifications, what happened, the figures."""
         return answer(await manager.change_report(number))
+
+    @router.get(
+        "/report",
+        response_class=HTMLResponse,
+        responses={200: {"content": {"text/html": {}}, "description": "one self-contained file"}, **failures()},
+    )
+    async def report(
+        number: Annotated[int | None, Query(ge=1, le=_LARGEST, description="as in /history")] = None,
+    ) -> Response:
+        """A change of the history, by default the latest, as an HTML file that needs nothing else."""
+        found = await manager.change_report(number)
+        text = await asyncio.to_thread(change_file, found, manager.specification.name, backend)
+        headers = {"Content-Disposition": 'attachment; filename="change.html"', "X-Content-Type-Options": "nosniff"}
+        return HTMLResponse(text, headers=headers)
 
     @router.get("/why", responses=answers(Why))
     async def why(functionality: Annotated[str, Query(description="as `listener.listen`")]) -> Response:

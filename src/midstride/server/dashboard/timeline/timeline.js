@@ -4,7 +4,7 @@
  * @module
  */
 
-import { clock, h, replace } from "../dom.js";
+import { clock, h, replace, seconds } from "../dom.js";
 import { drawChart } from "./chart.js";
 import { rows } from "./intervals.js";
 import { Why } from "./why.js";
@@ -19,8 +19,13 @@ const TICK = 1000;
 const REFRESH = 10_000;
 
 /**
+ * @typedef {{store: any, ask: any, graph: any, say: any, fixed?: [number, number]}} Context `fixed`: the time that is
+ *   shown, where that is all there is
+ */
+
+/**
  * @param {HTMLElement} element
- * @param {{store: any, ask: any, graph: any, say: any}} context
+ * @param {Context} context
  */
 export function mountTimeline(element, context) {
   new Timeline(element, context);
@@ -40,7 +45,7 @@ class Timeline {
 
   /**
    * @param {HTMLElement} element
-   * @param {{store: any, ask: any, graph: any, say: any}} context
+   * @param {Context} context
    */
   constructor(element, context) {
     this.context = context;
@@ -53,8 +58,8 @@ class Timeline {
     this.slider = h("div", { class: "timeline-slider", role: "slider", tabindex: 0, "aria-label": "Time that is shown", "aria-orientation": "horizontal" }, this.picture);
     const head = h("div", { class: "timeline-head" }, h("h2", { class: "panel-title" }, "Timeline"), this.choices, this.more, this.words, this.live);
     replace(element, head, this.slider, this.#why.element);
-    for (const [name, seconds] of WINDOWS) {
-      this.choices.append(h("button", { class: "button", type: "button", "data-seconds": seconds, onclick: () => this.#choose(seconds) }, name));
+    for (const [name, back] of WINDOWS) {
+      this.choices.append(h("button", { class: "button", type: "button", "data-seconds": back, onclick: () => this.#choose(back) }, name));
     }
     this.slider.addEventListener("keydown", (event) => this.#onKey(event));
     this.slider.addEventListener("pointerdown", (event) => this.#onPointer(event));
@@ -68,15 +73,16 @@ class Timeline {
     const { store } = context;
     store.subscribe(["events", "connection"], () => this.#refresh());
     store.subscribe(["time"], () => this.#draw());
-    setInterval(() => this.#tick(), TICK);
+    this.choices.hidden = context.fixed !== undefined;
+    if (!context.fixed) setInterval(() => this.#tick(), TICK);
     this.#choose(this.#window);
   }
 
-  /** @param {number} seconds */
-  #choose(seconds) {
-    this.#window = seconds;
+  /** @param {number} back in seconds */
+  #choose(back) {
+    this.#window = back;
     for (const each of this.choices.querySelectorAll("button")) {
-      each.setAttribute("aria-pressed", String(each.dataset.seconds === String(seconds)));
+      each.setAttribute("aria-pressed", String(each.dataset.seconds === String(back)));
     }
     this.#refresh();
   }
@@ -116,7 +122,8 @@ class Timeline {
 
   /** @returns {[number, number]} */
   #range() {
-    const { store } = this.context;
+    const { store, fixed } = this.context;
+    if (fixed) return fixed;
     const until = store.time.at === null ? store.now() : Math.max(this.#held, store.time.at);
     const oldest = this.#document?.oldest ?? until - 60;
     const since = this.#window === Infinity ? Math.min(oldest, until - 10) : until - this.#window;
@@ -193,15 +200,18 @@ class Timeline {
     const shown = this.#all || every.length <= FEW ? every.slice(0, MOST) : lowered.slice(0, MOST);
     const held = this.#focused();
     const at = store.time.at;
-    const picture = { ...this.#document, rows: shown, since, until, at, origin: until, live: at === null };
+    const { fixed } = this.context;
+    const origin = fixed ? this.#document.since : until;
+    const picture = { ...this.#document, rows: shown, since, until, at, origin, live: at === null && !fixed };
     this.#chart = drawChart(picture, width, (row, segment) => this.#why.show(row, segment));
     replace(this.picture, /** @type {any} */ (this.#chart).svg);
     this.#refocus(held);
     this.more.hidden = every.length <= FEW;
     replace(this.more, this.#all ? "Only what was lowered" : `All ${every.length} functionalities`);
     this.live.hidden = at === null;
+    replace(this.live, fixed ? "Whole change" : "Live");
     const none = shown.length ? "" : "Nothing was lowered in this time.";
-    replace(this.words, at === null ? none : `The graph shows ${clock(at)}, ${(until - at).toFixed(1)} s before the end.`);
+    replace(this.words, at === null ? none : `The graph shows ${clock(at)}, ${seconds(until - at)} before the end.`);
     this.slider.setAttribute("aria-valuemin", String(Math.round(since)));
     this.slider.setAttribute("aria-valuemax", String(Math.round(until)));
     this.slider.setAttribute("aria-valuenow", String(Math.round(at ?? until)));

@@ -8,7 +8,7 @@ import { clock, h, replace } from "../dom.js";
 import { namesIn } from "../graph/names.js";
 
 export class Why {
-  /** @param {{store: any, ask: any, graph: any, say: any}} context */
+  /** @param {import("./timeline.js").Context} context */
   constructor(context) {
     this.context = context;
     this.element = h("div", { class: "timeline-why", role: "region", "aria-label": "Why", hidden: true });
@@ -28,7 +28,7 @@ export class Why {
     const { instance, functionality, mode, because, reflex, began } = segment.interval;
     const name = `${instance}.${functionality}`;
     /** @type {string[]} */ let chain = [];
-    if (segment.open && store.time.at === null) {
+    if (segment.open && store.time.at === null && !this.context.fixed) {
       try {
         const why = await ask("GET", `/why?functionality=${encodeURIComponent(name)}`);
         chain = [...(why.because ? [why.because] : []), ...why.chain];
