@@ -73,6 +73,8 @@ class ChangePanel {
     try {
       this.#specification = await ask("GET", "/specification");
       this.form.offer(this.#specification, this.#choice);
+      this.#choice = { ...this.#choice, ...this.form.settled };
+      this.#drawActions();
     } catch {
       // asked again with the next revision; a lost connection is shown at the top
     }

@@ -43,7 +43,7 @@ export function comparison(plans, width, onPick) {
     const head = onPick ? h("button", { class: "button quiet", type: "button", onclick: () => onPick(name) }, name) : name;
     return h("tr", {}, h("th", { scope: "row" }, head), ...cells.map((each) => h("td", { class: "number" }, each)));
   });
-  const table = h("table", { class: "figures" }, h("thead", {}, h("tr", {}, ...heads.map((each) => h("th", { scope: "col" }, each)))), h("tbody", {}, ...rows));
+  const table = h("table", { class: "figures" }, h("thead", {}, h("tr", {}, ...heads.map((each, index) => h("th", { scope: "col", class: index ? "number" : null }, each)))), h("tbody", {}, ...rows));
   return [
     h("div", { class: "table-wrap", tabindex: 0, role: "region", "aria-label": "Strategies" }, table),
     ...made.flatMap(([name, plan]) => {

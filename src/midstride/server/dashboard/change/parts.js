@@ -7,7 +7,7 @@
 import { h, plural } from "../dom.js";
 import { axis, fallRows, gapRows, gapSpan, spanOf, stepRows } from "../plan/axis.js";
 import { details, figures, headline } from "../plan/outcome.js";
-import { about, afterwards, cost, falls, remarks, stepText } from "../plan/words.js";
+import { about, afterwards, cost, duration, falls, remarks, stepText } from "../plan/words.js";
 
 /** @param {string} text @param {(words: string, options?: any) => void} say */
 export function command(text, say) {
@@ -43,6 +43,7 @@ export function summary(plan) {
   );
 }
 
+const COLUMNS = ["topic", "subscriber", "longest gap", "in periods", "missed", "lost", "duplicates"];
 const GLYPHS = /** @type {Record<string, string>} */ ({ planned: "·", current: "▶", done: "✓", failed: "✕" });
 
 /**
@@ -65,10 +66,16 @@ export function steps(plan, spans) {
         { class: "row step", "data-state": state, "aria-current": state === "current" ? "step" : null },
         h("span", { class: "muted number step-number" }, spans ? `${GLYPHS[state]} ${index + 1}` : String(index + 1)),
         h("span", { class: "grow" }, h("strong", { class: "verb", "data-action": step.action }, kind), ` ${what}`, spans ? h("span", { class: "visually-hidden" }, ` (${state})`) : null),
-        h("span", { class: "number muted" }, about(step)),
+        h("span", { class: "number muted" }, took(step, spans?.[index])),
       );
     }),
   );
+}
+
+/** How long a step took, or is to take. @param {any} step @param {import("../plan/schedule.js").Span} [span] */
+function took(step, span) {
+  const measured = span && span.end !== null && ["done", "failed"].includes(span.state);
+  return measured ? duration(/** @type {number} */ (span.end) - span.begin) : about(step);
 }
 
 /** Everything that the command line says of a plan. @param {any} plan @param {number} width of the axis (px) */
@@ -119,7 +126,7 @@ export function gaps(swaps, width) {
       h(
         "table",
         { class: "figures" },
-        h("thead", {}, h("tr", {}, ...["topic", "subscriber", "longest gap", "in periods", "missed", "lost", "duplicates"].map((each) => h("th", { scope: "col" }, each)))),
+        h("thead", {}, h("tr", {}, ...COLUMNS.map((each, index) => h("th", { scope: "col", class: index < 2 ? null : "number" }, each)))),
         h("tbody", {}, ...swaps.map((swap) => h("tr", {}, h("td", {}, swap.topic), h("td", {}, swap.subscriber), ...figures(swap).map((each) => h("td", { class: "number" }, each))))),
       ),
     ),

@@ -33,7 +33,7 @@ export function axis(rows, { width, span, labels = 26, title }) {
   for (const at of ticks(0, time.to, most)) {
     const x = time.x(at);
     svg.append(s("line", { class: "axis-line", x1: x, x2: x, y1: 0, y2: height - FOOT }));
-    svg.append(s("text", { class: "axis-tick", x, y: height - 5, "text-anchor": at === 0 ? "start" : "middle" }, tickLabel(at, step)));
+    svg.append(s("text", { class: "axis-tick", x: x > width - 34 ? Math.min(x + 14, width) : x, y: height - 5, "text-anchor": at === 0 ? "start" : x > width - 34 ? "end" : "middle" }, tickLabel(at, step)));
   }
   rows.forEach((row, index) => svg.append(drawRow(row, index * ROW, time, width, labels)));
   return svg;
