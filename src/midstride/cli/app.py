@@ -42,6 +42,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
         "history": ("history", "show the changes of a system, with their figures"),
         "report": ("report", "write a change of the history as one HTML file"),
         "watch": ("running", "watch the system live"),
+        "dashboard": ("dashboard", "show the system and its changes on a live page"),
         "down": ("running", "stop all components and the manager"),
     },
     "Changes to the running system": {

@@ -58,6 +58,7 @@ def answers(form: Any, *, body: bool = False) -> Responses:
 def failures() -> Responses:
     return {
         401: _described(Failure, "over TCP: the token is missing or wrong"),
+        403: _described(Failure, "over TCP, from a browser: another host name, or a change from another origin"),
         409: _described(Failure, "refused; nothing was changed, and the message says why"),
         422: _described(Failure, "not JSON, or an invalid request or specification; every fault is listed"),
         500: _described(Failure, "the system could not be brought up, or an internal error"),

@@ -34,7 +34,7 @@ POLICY: Final = (
     "font-src 'self'; connect-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'none'; "
     "frame-ancestors 'none'"
 )
-_HEADERS: Final[Mapping[str, str]] = {
+HEADERS: Final[Mapping[str, str]] = {
     "Content-Security-Policy": POLICY,
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
@@ -52,14 +52,14 @@ def dashboard(folder: Path = FOLDER) -> APIRouter:
     @router.get("/")
     @router.get("/dashboard")
     async def start() -> Response:
-        return RedirectResponse("/dashboard/", 307, _HEADERS)
+        return RedirectResponse("/dashboard/", 307, HEADERS)
 
     @router.api_route("/dashboard/{name:path}", methods=["GET", "HEAD"])
     async def file(name: str, request: Request) -> Response:
         path = _find(folder, name or "index.html")
         content = await asyncio.to_thread(path.read_bytes)
         tag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'
-        headers = {**_HEADERS, "ETag": tag}
+        headers = {**HEADERS, "ETag": tag}
         known = request.headers.get("If-None-Match", "")
         if tag in (each.strip().removeprefix("W/") for each in known.split(",")):
             return Response(status_code=304, headers=headers)
