@@ -5,7 +5,7 @@
  */
 
 import { h, hz, plural, replace, seconds } from "./dom.js";
-import { namesIn } from "./graph/names.js";
+import { namesIn, owner } from "./graph/names.js";
 import { componentLook, look } from "./modes.js";
 
 /**
@@ -187,7 +187,8 @@ async function explain(ref, { ask, graph, store, say }, reasons, redraw) {
       h("ol", { class: "chain" }, ...chain.map((/** @type {string} */ each) => h("li", {}, each))),
       inputs.length === 0 ? null : h("p", { class: "muted" }, `Inputs: ${inputs.join(", ")}`),
     );
-    if (store.view !== null) graph.highlight([ref, answer.instance, ...namesIn(chain, store.view)]);
+    const named = store.view === null ? [] : namesIn(chain, store.view).filter((name) => owner(name) !== answer.instance);
+    graph.highlight(named.length > 0 ? [ref, answer.instance, ...named] : null);
   } catch (error) {
     place.remove();
     reasons.delete(ref);
@@ -209,8 +210,8 @@ function portsContent(component, context) {
       "table",
       {},
       h("caption", { class: "visually-hidden" }, "Ports: the contract's rate, and the one that is measured"),
-      h("thead", {}, h("tr", {}, h("th", { scope: "col" }, "port and topic"), h("th", { scope: "col", class: "number" }, "measured"), h("th", { scope: "col", class: "number" }, "contract"))),
-      h("tbody", {}, ...component.ports.map((port) => portRow(port, context))),
+      h("thead", {}, h("tr", {}, h("th", { scope: "col" }, "port"), h("th", { scope: "col", class: "number" }, "measured"), h("th", { scope: "col", class: "number" }, "contract"))),
+      ...component.ports.map((port) => portRows(port, context)),
     ),
   ];
 }
@@ -220,7 +221,7 @@ function portsContent(component, context) {
  * @param {Context} context
  * @returns {HTMLElement}
  */
-function portRow(port, { store }) {
+function portRows(port, { store }) {
   const { topic } = port;
   const low = port.met === false;
   const times = [
@@ -228,22 +229,31 @@ function portRow(port, { store }) {
     port.jitter === null ? null : `jitter ${seconds(port.jitter)}`,
     port.longest === null ? null : `longest ${seconds(port.longest)}`,
   ].filter(Boolean);
+  const link =
+    topic === null
+      ? h("span", { class: "muted" }, "attached to no topic")
+      : h("button", { class: "button quiet mono", type: "button", "data-key": `topic ${port.name} ${topic}`, onclick: () => store.select(`topic:${topic}`) }, topic);
   return h(
-    "tr",
+    "tbody",
     {},
     h(
-      "td",
+      "tr",
       {},
-      `${port.direction === "in" ? "→ " : "← "}${port.name}`.trim(),
-      " ",
-      topic === null
-        ? h("span", { class: "muted" }, "attached to no topic")
-        : h("button", { class: "button quiet mono", type: "button", "data-key": `topic ${port.name} ${topic}`, onclick: () => store.select(`topic:${topic}`) }, topic),
-      port.gate === "closed" ? h("span", { class: "chip", "data-kind": "warn" }, "⊘ gate closed") : null,
-      times.length === 0 ? null : h("div", { class: "muted" }, times.join(" · ")),
+      h("td", {}, `${port.direction === "in" ? "→" : "←"} ${port.name}`),
+      h("td", { class: "number", "data-kind": low ? "bad" : "" }, h("span", low ? { class: "mode-text" } : {}, port.rate === null ? "–" : `${low ? "▼ " : ""}${hz(port.rate)} Hz`)),
+      h("td", { class: "number" }, port.declared === null ? "–" : `${hz(port.declared)} Hz`),
     ),
-    h("td", { class: "number", "data-kind": low ? "bad" : "" }, h("span", low ? { class: "mode-text" } : {}, port.rate === null ? "–" : `${low ? "▼ " : ""}${hz(port.rate)} Hz`)),
-    h("td", { class: "number" }, port.declared === null ? "–" : `${hz(port.declared)} Hz`),
+    h(
+      "tr",
+      { class: "more" },
+      h(
+        "td",
+        { colspan: 3 },
+        link,
+        port.gate === "closed" ? h("span", { class: "chip", "data-kind": "warn" }, "⊘ gate closed") : null,
+        times.length === 0 ? null : h("div", { class: "muted" }, times.join(" · ")),
+      ),
+    ),
   );
 }
 

@@ -6,7 +6,7 @@
 
 import { hz, s, set, setText } from "../dom.js";
 import { componentLook, deviates, look } from "../modes.js";
-import { componentSize, FIGURES, MODES_TOP, ROW, short } from "./measure.js";
+import { componentSize, FIGURES, MODES_TOP, ROW, short, STUB } from "./measure.js";
 
 /**
  * @typedef {import("../store.js").Component} Component
@@ -34,7 +34,7 @@ export class ComponentShape {
   /** @param {DrawnComponent} drawn */
   constructor(drawn) {
     this.#drawn = drawn;
-    const { entry, ins, outs } = drawn;
+    const { entry, label, ins, outs } = drawn;
     const { left, inner, height, portsTop } = componentSize(drawn);
     const right = left + inner;
     this.#title = s("title");
@@ -49,7 +49,7 @@ export class ComponentShape {
       s("rect", { class: "box", x: left, y: 0, width: inner, height, rx: 6 }),
       s("path", { class: "stripe", d: `M${left} 6a6 6 0 0 1 6-6h${inner - 12}a6 6 0 0 1 6 6z` }),
       this.#glyph,
-      s("text", { class: "name", x: left + 26, y: 21 }, short(entry.name)),
+      s("text", { class: "name", x: left + 26, y: 21 }, short(label)),
       s("text", { class: "type", x: left + 26, y: 34 }, short(entry.component)),
       this.#flag,
       this.#fate,
@@ -85,12 +85,13 @@ export class ComponentShape {
       { class: "port-name", x: incoming ? x + 10 : x - 10, y: y + 4, "text-anchor": incoming ? "start" : "end" },
       short(name),
     );
-    const middle = incoming ? x - 12 - (FIGURES - 16) / 2 : x + 8 + (FIGURES - 16) / 2;
+    const middle = x - 12 - (FIGURES - 16) / 2;
     const back = s("rect", { class: "figures-back", y: y - 7.5, height: 15, rx: 7.5 });
     const text = s("text", { class: "figures-text", x: middle, y: y + 3.7, "text-anchor": "middle" });
     const group = s("g", { class: "figures" }, back, text);
-    const wire = s("path", { class: "wire", d: incoming ? `M${x - FIGURES} ${y}H${x}` : `M${x} ${y}h${FIGURES}` });
-    const port = s("g", { class: "port-row", "data-direction": direction }, wire, mark, label, group);
+    const wire = s("path", { class: "wire", d: incoming ? `M${x - FIGURES} ${y}H${x}` : `M${x} ${y}h${STUB}` });
+    // What an output writes is measured at its topic; its gate is shown here.
+    const port = s("g", { class: "port-row", "data-direction": direction }, wire, mark, label, incoming ? group : null);
     this.element.append(port);
     set(back, "x", middle);
     this.#ports.set(`${direction} ${name}`, { mark: port, figures: { group, text, back } });
@@ -147,12 +148,12 @@ export class ComponentShape {
         (port) => port.direction === key.slice(0, space) && port.name === key.slice(space + 1),
       );
       const port = links.find((each) => each.met === false) ?? links[0];
-      const text = port === undefined ? "" : figuresOf(port);
+      const text = port === undefined || port.direction === "out" ? "" : figuresOf(port);
       set(shape.mark, "data-state", port === undefined ? "" : stateOf(port));
       set(shape.mark, "data-linked", String(links.some((each) => each.topic !== null)));
       if (shape.figures.text.textContent === text) continue;
       shape.figures.text.textContent = text;
-      const width = text === "" ? 0 : Math.min(FIGURES - 14, 9 + text.length * 5.6);
+      const width = text === "" ? 0 : Math.min(FIGURES - 12, 10 + text.length * 5.8);
       const middle = Number(shape.figures.text.getAttribute("x"));
       set(shape.figures.back, "x", middle - width / 2);
       set(shape.figures.back, "width", width);

@@ -253,7 +253,7 @@ export class Graph {
       this.#keep(before, topic.id, JSON.stringify([topic.name, topic.rate]), () => new TopicShape(topic));
     }
     for (const each of structure.components) {
-      this.#keep(before, each.id, signature(each.entry), () => new ComponentShape(each));
+      this.#keep(before, each.id, signature(each.entry) + each.label, () => new ComponentShape(each));
     }
     for (const [id, { element }] of before) if (this.#drawn.get(id)?.element !== element) element.remove();
     this.#order(layout);
@@ -355,7 +355,7 @@ export class Graph {
     const view = this.#view;
     if (view === null) return;
     for (const { shape } of this.#drawn.values()) {
-      if (shape instanceof TopicShape) shape.update(view);
+      if (shape instanceof TopicShape) shape.update(view, this.#components);
       else if (shape instanceof CollapsedGroup) shape.update(view, this.#components, everything);
       else if (shape instanceof ComponentShape) this.#updateComponent(shape, view, everything);
     }

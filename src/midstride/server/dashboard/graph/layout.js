@@ -5,7 +5,7 @@
  */
 
 import "../vendor/elkjs/elk-api.js";
-import { componentSize, groupSize, topicLabel, topicSize, ROW } from "./measure.js";
+import { componentSize, groupSize, topicSize, ROW } from "./measure.js";
 
 /**
  * @typedef {import("./structure.js").Structure} Structure
@@ -58,29 +58,31 @@ function elkGraph(structure) {
   for (const group of structure.groups) {
     const node = group.collapsed
       ? { id: group.id, ...groupSize(group.title, group.members.length) }
-      : { id: group.id, children: [], layoutOptions: { "elk.padding": "[top=40,left=20,bottom=20,right=20]" } };
+      : { id: group.id, children: [], layoutOptions: { "elk.padding": "[top=40,left=14,bottom=14,right=14]" } };
     groups.set(group.id, node);
     children.push(node);
   }
   const put = (/** @type {string | null} */ group, /** @type {any} */ node) =>
     (group === null ? children : groups.get(group).children).push(node);
   for (const component of structure.components) put(component.group, componentNode(component));
-  for (const topic of structure.topics) put(topic.group, topicNode(topic.id, topicLabel(topic.name, topic.rate)));
+  for (const topic of structure.topics) put(topic.group, topicNode(topic));
   const edges = structure.links.map((link) => ({
     id: link.id,
     sources: [link.fromPort === null ? outlet(link.from) : `${link.from}.${link.fromPort}`],
     targets: [link.toPort === null ? inlet(link.to) : `${link.to}.${link.toPort}`],
   }));
   const many = structure.components.length + structure.topics.length > MANY;
-  return { id: "root", children, edges, layoutOptions: options(many, structure.groups.some((each) => !each.collapsed)) };
+  const nested = structure.groups.some((each) => !each.collapsed);
+  return { id: "root", children, edges, layoutOptions: options(many, nested, structure.links.some((each) => each.bundle)) };
 }
 
 /**
  * @param {boolean} many
- * @param {boolean} nested
+ * @param {boolean} nested whether there are open groups
+ * @param {boolean} bundled whether room is needed for the labels of bundles
  * @returns {Record<string, string>}
  */
-function options(many, nested) {
+function options(many, nested, bundled) {
   return {
     "elk.algorithm": "layered",
     "elk.direction": "RIGHT",
@@ -88,18 +90,21 @@ function options(many, nested) {
     "elk.hierarchyHandling": nested ? "INCLUDE_CHILDREN" : "INHERIT",
     "elk.json.edgeCoords": "ROOT",
     "elk.json.shapeCoords": "ROOT",
-    "elk.spacing.nodeNode": "22",
+    "elk.spacing.nodeNode": "20",
     "elk.spacing.edgeNode": "14",
-    "elk.spacing.edgeEdge": "9",
-    "elk.layered.spacing.nodeNodeBetweenLayers": "34",
+    "elk.spacing.edgeEdge": bundled ? "18" : "9",
+    "elk.layered.spacing.nodeNodeBetweenLayers": bundled ? "64" : "22",
     "elk.layered.spacing.edgeNodeBetweenLayers": "14",
-    "elk.layered.spacing.edgeEdgeBetweenLayers": "9",
+    "elk.layered.spacing.edgeEdgeBetweenLayers": bundled ? "18" : "9",
     "elk.layered.nodePlacement.strategy": many ? "LINEAR_SEGMENTS" : "NETWORK_SIMPLEX",
     "elk.layered.thoroughness": many ? "1" : "7",
     // Things stay in their order when something is added: the eye finds them again.
     "elk.layered.considerModelOrder.strategy": many ? "NONE" : "NODES_AND_EDGES",
     "elk.separateConnectedComponents": "true",
-    "elk.aspectRatio": "1.7",
+    "elk.aspectRatio": "1.6",
+    // A long chain of groups goes on below, as text does. elkjs does not wrap what is nested.
+    "elk.layered.wrapping.strategy": nested ? "OFF" : "MULTI_EDGE",
+    "elk.layered.wrapping.additionalEdgeSpacing": "30",
   };
 }
 
@@ -127,12 +132,11 @@ function componentNode(component) {
 }
 
 /**
- * @param {string} id
- * @param {string} label
+ * @param {import("./structure.js").DrawnTopic} topic
  * @returns {any}
  */
-function topicNode(id, label) {
-  const { width, height } = topicSize(label);
+function topicNode({ id, name, rate }) {
+  const { width, height } = topicSize(name, rate);
   const port = (/** @type {string} */ end, /** @type {string} */ side, /** @type {number} */ x) => ({
     id: end,
     x,

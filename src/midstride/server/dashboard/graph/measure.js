@@ -4,8 +4,6 @@
  * @module
  */
 
-import { hz } from "../dom.js";
-
 /**
  * @typedef {import("./structure.js").DrawnComponent} DrawnComponent
  * @typedef {{width: number, height: number}} Size
@@ -17,11 +15,12 @@ export const FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Noto Sans", 
 export const NAME = `600 13px ${FONT}`;
 export const SMALL = `11px ${FONT}`;
 
-/** The space of a measured and a declared rate beside a port. */
-export const FIGURES = 84;
+/** The space of a measured and a declared rate beside an input, and of an output's link to its topic. */
+export const FIGURES = 90;
+export const STUB = 10;
 export const ROW = 17;
 export const MODES_TOP = 40;
-const NARROWEST = 132;
+const NARROWEST = 118;
 const LONGEST = 26; // characters of a name; the whole is in the title and the details
 
 /** @type {CanvasRenderingContext2D | null} */ let canvas = null;
@@ -62,7 +61,7 @@ export function short(text, longest = LONGEST) {
  * @param {DrawnComponent} component
  * @returns {ComponentSize}
  */
-export function componentSize({ entry, ins, outs }) {
+export function componentSize({ entry, label, ins, outs }) {
   const widest = (/** @type {string[]} */ texts, /** @type {string} */ font) =>
     Math.max(0, ...texts.map((text) => textWidth(short(text), font)));
   const modes = entry.functionalities.map(
@@ -70,30 +69,23 @@ export function componentSize({ entry, ins, outs }) {
   );
   const ports = widest(ins, SMALL) + widest(outs, SMALL) + 40;
   const inner = Math.ceil(
-    Math.max(NARROWEST, 56 + textWidth(short(entry.name), NAME), 24 + textWidth(short(entry.component), SMALL), ports, ...modes),
+    Math.max(NARROWEST, 56 + textWidth(short(label), NAME), 24 + textWidth(short(entry.component), SMALL), ports, ...modes),
   );
   const portsTop = MODES_TOP + ROW * entry.functionalities.length + (entry.functionalities.length > 0 ? 8 : 2);
   const rows = Math.max(ins.length, outs.length);
   const left = ins.length > 0 ? FIGURES : 0;
-  const width = left + inner + (outs.length > 0 ? FIGURES : 0);
+  const width = left + inner + (outs.length > 0 ? STUB : 0);
   return { width, height: portsTop + ROW * rows + (rows > 0 ? 6 : 2), left, inner, portsTop };
 }
 
 /**
- * @param {string} name
- * @param {number | null} rate
- * @returns {string} what a topic's shape says
- */
-export function topicLabel(name, rate) {
-  return rate === null ? short(name, 30) : `${short(name, 30)} · ${hz(rate)} Hz`;
-}
-
-/**
- * @param {string} label
+ * @param {string} name of a topic
+ * @param {number | null} rate that its contract guarantees
  * @returns {Size}
  */
-export function topicSize(label) {
-  return { width: Math.ceil(textWidth(label, SMALL)) + 30, height: 24 };
+export function topicSize(name, rate) {
+  const width = Math.max(textWidth(short(name), SMALL), rate === null ? 0 : 68);
+  return { width: Math.ceil(width) + 28, height: rate === null ? 22 : 34 };
 }
 
 export const SQUARE = 15;
@@ -105,8 +97,8 @@ export const LISTED = 3;
  * @returns {Size & {columns: number}} of a collapsed group
  */
 export function groupSize(title, members) {
-  const columns = Math.max(8, Math.min(20, Math.ceil(Math.sqrt(members * 2.2))));
-  const width = Math.max(Math.ceil(textWidth(short(title, 40), NAME)) + 60, columns * SQUARE + 26, 200);
+  const columns = Math.max(14, Math.min(24, Math.ceil(Math.sqrt(members * 2.6))));
+  const width = Math.max(Math.ceil(textWidth(short(title, 40), NAME)) + 60, columns * SQUARE + 26, 250);
   const rows = Math.ceil(members / columns);
   return { width, height: 48 + rows * SQUARE + 10 + LISTED * 15 + 8, columns };
 }

@@ -18,7 +18,7 @@ import { groupsOf } from "./groups.js";
  * @typedef {import("./groups.js").Grouping} Grouping
  * @typedef {import("./ghosts.js").Ghosts} Ghosts
  *
- * @typedef {{id: string, name: string, group: string | null, ins: string[], outs: string[], entry: Component}} DrawnComponent
+ * @typedef {{id: string, name: string, label: string, group: string | null, ins: string[], outs: string[], entry: Component}} DrawnComponent
  * @typedef {{id: string, name: string, group: string | null, rate: number | null}} DrawnTopic
  * @typedef {Group & {collapsed: boolean}} DrawnGroup
  * @typedef {{component: string, port: string, topic: string}} End  a port on a topic
@@ -49,7 +49,7 @@ export function structureOf(view, components, { grouping, isCollapsed }) {
   /** @type {Map<string, {outs: End[], ins: End[]}>} */ const ends = new Map();
   for (const name of topicNames(view, sorted)) ends.set(name, { outs: [], ins: [] });
   for (const entry of sorted) {
-    if (hidden(entry.name) === null) drawn.push(drawnComponent(entry, groupOf.get(entry.name)?.id ?? null));
+    if (hidden(entry.name) === null) drawn.push(drawnComponent(entry, groupOf.get(entry.name) ?? null));
     for (const port of entry.ports) {
       if (port.topic === null) continue;
       const end = { component: entry.name, port: port.name, topic: port.topic };
@@ -88,14 +88,17 @@ function topicNames(view, components) {
 
 /**
  * @param {Component} entry
- * @param {string | null} group
+ * @param {Group | null} group
  * @returns {DrawnComponent}
  */
 function drawnComponent(entry, group) {
   const names = (/** @type {"in" | "out"} */ direction) => [
     ...new Set(entry.ports.filter((port) => port.direction === direction).map((port) => port.name)),
   ];
-  return { id: `c:${entry.name}`, name: entry.name, group, ins: names("in"), outs: names("out"), entry };
+  // In the frame of its namespace, the namespace need not be repeated.
+  const prefix = group === null ? "/" : `${group.title.slice(1)}/`;
+  const label = entry.name.startsWith(prefix) ? entry.name.slice(prefix.length) : entry.name;
+  return { id: `c:${entry.name}`, name: entry.name, label, group: group?.id ?? null, ins: names("in"), outs: names("out"), entry };
 }
 
 /**
@@ -162,8 +165,9 @@ function join(links, from, to, end, topic) {
  */
 function keyOf(components, topics, groups, links) {
   return JSON.stringify([
-    components.map(({ entry, group, ins, outs }) => [
+    components.map(({ entry, label, group, ins, outs }) => [
       entry.name,
+      label,
       entry.component,
       group,
       ins,

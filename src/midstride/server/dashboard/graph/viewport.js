@@ -9,6 +9,7 @@ import { set } from "../dom.js";
 const SMALLEST = 0.05;
 const LARGEST = 4;
 const MARGIN = 24;
+const TOOLS = 44; // the buttons at the bottom
 /** Below this scale, the small text cannot be read and is left out. */
 const FAR = 0.42;
 
@@ -56,12 +57,12 @@ export class Viewport {
   fit() {
     const { width, height } = this.#svg.getBoundingClientRect();
     if (width === 0 || height === 0) return;
-    const room = { width: width - 2 * MARGIN, height: height - 2 * MARGIN };
+    const room = { width: width - 2 * MARGIN, height: height - 2 * MARGIN - TOOLS };
     const fitting = Math.min(room.width / this.#content.width, room.height / this.#content.height, this.fitLargest);
     this.#moved = false;
     this.#scale = Math.max(SMALLEST, fitting);
     this.#x = (width - this.#content.width * this.#scale) / 2;
-    this.#y = (height - this.#content.height * this.#scale) / 2;
+    this.#y = (height - TOOLS - this.#content.height * this.#scale) / 2;
     this.#apply();
   }
 

@@ -127,17 +127,15 @@ function fallBars(stretch) {
  */
 export function gapRows(swaps) {
   return swaps.flatMap((swap) => {
-    const heading = { label: `${swap.topic} → ${swap.subscriber}`, heading: true, bars: [] };
-    if (swap.gap === null) return [heading, { label: "", bars: [{ begin: 0, end: 0, kind: "planned", text: "gap unknown", words: "the gap is not known" }] }];
+    const heading = (/** @type {string} */ text) => ({ label: `${text}: ${swap.topic} → ${swap.subscriber}`, heading: true, bars: [] });
+    if (swap.gap === null) return [heading("unknown")];
     const period = swap.period ?? swap.gap;
     const due = Math.min(period, swap.gap);
     const words = `longest silence ${duration(swap.gap)}, of a period of ${duration(swap.period)}`;
     const periods = swap.gap_periods === null ? "" : ` = ${swap.gap_periods.toFixed(2)} periods`;
-    const text = `${duration(swap.gap)}${periods}`;
     /** @type {Bar[]} */ const bars = [{ begin: 0, end: due, kind: "normal", words }];
-    if (swap.gap > due) bars.push({ begin: due, end: swap.gap, kind: "degraded", words, text });
-    else bars[0].text = text;
-    return [heading, { label: "", bars }];
+    if (swap.gap > due) bars.push({ begin: due, end: swap.gap, kind: "degraded", words });
+    return [heading(`${duration(swap.gap)}${periods}`), { label: "", bars }];
   });
 }
 

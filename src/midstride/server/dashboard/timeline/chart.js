@@ -44,7 +44,10 @@ export function drawChart(picture, width, onPick) {
   const svg = s("svg", { class: "chart", viewBox: `0 0 ${width} ${height}`, width, height, role: "group", "aria-label": "Modes over time" });
   svg.append(grid(picture, time, height, width - labels));
   picture.rows.forEach((row, index) => svg.append(drawRow(row, HEAD + index * ROW, time, labels, onPick)));
-  svg.append(...picture.changes.map((change) => drawChange(change, time, height, width)));
+  picture.changes.forEach((change, index) => {
+    const next = picture.changes[index + 1];
+    svg.append(drawChange(change, time, height, next ? time.x(next.began) : width));
+  });
   const head = s("g", { class: "marks" });
   for (const mark of marks(picture.events, picture.since, picture.until)) {
     const words = `${clock(mark.at)} ${mark.words}`;
@@ -135,9 +138,9 @@ function drawSegment(row, segment, middle, time, onPick) {
  * @param {PastChange} change
  * @param {import("./scale.js").Scale} time
  * @param {number} height
- * @param {number} width
+ * @param {number} until where the room for its name ends
  */
-function drawChange(change, time, height, width) {
+function drawChange(change, time, height, until) {
   const from = time.x(change.began);
   const to = time.x(change.ended ?? time.to);
   const outcome = (change.outcome ?? "in progress").replace("_", " ");
@@ -145,9 +148,8 @@ function drawChange(change, time, height, width) {
   group.append(s("rect", { x: from, y: 2, width: Math.max(to - from, 1), height: height - FOOT }));
   group.append(s("line", { x1: from, x2: from, y1: 2, y2: height - FOOT + 2 }));
   const text = change.outcome === "done" ? change.command : `${change.command}: ${outcome}`;
-  const room = Math.floor((width - from - 8) / CHARACTER);
-  const [x, anchor] = room < 12 ? [from - 4, "end"] : [from + 4, "start"];
-  group.append(s("text", { x, y: 13, "text-anchor": anchor }, shortened(text, Math.max(room, 24))));
+  const room = Math.floor((until - from - 8) / CHARACTER);
+  if (room >= 3) group.append(s("text", { x: from + 4, y: 13 }, shortened(text, room)));
   group.append(s("title", {}, `${clock(change.began)} ${change.command}: ${outcome}`));
   return group;
 }
