@@ -76,9 +76,10 @@ def test_the_openapi_document_has_every_operation() -> None:
         }
         reading = ("", "/up", "/status", "/programs", "/configuration", "/specification", "/why", "/log", "/events")
         viewing = ("/view", "/view/stream", "/view/timeline", "/view/at")
-        assert {f"/api/v1{path}" for path in (*reading, *viewing, "/change", "/history", "/report", "/specification/earlier")} == {
-            path for path, operations in document["paths"].items() if "get" in operations
-        }
+        assert {
+            f"/api/v1{path}"
+            for path in (*reading, *viewing, "/change", "/history", "/report", "/specification/earlier")
+        } == {path for path, operations in document["paths"].items() if "get" in operations}
         strategies = document["components"]["schemas"]["ChangeRequest"]["properties"]["strategy"]["enum"]
         assert strategies == ["minimal", "paper", "quiesce", "stop"]
 
