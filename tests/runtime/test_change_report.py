@@ -120,7 +120,7 @@ def test_only_what_takes_part_or_was_lowered_is_kept() -> None:
 
 
 def test_an_instance_that_has_gone_has_no_mode_any_more() -> None:
-    configuration, recorder, clock = running()
+    _, recorder, clock = running()
     recorder.reported(state("listener", "normal", 1.0), 100.0)
     recorder.reported(state("talker", "normal", 1.0, functionality="talk"), 100.0)
     clock.now = 103.0

@@ -27,7 +27,7 @@ _HTML: Final = """<!doctype html>
 </head>
 <body>
 <main id="report"></main>
-<noscript>This file draws its graph and its figures with JavaScript, which is switched off. They are in it as JSON.</noscript>
+<noscript>This file draws its graph and its figures with JavaScript, which is switched off.</noscript>
 <script type="application/json" id="data">{data}</script>
 <!-- elkjs (https://github.com/kieler/elkjs) lays out the graph; Eclipse Public License 2.0 -->
 <script>{layout}</script>
