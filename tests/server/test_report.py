@@ -51,7 +51,7 @@ def test_modules_become_one_script_in_the_order_in_which_they_need_each_other(tm
     script = modules(
         tmp_path,
         main='import { a as b,\n  c } from "./one.js";\nimport "./two.js";\nexport const d = b + c();\n',
-        one='import { z } from "./two.js";\n/** import {x} from "./nowhere.js" */\nexport const a = z;\nexport function c() {}\n',
+        one='import { z } from "./two.js";\n/** import {x} from "./no.js" */\nexport const a = z;\nexport function c() {}\n',
         two="export const z = 1; // import\n",
     )
     assert not re.search(r"^\s*(import|export)\b", script, re.MULTILINE)
