@@ -12,7 +12,7 @@ import { comparison, plansOfAll } from "./compare.js";
 import { listenForFiles } from "./drop.js";
 import { Form } from "./form.js";
 import { command, outcomeParts, planParts } from "./parts.js";
-import { NOTHING, changeCommand, complete, planCommand, request, title } from "./request.js";
+import { NOTHING, changeCommand, complete, planCommand, rehearsalCommand, request, title } from "./request.js";
 import { rehearsal } from "./rehearse.js";
 import { watch } from "./watch.js";
 
@@ -134,7 +134,11 @@ class ChangePanel {
       ? []
       : planned
         ? [changeCommand(this.#choice)]
-        : [planCommand(this.#choice, ["--explain"]), planCommand(this.#choice, ["--compare"])];
+        : [
+            planCommand(this.#choice, ["--explain"]),
+            planCommand(this.#choice, ["--compare"]),
+            rehearsalCommand(this.#choice, `${this.context.store.live?.system ?? "system"}.stride`, SEEDS),
+          ];
     replace(this.commands, ...lines.map((line) => command(line, say)));
   }
 

@@ -89,6 +89,12 @@ export function planCommand(choice, more = []) {
   return command(["plan", ...change[choice.kind], ...options(choice), ...more]);
 }
 
+/** @param {Choice} choice @param {string} file @param {number} seeds @returns {string} the command that rehearses it */
+export function rehearsalCommand(choice, file, seeds) {
+  const plan = planCommand(choice).split(" ").slice(2).join(" ");
+  return `midstride simulate ${quoted(file)} ${plan} --seeds ${seeds}`;
+}
+
 /** @param {Choice} choice @returns {string} the change in a few words, as the history has it */
 export function title(choice) {
   switch (choice.kind) {
