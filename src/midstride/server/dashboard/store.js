@@ -173,8 +173,10 @@ export class Store {
 
   /** @param {View} view */
   #onView(view) {
-    if (this.live !== null && this.live.manager !== view.manager) this.events = []; // it numbers from the beginning
+    const another = this.live?.manager !== view.manager;
+    if (another) this.events = []; // it numbers from the beginning
     this.live = view;
+    if (another) void this.#recall(view.manager);
     this.#tick(view.at);
     if (this.time.at === null) this.#notifyAll(["events"]);
   }
@@ -188,12 +190,31 @@ export class Store {
     if (this.time.at === null) this.#notify(changed);
   }
 
+  /**
+   * Asks for the events before the stream began.
+   *
+   * @param {string} manager
+   */
+  async #recall(manager) {
+    try {
+      const events = await this.#ask("GET", "/log");
+      if (this.live?.manager === manager) this.#addEvents(events);
+    } catch {
+      // the stream has new ones, and says itself if the manager is gone
+    }
+  }
+
   /** @param {Event} event */
   #onEvent(event) {
-    const last = this.events.at(-1);
-    if (last !== undefined && event.n <= last.n) return; // told before the connection was lost
-    this.events.push(event);
-    if (this.events.length > EVENTS_KEPT) this.events.splice(0, this.events.length - EVENTS_KEPT);
+    this.#addEvents([event]);
+  }
+
+  /** @param {Event[]} events in order; those that are known already are left out */
+  #addEvents(events) {
+    const [first, last] = [this.events[0]?.n ?? Infinity, this.events.at(-1)?.n ?? 0];
+    const before = events.filter(({ n }) => n < first);
+    const after = events.filter(({ n }) => n > last && n >= first);
+    this.events = [...before, ...this.events, ...(first === Infinity ? [] : after)].slice(-EVENTS_KEPT);
     this.#notify(["events"]);
   }
 
