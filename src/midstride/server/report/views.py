@@ -77,7 +77,8 @@ def _ports(configuration: Configuration, instance: Instance, modes: dict[str, st
     component = instance.component
     for name in component.ports():
         owner = component.find_owner(name)
-        for topic in [*configuration.attached_to(PortRef(instance.name, name))] or [None]:
+        topics: list[str | None] = [*configuration.attached_to(PortRef(instance.name, name))]
+        for topic in topics or [None]:
             yield PortView(
                 name=name,
                 direction="in" if owner is None else "out",
