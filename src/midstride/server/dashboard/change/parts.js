@@ -43,6 +43,8 @@ export function summary(plan) {
   );
 }
 
+/** Where a table of all figures does not fit (px). */
+const NARROW = 500;
 const COLUMNS = ["topic", "subscriber", "longest gap", "in periods", "missed", "lost", "duplicates"];
 const GLYPHS = /** @type {Record<string, string>} */ ({ planned: "·", current: "▶", done: "✓", failed: "✕" });
 
@@ -107,6 +109,12 @@ export function outcomeParts(outcome, plan, width) {
   ];
 }
 
+/** @param {any} swap @returns {HTMLElement} */
+function counts(swap) {
+  const [, , missed, lost, duplicates] = figures(swap);
+  return h("p", { class: "counts" }, `${swap.subscriber}: missed ${missed}, lost ${lost}, duplicates ${duplicates}`);
+}
+
 /** @param {any} found what Alloy found, where it was asked */
 function verdict(found) {
   if (!found) return null;
@@ -114,13 +122,15 @@ function verdict(found) {
   return h("p", {}, `${found.subject} ${String(found.verdict).toUpperCase()}${because} (${found.by}, ${found.scope})`);
 }
 
-/** @param {any[]} swaps @param {number} width @returns {(Node | null)[]} each subscriber's gap and figures */
+/** @param {any[]} swaps @param {number} width @returns {(Node | null | false)[]} each subscriber's gap and figures */
 export function gaps(swaps, width) {
   if (!swaps.length) return [];
+  const narrow = width < NARROW;
   return [
     h("h3", { class: "panel-title" }, "Longest silence at each subscriber"),
     axis(gapRows(swaps), { width, span: gapSpan(swaps), labels: 4, title: "Longest silence at each subscriber" }),
-    h(
+    ...(narrow ? swaps.map(counts) : []),
+    !narrow && h(
       "div",
       { class: "table-wrap", tabindex: 0, role: "region", "aria-label": "Figures of each subscriber" },
       h(
