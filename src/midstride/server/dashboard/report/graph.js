@@ -9,6 +9,9 @@ import { h, plural, replace } from "../dom.js";
 import { kindOf } from "../timeline/intervals.js";
 import { falls } from "../plan/words.js";
 
+/** Up to so many components, a lower picture is enough. */
+const FEW = 6;
+
 /**
  * @typedef {import("../store.js").View} View
  * @typedef {{graph: any, at: (time: number | null) => void}} Drawn
@@ -58,7 +61,8 @@ export function stepAt(timeline, at) {
  * @returns {Drawn}
  */
 export function reportGraph(element, views, plan, timeline) {
-  const canvas = h("div", { class: "report-canvas" });
+  const many = Object.keys(views.before.components).length > FEW;
+  const canvas = h("div", { class: many ? "report-canvas large" : "report-canvas" });
   const words = h("p", { class: "muted", role: "status" });
   const graph = createGraph(canvas, {});
   const buttons = h("div", { class: "change-actions", role: "group", "aria-label": "What the graph shows" });
