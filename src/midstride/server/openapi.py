@@ -13,8 +13,10 @@ from midstride.plan.request_form import ChangeRequest
 from midstride.runtime import reports
 from midstride.runtime.change_report import ChangeReport
 from midstride.runtime.history import History, SpecificationVersion
+from midstride.runtime.rehearsal_forms import Rehearsal
+from midstride.server.checked_text import CheckedText
 from midstride.server.errors import Failure
-from midstride.server.requests import LARGEST_BODY, ParameterSetting, SubmittedChange
+from midstride.server.requests import LARGEST_BODY, ParameterSetting, SubmittedChange, SubmittedRehearsal, SubmittedText
 from midstride.server.view import forms
 
 Responses: TypeAlias = dict[int | str, dict[str, Any]]
@@ -26,7 +28,11 @@ FORMS: Final = (
     SpecificationForm,
     SubmittedChange,
     ChangeReport,
+    SubmittedRehearsal,
+    SubmittedText,
+    CheckedText,
     History,
+    Rehearsal,
     SpecificationVersion,
     reports.DownReport,
     reports.Event,

@@ -27,6 +27,13 @@ export function mountChange(element, context) {
   new ChangePanel(element, context);
 }
 
+/** @param {any} diagnostic @returns {string} as `midstride check` prints it */
+function inWords(diagnostic) {
+  const { file, line, column, severity, code, message, help } = diagnostic;
+  const head = `${file}:${line}:${column}: ${severity} [${code}]: ${message}`;
+  return help ? `${head}\n  help: ${help}` : head;
+}
+
 class ChangePanel {
   /** @type {import("./request.js").Choice} */ #choice = NOTHING;
   /** @type {any} */ #specification = null;
@@ -102,14 +109,13 @@ class ChangePanel {
     this.chooser.open = true;
     replace(this.result, h("p", { class: "muted" }, `Checking ${file} …`));
     try {
-      const checked = await ask("POST", "/check", { text, file });
+      const checked = await ask("POST", "/check", { text, name: file });
       if (mine !== this.#generation) return;
-      const problems = checked.problems ?? [];
-      if (!checked.specification) {
-        this.#refused(`${file} has errors:`, problems.map(String).join("\n"));
+      if (!checked.ok) {
+        this.#refused(`${file} has errors:`, checked.diagnostics.map(inWords).join("\n"));
         return;
       }
-      this.#choose({ kind: "apply", to: checked.specification, file });
+      this.#choose({ kind: "apply", to: checked.request.to, file });
       await this.#planIt();
     } catch (error) {
       if (mine === this.#generation) this.#refusedBy(error);
