@@ -6,13 +6,13 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Error, Page, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Error, Page, expect, sync_playwright
 
 from tests.cli.conftest import EXAMPLES, Midstride, running
 from tests.server.support import free_port
@@ -20,6 +20,7 @@ from tests.server.support import free_port
 CHROMIUM = "/usr/bin/chromium"
 # How long a page may take to show something on a busy machine (ms).
 PATIENCE = 30_000
+expect.set_options(timeout=PATIENCE)
 
 
 @pytest.fixture(scope="session")
@@ -120,8 +121,6 @@ def opened(browser: Browser) -> Iterator[Opened]:
 
     yield open_page
     for context, opened_system in contexts:
-        try:
+        with suppress(Error):  # the browser has gone
             context.close()
-        except Error:
-            pass
         assert opened_system.faults == []

@@ -90,8 +90,8 @@ def topics_of(components: list[ComponentView]) -> list[TopicView]:
     for each in components:
         for found in each.ports:
             if found.topic is not None:
-                entry = ends.setdefault(found.topic, (found.type or "", [], []))
-                entry[1 if found.direction == "out" else 2].append(f"{each.name}.{found.name}")
+                _, outs, ins = ends.setdefault(found.topic, (found.type or "", [], []))
+                (outs if found.direction == "out" else ins).append(f"{each.name}.{found.name}")
     return [
         TopicView(
             name=name, topic=name, type=kind, rate=10.0, satisfied=True, publishers=outs, subscribers=ins, outside=[]
@@ -164,7 +164,8 @@ class Synthetic:
         found = Patch(n=self.n, at=time.time(), components={each.name: each for each in components})
         message = self._message("patch", msgspec.json.encode(found))
         assert self._loop is not None
-        self._loop.call_soon_threadsafe(lambda: [queue.put_nowait(message) for queue in self._queues])
+        for queue in list(self._queues):
+            self._loop.call_soon_threadsafe(queue.put_nowait, message)
 
     def _message(self, kind: str, document: bytes) -> bytes:
         return b"id: %s:%d.0\nevent: %s\ndata: %s\n\n" % (b"0" * 16, self.n, kind.encode(), document)

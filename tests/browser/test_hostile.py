@@ -1,4 +1,4 @@
-"""Names, types, topics, reasons, parameter values and output that a foreign node chose are text on the page, never markup."""
+"""Names, types, reasons, parameter values and output that a foreign node chose are text on the page, never markup."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_no_text_becomes_markup(browser: Browser, policy: str) -> None:
         nothing_attacked(page)
         for text in HOSTILE:
             choose(page, text)
-            expect(page.locator("#details h2")).to_contain_text(text.replace("\u0000", "\u0000")[:30].strip())
+            expect(page.locator("#details h2")).to_contain_text(text[:30])
             page.locator("#details").get_by_role("button", name="why?").click()
             expect(page.locator("#details .chain li")).to_have_count(len(HOSTILE))
             nothing_attacked(page)

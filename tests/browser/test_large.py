@@ -82,9 +82,8 @@ def test_search_opens_the_group_of_what_was_sought(page: Page) -> None:
 
 
 def test_a_new_component_moves_the_others_and_keeps_them(page: Page) -> None:
-    with serving(
-        Synthetic([component("talker", [functionality("work")], [port("out", "out", "/chatter")])])
-    ) as synthetic:
+    talker = component("talker", [functionality("work")], [port("out", "out", "/chatter")])
+    with serving(Synthetic([talker])) as synthetic:
         show(page, synthetic)
         page.locator('.component[data-name="talker"]').evaluate("element => { element.isTheSame = true; }")
         synthetic.patch([component("listener", [functionality("work")], [port("in", "in", "/chatter", 4.0)])])

@@ -19,6 +19,8 @@ const REMEMBERED = 12;
 const STORAGE = "midstride-layouts-1";
 /** Above this many shapes the layout settles for less order, and comes in seconds instead of minutes. */
 const MANY = 250;
+/** Up to this many components and groups a chain is short enough to be seen in one row. */
+const WRAP_ABOVE = 8;
 
 /** @type {any} */ let elk = null;
 
@@ -73,16 +75,17 @@ function elkGraph(structure) {
   }));
   const many = structure.components.length + structure.topics.length > MANY;
   const nested = structure.groups.some((each) => !each.collapsed);
-  return { id: "root", children, edges, layoutOptions: options(many, nested, structure.links.some((each) => each.bundle)) };
+  const bundled = structure.links.some((each) => each.bundle);
+  const wrapped = !nested && structure.components.length + structure.groups.length > WRAP_ABOVE;
+  return { id: "root", children, edges, layoutOptions: options({ many, nested, bundled, wrapped }) };
 }
 
 /**
- * @param {boolean} many
- * @param {boolean} nested whether there are open groups
- * @param {boolean} bundled whether room is needed for the labels of bundles
+ * @param {{many: boolean, nested: boolean, bundled: boolean, wrapped: boolean}} graph `nested`: there are open groups;
+ *   `bundled`: room is needed for the labels of bundles
  * @returns {Record<string, string>}
  */
-function options(many, nested, bundled) {
+function options({ many, nested, bundled, wrapped }) {
   return {
     "elk.algorithm": "layered",
     "elk.direction": "RIGHT",
@@ -102,8 +105,8 @@ function options(many, nested, bundled) {
     "elk.layered.considerModelOrder.strategy": many ? "NONE" : "NODES_AND_EDGES",
     "elk.separateConnectedComponents": "true",
     "elk.aspectRatio": "1.6",
-    // A long chain of groups goes on below, as text does. elkjs does not wrap what is nested.
-    "elk.layered.wrapping.strategy": nested ? "OFF" : "MULTI_EDGE",
+    // A long chain goes on below, as text does. elkjs does not wrap what is nested.
+    "elk.layered.wrapping.strategy": wrapped ? "MULTI_EDGE" : "OFF",
     "elk.layered.wrapping.additionalEdgeSpacing": "30",
   };
 }
