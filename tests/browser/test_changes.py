@@ -9,6 +9,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.browser.conftest import Opened, System
+from tests.cli.conftest import EXAMPLES
 
 pytestmark = [pytest.mark.browser, pytest.mark.full, pytest.mark.timeout(240)]
 
@@ -84,7 +85,8 @@ def test_a_change_is_carried_out_watched_and_rolled_back(own_talker: System, ope
     expect(page.locator("#change")).to_contain_text("missed 0, lost 0, duplicates 0")
     expect(page.locator('.component[data-name="talker_2"]')).to_be_visible()
     expect(other.locator('.component[data-name="talker_2"]')).to_be_visible()
-    expect(page.locator("#timeline .past-change")).to_have_count(1)
+    past = page.locator("#timeline .past-change").filter(has_text="replace talker with NewTalker: done")
+    expect(past).to_have_count(1)
     assert components(own_talker)["talker"] == "NewTalker"
 
     with page.expect_download() as saving:
@@ -154,3 +156,31 @@ def test_a_change_by_the_command_line_is_watched_too(own_talker: System, opened:
         command.wait()
         assert command.stdout is not None
         command.stdout.close()
+
+
+def test_an_edited_file_is_planned_and_its_errors_are_listed(talker: System, opened: Opened, tmp_path: Path) -> None:
+    page = opened(talker)
+    text = (EXAMPLES / "talker" / "talker.stride").read_text()
+    file = tmp_path / "edited.stride"
+    file.write_text(text.replace("talker: Talker", "talker: NewTalker", 1))
+    assert file.read_text() != text
+    chooser = page.locator('#change input[type="file"]')
+    chooser.set_input_files(file)
+    expect(page.locator("#change .step")).to_have_count(4)
+    expect(page.locator("#change .command").first).to_have_text(re.compile("midstride apply edited.stride --keep-code"))
+    file.write_text(text.replace("talker: Talker", "talker: Nobody", 1))
+    chooser.set_input_files(file)
+    printed = talker.midstride("check", str(file))
+    assert printed.status == 1
+    refusal = page.locator("#change .refusal")
+    expect(refusal).to_contain_text("edited.stride:")
+    expect(refusal).to_contain_text("Nobody")
+
+
+def test_a_rehearsal_says_how_its_runs_ended(talker: System, opened: Opened) -> None:
+    page = opened(talker)
+    choose(page, "talker", "NewTalker")
+    press(page, "Rehearse")
+    expect(page.locator("#change .banner")).to_contain_text("all that has to hold held", timeout=120_000)
+    expect(page.locator("#change")).to_contain_text("How the change ended:")
+    expect(page.locator("#change .command").last).to_contain_text("midstride simulate")

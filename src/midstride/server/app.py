@@ -42,8 +42,8 @@ from midstride.server.checked_text import CheckedText, checked
 from midstride.server.errors import Failure, answer, in_one_line, status_of
 from midstride.server.lifecycle import Lifecycle
 from midstride.server.openapi import answers, document_forms, failures, request_body
-from midstride.server.report.documents import change_file
 from midstride.server.rehearsal import Rehearser
+from midstride.server.report.documents import change_file
 from midstride.server.requests import (
     ParameterSetting,
     SubmittedChange,
