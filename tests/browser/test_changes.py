@@ -162,13 +162,13 @@ def test_an_edited_file_is_planned_and_its_errors_are_listed(talker: System, ope
     page = opened(talker)
     text = (EXAMPLES / "talker" / "talker.stride").read_text()
     file = tmp_path / "edited.stride"
-    file.write_text(text.replace("talker: Talker", "talker: NewTalker", 1))
+    file.write_text(text.replace("node talker   : Talker", "node talker : NewTalker"))
     assert file.read_text() != text
     chooser = page.locator('#change input[type="file"]')
     chooser.set_input_files(file)
     expect(page.locator("#change .step")).to_have_count(4)
     expect(page.locator("#change .command").first).to_have_text(re.compile("midstride apply edited.stride --keep-code"))
-    file.write_text(text.replace("talker: Talker", "talker: Nobody", 1))
+    file.write_text(text.replace("node talker   : Talker", "node talker : Nobody"))
     chooser.set_input_files(file)
     printed = talker.midstride("check", str(file))
     assert printed.status == 1
