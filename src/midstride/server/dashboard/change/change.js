@@ -143,7 +143,7 @@ class ChangePanel {
         : [
             planCommand(this.#choice, ["--explain"]),
             planCommand(this.#choice, ["--compare"]),
-            rehearsalCommand(this.#choice, `${this.context.store.live?.system ?? "system"}.stride`, SEEDS),
+            rehearsalCommand(this.#choice, "FILE", SEEDS),
           ];
     replace(this.commands, ...lines.map((line) => command(line, say)));
   }

@@ -19,8 +19,8 @@ import { scale, tickLabel, ticks, tickStep } from "./scale.js";
  * @typedef {{svg: SVGElement, at: (x: number) => number, x: (at: number) => number, height: number}} Chart
  */
 
-export const ROW = 22;
-const BAR = 14;
+export const ROW = 24;
+const BAR = 17;
 const HEAD = 22;
 const FOOT = 24;
 const CHARACTER = 6.6;
@@ -95,7 +95,7 @@ function drawRow(row, y, time, labels, onPick) {
 }
 
 /**
- * A stretch in one mode: a lower bar for a lower mode, hatched where no mode below is left, and its words where they fit.
+ * A stretch in one mode: filled in the best one, outlined in a lower one, with its words where they fit.
  *
  * @param {Row} row
  * @param {Segment} segment
@@ -112,8 +112,7 @@ function drawSegment(row, segment, middle, time, onPick) {
   const words = [`${row.name} in mode ${mode}${segment.open ? ` for ${lasted} so far` : ` for ${lasted}`}, from ${clock(segment.interval.began)}`];
   if (segment.kind !== "normal" && because) words.push(`${reflex ? "by its local reflex: " : ""}${because}`);
   const group = s("g", { class: "segment", "data-kind": segment.kind });
-  const height = segment.kind === "normal" ? BAR : segment.kind === "reduced" ? BAR - 3 : BAR - 6;
-  group.append(s("rect", { class: "bar", "data-kind": segment.kind, x, y: middle + BAR / 2 - height, width, height, rx: 2 }));
+  group.append(s("rect", { class: "bar", "data-kind": segment.kind, x, y: middle - BAR / 2, width, height: BAR, rx: 2 }));
   group.append(s("title", {}, words.join("\n")));
   if (segment.kind === "normal") return group;
   const text = [`${SHADE[segment.kind]} ${mode} ${lasted}`, `${SHADE[segment.kind]} ${lasted}`, SHADE[segment.kind]].find((each) => each.length * CHARACTER + 4 < width);

@@ -45,8 +45,9 @@ export class Why {
       h("ol", { class: "why-chain" }, ...reasons.flatMap((each) => each.split("\n")).map((each) => h("li", {}, each))),
     );
     this.element.hidden = false;
-    graph.highlight([name, instance, ...namesIn(reasons, store.view)]);
-    graph.reveal(instance);
+    const names = namesIn([name, instance, ...reasons], store.view);
+    graph.highlight(names.length ? names : null); // it may be about what is not there any more
+    if (instance in store.view.components) graph.reveal(instance);
   }
 
   close() {
