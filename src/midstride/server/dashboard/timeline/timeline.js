@@ -55,7 +55,9 @@ class Timeline {
     this.live = h("button", { class: "button", type: "button", title: "Key: Escape or l", onclick: () => this.#scrub(null) }, "Live");
     this.words = h("span", { class: "timeline-words", role: "status" });
     this.picture = h("div", { class: "timeline-picture" });
-    this.slider = h("div", { class: "timeline-slider", role: "slider", tabindex: 0, "aria-label": "Time that is shown", "aria-orientation": "horizontal" }, this.picture);
+    // Beside the picture, not around it: what is inside of a slider is not there for a screen reader.
+    this.handle = h("div", { class: "timeline-handle", role: "slider", tabindex: 0, "aria-label": "Time that is shown", "aria-orientation": "horizontal" });
+    this.slider = h("div", { class: "timeline-slider" }, this.handle, this.picture);
     const head = h("div", { class: "timeline-head" }, h("h2", { class: "panel-title" }, "Timeline"), this.choices, this.more, this.words, this.live);
     replace(element, head, this.slider, this.#why.element);
     for (const [name, back] of WINDOWS) {
@@ -212,10 +214,10 @@ class Timeline {
     replace(this.live, fixed ? "Whole change" : "Live");
     const none = shown.length ? "" : "Nothing was lowered in this time.";
     replace(this.words, at === null ? none : `The graph shows ${clock(at)}, ${seconds(until - at)} before the end.`);
-    this.slider.setAttribute("aria-valuemin", String(Math.round(since)));
-    this.slider.setAttribute("aria-valuemax", String(Math.round(until)));
-    this.slider.setAttribute("aria-valuenow", String(Math.round(at ?? until)));
-    this.slider.setAttribute("aria-valuetext", at === null ? "live" : clock(at));
+    this.handle.setAttribute("aria-valuemin", String(Math.round(since)));
+    this.handle.setAttribute("aria-valuemax", String(Math.round(until)));
+    this.handle.setAttribute("aria-valuenow", String(Math.round(at ?? until)));
+    this.handle.setAttribute("aria-valuetext", at === null ? "live" : clock(at));
   }
 
   /** Which stretch has the focus: the picture is drawn anew each second. */
