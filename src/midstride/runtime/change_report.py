@@ -32,7 +32,7 @@ class ChangeTimeline(Report, frozen=True, kw_only=True):
 
 
 class ChangeReport(Report, frozen=True, kw_only=True):
-    """A change of the history. Null: not recorded, as before version 0.3, or where the manager ended meanwhile."""
+    """A change of the history. Null: not recorded, as by an earlier version, or because the manager ended meanwhile."""
 
     change: ChangeRecord
     plan: PlanPreview | None

@@ -9,12 +9,13 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Final, cast
 
 from msgspec import UNSET, UnsetType, structs
 
-from midstride.errors import ManagerError, PlanRefused, StepFailed
+from midstride.errors import ManagerError, PlanRefused, StepFailed, Superseded
 from midstride.model import wording
 from midstride.model.action import Action, Create, Upgrade
 from midstride.model.component import PortRef
@@ -164,7 +165,7 @@ class ChangeSession:
         """
         recording = Recording(self.client, self.clock, self.another_waits if brief else None, self._measured_until)
         transfer = ParameterTransfer(self.client, self.system.values, plan.change, plan.parameters, keep)
-        since, before = time.time(), max((event.n for event in self.events.since()), default=0)
+        since, before = time.time(), self.events.last
         modes = self._record_modes(plan)
         try:
             outcome = await self._carry_out(plan, target, entry, recording, transfer, verifier, wait)
@@ -180,7 +181,8 @@ class ChangeSession:
             modes=modes.intervals(roles, since, self.system.configuration.instances.keys()),
             events=[structs.replace(event, plan=UNSET) for event in self.events.since(before)],
         )
-        await entry.recorded(outcome, timeline)
+        with suppress(Superseded):
+            await entry.recorded(outcome, timeline)
         return outcome
 
     def _record_modes(self, plan: Plan) -> ModeRecorder:
