@@ -82,7 +82,7 @@ def test_no_text_becomes_markup(browser: Browser, policy: str) -> None:
         expect(page.locator("#details h2")).to_have_text(HOSTILE[0])
         page.keyboard.press("/")
         page.keyboard.type("<")
-        expect(page.get_by_role("option").first).to_be_visible()
+        expect(page.locator("#found [role=option]").first).to_be_visible()
         nothing_attacked(page)
     context.close()
     assert faults == []
