@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import html
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -41,6 +42,12 @@ def report_file(document: Any, title: str) -> str:
     """The file for ``document``, whose form is described in docs/how-to/report.md."""
     # In a page, `<` could end the element: in JSON, it may be written otherwise everywhere.
     data = msgspec.json.encode(document).decode().replace("<", "\\u003c").replace("\u2028", "\\u2028")
+    return _HTML.format(title=html.escape(title), data=data, **_parts())
+
+
+@cache
+def _parts() -> dict[str, str]:
+    """What is the same in every report."""
     worker = (DASHBOARD / _LAYOUT).read_text(encoding="utf-8")
     # A page from disk can start no worker: the library then runs in the page, as its own package does without one.
     layout = f"(function () {{ var module = {{ exports: {{}} }}, exports = module.exports;\n{worker}\n"
@@ -53,7 +60,7 @@ def report_file(document: Any, title: str) -> str:
         f"default-src 'none'; script-src {_hash(layout)} {_hash(script)}; style-src {_hash(style)}; "
         "img-src data:; base-uri 'none'; form-action 'none'"
     )
-    return _HTML.format(policy=policy, title=html.escape(title), style=style, data=data, layout=layout, script=script)
+    return {"policy": policy, "style": style, "layout": layout, "script": script}
 
 
 def _hash(text: str) -> str:
