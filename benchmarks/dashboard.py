@@ -273,8 +273,8 @@ def measured(options: argparse.Namespace, number: int | None) -> dict[str, Any]:
             seen = json.loads(readers.communicate(timeout=60)[0]) if readers is not None else {}
             delays = sorted(seen.pop("delays", []))
         finally:
-            server.terminate()
-            server.wait(20)
+            server.kill()  # nothing runs that it would have to leave in order
+            server.wait()
     return {
         "clients": number,
         "processor": share,
