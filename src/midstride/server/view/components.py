@@ -48,7 +48,7 @@ class _PortShape:
 
 
 @dataclass(slots=True)
-class Shape:
+class EntryShape:
     """What of an entry depends on the instance and its attachments alone; another one is made when these change."""
 
     instance: Instance
@@ -57,7 +57,7 @@ class Shape:
     _declared: dict[tuple[str, ...], list[float | None]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, configuration: Configuration, instance: Instance) -> Shape:
+    def of(cls, configuration: Configuration, instance: Instance) -> EntryShape:
         functionalities = [
             (FunctionalityRef(instance.name, each.name), each, [mode.name for mode in each.modes])
             for each in instance.component
@@ -88,7 +88,7 @@ def _port_shapes(configuration: Configuration, instance: Instance) -> Iterator[_
 def component_view(
     watched: WatchedSystem,
     configuration: Configuration,
-    shape: Shape,
+    shape: EntryShape,
     baseline: Baseline,
     now: float,
     shown: ComponentView | None,
@@ -126,7 +126,7 @@ def component_view(
 def _functionalities(
     watched: WatchedSystem,
     configuration: Configuration,
-    shape: Shape,
+    shape: EntryShape,
     state: ComponentState | None,
     reported: float,
     shown: ComponentView | None,
@@ -157,7 +157,7 @@ def _since(found: FunctionalityState, reported: float, before: FunctionalityView
 
 
 def port_views(
-    shape: Shape, state: ComponentState | None, before: Sequence[PortView], *, refresh: bool
+    shape: EntryShape, state: ComponentState | None, before: Sequence[PortView], *, refresh: bool
 ) -> list[PortView]:
     """The ports of the instance; ``before`` are those of the entry before, if that had the same shape, else empty.
 

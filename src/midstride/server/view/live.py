@@ -26,7 +26,7 @@ from midstride.runtime.events import EventLog
 from midstride.runtime.reports import Event
 from midstride.server.lifecycle import Lifecycle
 from midstride.server.view.changes import ChangeTracker
-from midstride.server.view.components import Baseline, Shape, component_view, port_views
+from midstride.server.view.components import Baseline, EntryShape, component_view, port_views
 from midstride.server.view.forms import VERSION, ComponentView, CrashView, SilenceView, Timeline
 from midstride.server.view.recording import ModeHistory, ViewRecording
 from midstride.server.view.same import rates_as_shown, same_but_figures, same_report
@@ -60,7 +60,7 @@ class LiveView:
         self._recording = ViewRecording()
         self._modes = ModeHistory()
         self._wakers: set[asyncio.Event] = set()
-        self._shapes: dict[str, Shape] = {}
+        self._shapes: dict[str, EntryShape] = {}
         self._shown: dict[str, ComponentView] = {}
         self._reported: dict[str, ComponentState] = {}  # what the entries were built from
         self._unsound: set[str] = set()  # the components that are not as modelled
@@ -261,7 +261,7 @@ class LiveView:
                 continue
             shape, before = self._shapes.get(name), () if shown is None else shown.ports
             if shape is None:
-                shape, before = self._shapes.setdefault(name, Shape.of(configuration, instance)), ()
+                shape, before = self._shapes.setdefault(name, EntryShape.of(configuration, instance)), ()
             refresh = steady - self._figures_of.get(name, -math.inf) >= FIGURES
             if refresh:
                 self._figures_of[name] = steady
