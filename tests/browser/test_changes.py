@@ -150,6 +150,9 @@ def test_a_change_by_the_command_line_is_watched_too(own_talker: System, opened:
         expect(page.locator(".change-progress .panel-title").first).to_have_text("replace talker with NewTalker")
         expect(page.locator(".change-progress .step")).to_have_count(4)
         assert command.wait(60) == 0
+        expect(page.locator(".change-progress .banner")).to_have_text("ended: done")
+        expect(page.locator(".change-progress .axis-heading")).to_contain_text("/chatter → listener.in")
+        page.locator(".change-progress").get_by_role("button", name="Close").click()
         expect(page.locator(".change-progress .step")).to_have_count(0)
     finally:
         command.kill()
