@@ -40,6 +40,7 @@ class ChangePanel {
   /** @type {any} */ #plan = null;
   /** @type {any} */ #shown = null; // the plan that is on the graph
   #mine = false; // a change that this page has asked for is in progress
+  #own = 0; // when that change began
   #watched = 0; // when the change of another client began that is shown until it is closed
   #drawn = "";
   #generation = 0;
@@ -313,7 +314,8 @@ class ChangePanel {
     const { store } = this.context;
     const change = store.live?.change ?? null;
     const running = this.#running();
-    if (running && !this.#mine) this.#watched = change.began;
+    if (running && this.#mine) this.#own = change.began; // its outcome is shown by the answer to the request
+    if (running && change.began !== this.#own) this.#watched = change.began;
     const shown = running || (change !== null && change.began === this.#watched);
     const key = shown ? JSON.stringify([change.began, change.state, change.steps, change.swaps.length]) : "";
     if (key === this.#drawn) return;
@@ -329,6 +331,7 @@ class ChangePanel {
     };
     const button = h("button", { class: "button", type: "button", onclick: close }, "Close");
     replace(this.progress, ...watch(change, this.#width), running ? null : h("div", { class: "change-actions" }, button));
-    if (change.plan) this.#ghosts(running ? change.plan : null, change.index);
+    if (running && change.plan) this.#ghosts(change.plan, change.index);
+    else if (this.#plan === null) this.#ghosts(null);
   }
 }
