@@ -1,4 +1,4 @@
-"""screenshots.py FOLDER: pictures of the dashboard, of a system that runs on the simulator and of a large one made up."""
+"""screenshots.py FOLDER: pictures of the dashboard, of systems on the simulator and of a large one that is made up."""
 
 from __future__ import annotations
 
@@ -39,17 +39,17 @@ def take(browser: Browser, folder: Path) -> None:
         page = opened(browser, talker, viewport=PHONE, device_scale_factor=2, is_mobile=True, has_touch=True)
         page.screenshot(path=folder / "dashboard-phone.png")
         page.context.close()
-    with system("patrol", EXAMPLES / "patrol" / "patrol.stride") as patrol:
-        page = opened(browser, patrol, color_scheme="dark")
-        page.locator('.component[data-name="fusion"]').click()
-        page.screenshot(path=folder / "dashboard-patrol.png")
-        page.context.close()
     with serving(Synthetic(large(500, 1500))) as synthetic:
         page = browser.new_context(viewport=WIDE, device_scale_factor=1.5).new_page()
         page.goto(synthetic.url)
         page.wait_for_selector(".graph .collapsed[transform]")
         page.wait_for_timeout(1_000)
         page.screenshot(path=folder / "dashboard-large.png")
+        page.context.close()
+    with system("patrol", EXAMPLES / "patrol" / "patrol.stride") as patrol:
+        page = opened(browser, patrol, color_scheme="dark")
+        page.locator('.component[data-name="fusion"]').click()
+        page.screenshot(path=folder / "dashboard-patrol.png")
         page.context.close()
 
 
