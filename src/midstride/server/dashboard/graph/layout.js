@@ -93,7 +93,7 @@ function options({ quick, nested, bundled, wrapped }) {
     // Things stay in their order when something is added: the eye finds them again.
     "elk.layered.considerModelOrder.strategy": "NODES_AND_EDGES",
     "elk.separateConnectedComponents": "true",
-    "elk.aspectRatio": "1.6",
+    "elk.aspectRatio": wrapped ? "2.6" : "1.6",
     // A long chain goes on below, as text does. elkjs does not wrap what is nested.
     "elk.layered.wrapping.strategy": wrapped ? "MULTI_EDGE" : "OFF",
     "elk.layered.wrapping.additionalEdgeSpacing": "30",
