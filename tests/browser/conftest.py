@@ -40,7 +40,7 @@ class System:
     name: str
     file: Path
     port: int
-    backend: str = "sim"
+    options: tuple[str, ...] = ()
     faults: list[str] = field(default_factory=list)
 
     @property
@@ -53,7 +53,7 @@ class System:
 
     def up(self) -> None:
         done = self.midstride(
-            "up", str(self.file), "--backend", self.backend, "--detach", "--http", str(self.port), timeout=100
+            "up", str(self.file), "--backend", "sim", "--detach", "--http", str(self.port), *self.options, timeout=100
         )
         assert done.status == 0, done.err
 
@@ -82,9 +82,9 @@ class System:
 
 
 @contextmanager
-def system(name: str, file: Path, backend: str = "sim") -> Iterator[System]:
+def system(name: str, file: Path, *options: str) -> Iterator[System]:
     for midstride in running():
-        found = System(midstride, name, file, free_port(), backend)
+        found = System(midstride, name, file, free_port(), options)
         found.up()
         yield found
 
