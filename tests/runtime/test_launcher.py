@@ -201,6 +201,38 @@ def test_one_that_refuses_its_welcome_is_ended(tmp_path: Path) -> None:
     bench(NOTHING, tmp_path, body)
 
 
+def test_one_that_does_not_answer_has_time_while_others_start(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        other = changed(CAMERA, name="front/other")
+        await b.launcher.start(other)
+        b.startable(CAMERA)
+        b.client.reply("front/camera", ObserveCommand, TIMEOUT, TIMEOUT, reported(CAMERA))
+        await b.launcher.registered(CAMERA)
+        assert len(b.client.of(ObserveCommand, "front/camera")) == 3
+        assert "front/camera" in b.backend.running
+
+        await b.launcher.end("front/camera")
+        await b.launcher.abandon("front/other")
+        b.client.reply("front/camera", ObserveCommand, TIMEOUT, reported(CAMERA))
+        with pytest.raises(StartFailed, match=f"registered but could not be accepted: {TIMEOUT}"):
+            await b.launcher.registered(CAMERA)
+        assert b.backend.running == set()
+
+    bench(NOTHING, tmp_path, body)
+
+
+def test_one_that_was_stopped_has_no_more_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def body(b: Bench) -> None:
+        await b.launcher.start(changed(CAMERA, name="front/other"))
+        b.startable(CAMERA)
+        b.client.reply("front/camera", ObserveCommand, TIMEOUT, reported(CAMERA))
+        monkeypatch.setattr(b.backend, "is_stopped", lambda name: name == "front/camera")
+        with pytest.raises(StartFailed, match=f"registered but could not be accepted: {TIMEOUT}"):
+            await b.launcher.registered(CAMERA)
+
+    bench(NOTHING, tmp_path, body)
+
+
 def test_a_start_that_is_cancelled_leaves_no_process(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         registering = asyncio.ensure_future(b.launcher.registered(CAMERA))

@@ -191,8 +191,7 @@ class Launcher:
         try:
             greeting, registration = await self._registration(instance)
             self._verify(instance, greeting, registration)
-            await self._client.observe(name)
-            self._remember_grace(await self._client.change(name, WelcomeCommand(manager=str(os.getpid()))))
+            self._remember_grace(await self._welcome(name))
         except (Exception, asyncio.CancelledError) as error:
             await self.abandon(name)
             if isinstance(error, MidstrideError) and not isinstance(error, StartFailed):
@@ -223,6 +222,23 @@ class Launcher:
             f"{name} did not register within {timeout.result():g} s (it {where}); does its program "
             f"create a Component and call start()?{log}"
         )
+
+    async def _welcome(self, name: str) -> ComponentState:
+        """Accept a component that has registered; returns its state.
+
+        One that does not answer is asked again as long as others are starting: the machine is busy with them. Raises
+        MidstrideError.
+        """
+        clock = self._backend.clock
+        deadline = clock.steady() + REGISTRATION_LIMIT
+        while True:
+            try:
+                await self._client.observe(name)
+                return await self._client.change(name, WelcomeCommand(manager=str(os.getpid())))
+            except CallTimeout:
+                if not self.starting() or self._backend.is_stopped(name) or clock.steady() >= deadline:
+                    raise
+            await clock.sleep(CHECK_STOPPED)
 
     async def _stopped(self, name: str) -> None:
         """Return once the process has been stopped for ``STOPPED`` seconds: it is not just slow."""
