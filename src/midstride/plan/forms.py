@@ -24,6 +24,7 @@ from midstride.plan.change import Change, Detour
 from midstride.plan.change_builder import change_between
 from midstride.plan.detours import with_detours
 from midstride.plan.explain import Degradation, LevelShift
+from midstride.plan.overlap import duration
 from midstride.plan.plan import BoundPart, Plan, ProofSpace
 from midstride.plan.runtime_values import RuntimeValue
 from midstride.plan.state import left_behind
@@ -101,6 +102,13 @@ class PlanCosts(PlanPart, frozen=True, kw_only=True):
     )
     makespan: Annotated[FiniteNumber, field("a makespan", "the critical path of the steps, in seconds")]
     seconds: Annotated[FiniteNumber, field("a number of seconds", "one step after another")]
+    duration: (
+        Annotated[
+            FiniteNumber,
+            field("a number of seconds", "as the plan is carried out: what can start or end at once, does"),
+        ]
+        | UnsetType
+    ) = UNSET
     between: Between | UnsetType = UNSET
     fallen: Annotated[list[str], field("a list of functionalities", "of roles, ever below their baseline")]
     falls: Annotated[list[Degradation], field("a list", "why each functionality falls")] = []
@@ -152,6 +160,7 @@ class PlanForm(PlanCosts, frozen=True, kw_only=True):
 
 
 def _fields(plan: Plan) -> dict[str, Any]:
+    taken = duration(plan)
     return {
         "strategy": plan.strategy,
         "proved_minimal": plan.proved_minimal,
@@ -160,7 +169,8 @@ def _fields(plan: Plan) -> dict[str, Any]:
         "proof_space": plan.proof_space,
         "makespan": plan.makespan,
         "seconds": plan.seconds,
-        "between": plan.between or UNSET,
+        "duration": taken.seconds,
+        "between": taken.between or UNSET,
         "fallen": [str(ref) for ref in plan.fallen],
         "falls": list(plan.degradations),
         "afterwards": list(plan.level_shifts),
