@@ -103,7 +103,7 @@ def plan(document: Document, title: str) -> RenderableType:
 
 def _about(document: Document) -> str:
     """How long a step takes, and the shortest and the longest that was measured where they differ much."""
-    return _with_remarks(document["seconds"], _spread(document))
+    return _with_remarks(document.get("seconds"), _spread(document))
 
 
 def _spread(document: Document) -> list[str]:
@@ -111,7 +111,7 @@ def _spread(document: Document) -> list[str]:
     return [] if longest - shortest < SPREAD else [f"{seconds(shortest)} to {seconds(longest)}"]
 
 
-def _with_remarks(taken: float, remarks: list[str]) -> str:
+def _with_remarks(taken: float | None, remarks: list[str]) -> str:
     return seconds(taken) + (f" ({'; '.join(remarks)})" if remarks else "")
 
 

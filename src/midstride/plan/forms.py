@@ -23,6 +23,7 @@ from midstride.plan.alternatives import Alternative, alternatives
 from midstride.plan.change import Change, Detour
 from midstride.plan.change_builder import change_between
 from midstride.plan.detours import with_detours
+from midstride.plan.estimate import Estimate
 from midstride.plan.explain import Degradation, LevelShift
 from midstride.plan.overlap import duration
 from midstride.plan.plan import BoundPart, Plan, ProofSpace
@@ -85,6 +86,14 @@ class BoundPartForm(PlanPart, frozen=True, kw_only=True):
 Certificate: TypeAlias = Annotated[
     list[BoundPartForm], field("a list of parts", "of the lower bound, which add up to it; absent where there is none")
 ]
+Measured: TypeAlias = Annotated[
+    dict[str, tuple[FiniteNumber, FiniteNumber, FiniteNumber]],
+    field(
+        "a table of durations",
+        "how long steps took in earlier runs: what is expected, the shortest and the longest (s); only of a plan whose "
+        "proof covers detours, since it rests on steps that the plan does not take",
+    ),
+]
 Detours: TypeAlias = Annotated[list[DetourForm], field("a list of detours", "what is done beyond the change itself")]
 
 
@@ -131,6 +140,7 @@ class PlanPreview(PlanCosts, frozen=True, kw_only=True):
     remarks: Remarks | UnsetType = UNSET
     detours: Detours | UnsetType = UNSET
     certificate: Certificate | UnsetType = UNSET
+    measured: Measured | UnsetType = UNSET
 
     @classmethod
     def of(cls, plan: Plan) -> PlanPreview:
@@ -151,6 +161,7 @@ class PlanForm(PlanCosts, frozen=True, kw_only=True):
     remarks: Remarks | UnsetType = UNSET
     detours: Detours | UnsetType = UNSET
     certificate: Certificate | UnsetType = UNSET
+    measured: Measured | UnsetType = UNSET
 
     @classmethod
     def of(cls, plan: Plan, **more: Any) -> PlanForm:
@@ -181,8 +192,14 @@ def _fields(plan: Plan) -> dict[str, Any]:
         "remarks": list(plan.remarks) or UNSET,
         "certificate": [BoundPartForm(roles=[*each.roles], bound=each.bound) for each in plan.certificate] or UNSET,
         "detours": [DetourForm.of(detour) for detour in plan.change.detours] or UNSET,
+        "measured": _measured(plan) or UNSET,
         "own_state": left_behind(plan.change, (step.action for step in plan.steps)) or UNSET,
     }
+
+
+def _measured(plan: Plan) -> dict[str, tuple[float, float, float]]:
+    measured = plan.change.measured if plan.proof_space == "detours" else {}
+    return {key: (each.seconds, each.shortest, each.longest) for key, each in sorted(measured.items())}
 
 
 def _running(change: Change) -> dict[str, str | None]:
@@ -214,7 +231,8 @@ def decode_plan(document: object) -> Plan:
     form, start, target = decode(document, PlanForm, _parts, _names)
     standing = {} if form.standing is UNSET else form.standing
     origin = _started(start, {} if form.running is UNSET else form.running, standing)
-    change = change_between(origin, start, target)
+    measured = {key: Estimate(*each) for key, each in (form.measured or {}).items()}
+    change = change_between(origin, start, target, measured)
     try:
         change = with_detours(change, (each.detour() for each in (form.detours or ())))
     except KeyError as error:
