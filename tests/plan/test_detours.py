@@ -8,6 +8,7 @@ from dataclasses import replace
 from random import Random
 
 import pytest
+from immutables import Map
 
 from midstride.errors import PlanRefused
 from midstride.model.component import ComponentSpec, FunctionalityRef
@@ -155,7 +156,7 @@ def test_the_replay_of_a_document_knows_how_long_what_the_plan_does_not_take_wou
     """The logger took 40 s to start, so to move it is no detour that helps."""
     start = crowded()
     components = {name: replace(each, startup_seconds=None) for name, each in start.components.items()}
-    start = replace(start, components=start.components.update(components), timing=start.timing)
+    start = replace(start, components=start.components.update(components), timing=Map(remove=0.5))
     measured = {"create Logger": Estimate(80.0, 70.0, 90.0), "create New": Estimate.exactly(1.0)}
     change = change_between(initial(start), start, start.with_replaced("detector", "New"), measured)
     plan = sound(minimal_with_detours(change))
