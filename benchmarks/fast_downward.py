@@ -1,6 +1,6 @@
 """Against Fast Downward (A* with LM-cut) through unified-planning: the least disruption of small replacements.
 
-The changes are of the same family as the published conflict cores (``_conflict_core_systems``), with 1 to 6 nodes to
+The changes are of the same family as the published conflict cores (``_conflict_core_systems``), with 3 to 6 nodes to
 replace instead of 18 to 26. How they are put as a classical problem: ``_fast_downward_problem``. Both ways have to
 agree on the least disruption. Times are those of the processor; Fast Downward's include its translation, not the
 encoding in Python.
@@ -40,8 +40,12 @@ from midstride.plan.validate import replay
 TIED, FUNCTIONALITIES = 20, 10
 
 
-def small(seed: int) -> Change:
-    start, target = instance(seed, TIED, FUNCTIONALITIES)
+def small(seed: int) -> Change | None:
+    """None for seeds with so many exclusive topics that hardly a node is left: the others have too little to read."""
+    try:
+        start, target = instance(seed, TIED, FUNCTIONALITIES)
+    except ValueError:
+        return None
     return change_between(initial(start), start, target)
 
 
@@ -65,7 +69,9 @@ def _solve(seed: int, seconds: float, answer: Connection) -> None:
     from unified_planning.shortcuts import OneshotPlanner, get_environment
 
     get_environment().credits_stream = None
-    encoding = Encoding(small(seed))
+    change = small(seed)
+    assert change is not None
+    encoding = Encoding(change)
     most = math.ceil(time.process_time() + seconds)
     resource.setrlimit(resource.RLIMIT_CPU, (most, most))
     with OneshotPlanner(name="fast-downward-opt") as planner:
@@ -100,7 +106,7 @@ def main() -> int:
     rows: list[dict[str, Any]] = []
     for seed in options.seeds:
         change = small(seed)
-        if not change.coming:
+        if change is None:
             continue
         row: dict[str, Any] = {"seed": seed, "replaced": len(change.coming)}
         row["minimal"] = planned(change, options.seconds)

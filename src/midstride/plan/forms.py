@@ -198,7 +198,9 @@ def _fields(plan: Plan) -> dict[str, Any]:
 
 
 def _measured(plan: Plan) -> dict[str, tuple[float, float, float]]:
-    measured = plan.change.measured if plan.proof_space == "detours" else {}
+    if plan.proof_space != "detours":
+        return {}
+    measured = plan.change.measured
     return {key: (each.seconds, each.shortest, each.longest) for key, each in sorted(measured.items())}
 
 
