@@ -19,6 +19,7 @@ import json
 import math
 import multiprocessing
 import resource
+import signal
 import statistics
 import sys
 import time
@@ -89,11 +90,13 @@ def fast_downward(seed: int, seconds: float) -> dict[str, Any]:
     process.start()
     theirs.close()
     try:
-        return ours.recv()  # type: ignore[no-any-return]
+        found: dict[str, Any] = ours.recv()
     except EOFError:
-        return {"proved": False, "seconds": seconds, "disruption": None, "steps": 0}
-    finally:
-        process.join()
+        found = {"proved": False, "seconds": seconds, "disruption": None, "steps": 0}
+    process.join()
+    if process.exitcode not in (0, -signal.SIGXCPU, -signal.SIGKILL):  # its time was not up: it has failed
+        raise SystemExit(f"seed {seed}: the process that runs Fast Downward ended with status {process.exitcode}")
+    return found
 
 
 def main() -> int:

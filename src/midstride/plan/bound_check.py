@@ -15,7 +15,7 @@ from typing import Final, Literal
 
 from midstride.model.action import Create, Remove
 from midstride.model.configuration import Instance
-from midstride.plan.bound_search import BoundSearch, Definition, TooLarge, Work
+from midstride.plan.bound_search import BoundSearch, Definition, SearchTooLarge, Work
 from midstride.plan.change import Change
 from midstride.plan.constraints import in_force
 from midstride.plan.detour_space import with_every_detour
@@ -48,7 +48,7 @@ def check_bound(plan: Plan, definition: Definition, work: int = WORK) -> BoundCh
         """The least disruption of ``change``, if that is less than ``bound``."""
         return BoundSearch(change, seconds, definition, left, roles).cheapest_below(bound - _EPSILON)
 
-    with suppress(TooLarge):
+    with suppress(SearchTooLarge):
         parts = plan.certificate if not with_detours and _adds_up(plan) else ()
         if parts and all(cheaper(direct, part.bound, Work(work), part.roles) is None for part in parts):
             return BoundCheck("holds")
@@ -58,7 +58,7 @@ def check_bound(plan: Plan, definition: Definition, work: int = WORK) -> BoundCh
             left.spend(len(change.start.modes))
             if (least := cheaper(change, plan.lower_bound, left)) is not None:
                 return _too_high(change, least)
-    except TooLarge:
+    except SearchTooLarge:
         return BoundCheck("not checked", f"the change {'with its detours ' if with_detours else ''}is too large")
     return BoundCheck("holds")
 

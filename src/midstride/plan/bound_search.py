@@ -65,7 +65,7 @@ def _pair(kind: str, port: PortRef, connector: str) -> Op:
     return kind, "", port, connector
 
 
-class TooLarge(Exception):
+class SearchTooLarge(Exception):
     """More functionalities than may be evaluated."""
 
 
@@ -76,10 +76,10 @@ class Work:
         self._left = most
 
     def spend(self, functionalities: int) -> None:
-        """Raises TooLarge."""
+        """Raises SearchTooLarge."""
         self._left -= functionalities
         if self._left < 0:
-            raise TooLarge
+            raise SearchTooLarge
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +198,7 @@ class BoundSearch:
         return self._known[state]
 
     def cheapest_below(self, limit: float) -> float | None:
-        """The least disruption of a way to the goal; None if that is not below ``limit``. Raises TooLarge."""
+        """The least disruption of a way to the goal; None if that is not below ``limit``. Raises SearchTooLarge."""
         start = self.first, (0.0,) * len(self._limits)
         queue: list[tuple[float, int, tuple[State, tuple[float, ...]]]] = [(0.0, 0, start)]
         costs, number = {start: 0.0}, count(1)
