@@ -66,6 +66,8 @@ def _children() -> float:
 def _solve(seed: int, seconds: float, answer: Connection) -> None:
     """Sends the result. The system ends each program of Fast Downward when its time is up."""
     from _fast_downward_problem import Encoding
+
+    sys.path.remove(str(Path(__file__).parent))  # this file has the name of a package that the planner imports
     from unified_planning.engines import PlanGenerationResultStatus
     from unified_planning.shortcuts import OneshotPlanner, get_environment
 
