@@ -12,7 +12,7 @@ from typing import Annotated, Final
 
 from fastapi import APIRouter, FastAPI, Header, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import StreamingResponse
+from fastapi.responses import HTMLResponse, StreamingResponse
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
@@ -21,7 +21,9 @@ from midstride.codec.specification import SpecificationForm
 from midstride.errors import MidstrideError, SpecificationError
 from midstride.plan.alternatives import alternatives
 from midstride.plan.request_form import ChangeRequest
+from midstride.runtime.change_report import ChangeReport
 from midstride.runtime.history import History, SpecificationVersion
+from midstride.runtime.rehearsal_forms import Rehearsal
 from midstride.runtime.reports import (
     DownReport,
     Event,
@@ -36,10 +38,23 @@ from midstride.runtime.reports import (
     Why,
 )
 from midstride.server import stream
+from midstride.server.checked_text import CheckedText, checked
 from midstride.server.errors import Failure, answer, in_one_line, status_of
 from midstride.server.lifecycle import Lifecycle
 from midstride.server.openapi import answers, document_forms, failures, request_body
-from midstride.server.requests import ParameterSetting, SubmittedChange, read_change, read_request, read_setting
+from midstride.server.rehearsal import Rehearser
+from midstride.server.report.documents import change_file
+from midstride.server.requests import (
+    ParameterSetting,
+    SubmittedChange,
+    SubmittedRehearsal,
+    SubmittedText,
+    read_change,
+    read_rehearsal,
+    read_request,
+    read_setting,
+    read_text,
+)
 from midstride.server.static import dashboard
 from midstride.server.view.live import LiveView
 from midstride.server.view.routes import viewing
@@ -151,6 +166,27 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
         """The latest changes with their figures, also those of earlier managers, and incidents such as crashes."""
         return answer(await manager.history(latest))
 
+    @router.get("/change", responses=answers(ChangeReport))
+    async def past_change(
+        number: Annotated[int | None, Query(ge=1, le=_LARGEST, description="as in /history")] = None,
+    ) -> Response:
+        """A change of the history, by default the latest: its plan, both specifications, what happened, the figures."""
+        return answer(await manager.change_report(number))
+
+    @router.get(
+        "/report",
+        response_class=HTMLResponse,
+        responses={200: {"content": {"text/html": {}}, "description": "one self-contained file"}, **failures()},
+    )
+    async def report(
+        number: Annotated[int | None, Query(ge=1, le=_LARGEST, description="as in /history")] = None,
+    ) -> Response:
+        """A change of the history, by default the latest, as an HTML file that needs nothing else."""
+        found = await manager.change_report(number)
+        text = await asyncio.to_thread(change_file, found, manager.specification.name, backend)
+        headers = {"Content-Disposition": 'attachment; filename="change.html"', "X-Content-Type-Options": "nosniff"}
+        return HTMLResponse(text, headers=headers)
+
     @router.get("/why", responses=answers(Why))
     async def why(functionality: Annotated[str, Query(description="as `listener.listen`")]) -> Response:
         """Why a functionality is in the mode it is in."""
@@ -184,7 +220,7 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
 
 
 def _changing(lifecycle: Lifecycle) -> APIRouter:
-    router, manager = APIRouter(), lifecycle.manager
+    router, manager, rehearser = APIRouter(), lifecycle.manager, Rehearser()
 
     @router.post("/plan", responses=answers(PlannedChange, body=True), openapi_extra=request_body(ChangeRequest))
     async def plan(http: Request) -> Response:
@@ -199,6 +235,19 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
             return answer(PlannedChange.of(found, revision=revision, **more))
 
         return await asyncio.to_thread(response)
+
+    @router.post("/check", responses=answers(CheckedText, body=True), openapi_extra=request_body(SubmittedText))
+    async def check(http: Request) -> Response:
+        """Check the text of a specification; no file is read for it. Its `request` can be planned and carried out."""
+        submitted = await read_text(http)
+        return await asyncio.to_thread(lambda: answer(checked(submitted)))
+
+    @router.post("/rehearsal", responses=answers(Rehearsal, body=True), openapi_extra=request_body(SubmittedRehearsal))
+    async def rehearsal(http: Request) -> Response:
+        """Rehearse a change in the simulator, with stand-ins for programs, while faults strike. Nothing is changed."""
+        asked = await read_rehearsal(http)
+        lifecycle.require_up()
+        return answer(await rehearser.rehearse(manager.specification, asked))
 
     @router.post("/change", responses=answers(Outcome, body=True), openapi_extra=request_body(SubmittedChange))
     async def change(http: Request) -> Response:
