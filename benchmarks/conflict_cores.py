@@ -4,21 +4,25 @@ For each change of the published set (``_conflict_core_systems``): how long the 
 the plan may be from the least after the time given; the same of a plain A* over the sets of done actions, with the same
 memoised fixed point and each role's own least absence as its bound, but without independent parts, without the bound of
 what has to make room, and without a plan to begin with; and, if asked for, of clingo on the logic program of the tests,
-and of CP-SAT (one worker, ``_conflict_core_cpsat``; needs ``ortools``, which nothing else here does). Times are those
-of the processor, so that what else the machine does makes no difference (clingo's are the clock's).
+and of CP-SAT (one worker, ``_conflict_core_cpsat``; needs ``ortools``, which nothing else here does). Times and limits
+are those of the processor, so that other load on the machine makes no difference. The results are written after each
+change; ``--resume`` goes on from them.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import multiprocessing
+import resource
 import statistics
 import sys
 import time
+from collections.abc import Callable
 from math import inf
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from _conflict_core_systems import SEEDS, instance
 
@@ -96,87 +100,109 @@ def plain(change: Change, seconds: float) -> dict[str, Any]:
     return {"proved": result.cost < inf, "seconds": time.process_time() - begin, "bound": result.lower_bound}
 
 
-def _solve(seed: int) -> None:
+def _solve(seed: int, seconds: float) -> None:
+    """Ends with status 0 if the least disruption is proved; the system ends it when its time is up."""
     sys.path.insert(0, str(Path(__file__).parents[1]))
     from tests.plan.answer_sets import AnswerSets
 
-    AnswerSets(changed(seed)).optimum()
+    change = changed(seed)
+    most = math.ceil(time.process_time() + seconds)
+    resource.setrlimit(resource.RLIMIT_CPU, (most, most + 1))
+    AnswerSets(change).optimum()
 
 
 def clingo(seed: int, seconds: float) -> dict[str, Any]:
-    """In a process of its own: grounding cannot be interrupted."""
-    begin = time.perf_counter()
-    process = multiprocessing.get_context("spawn").Process(target=_solve, args=(seed,))
+    """In a separate process: grounding cannot be interrupted. The time counts from the start of that process."""
+    before = _children()
+    process = multiprocessing.get_context("spawn").Process(target=_solve, args=(seed, seconds))
     process.start()
-    process.join(seconds)
-    proved = process.exitcode == 0
-    process.kill()
     process.join()
-    return {"proved": proved, "seconds": time.perf_counter() - begin}
+    return {"proved": process.exitcode == 0, "seconds": _children() - before}
+
+
+def _children() -> float:
+    """The processor time (s) of the processes that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def cpsat(change: Change, seconds: float) -> dict[str, Any]:
-    """It counts the clock, so it is given twice the time, of which the processor's counts as for the others."""
     from _conflict_core_cpsat import solve
 
     begin = time.process_time()
-    proved, best, bound = solve(change, 2 * seconds)
+    proved, best, bound = solve(change, seconds)
     taken = time.process_time() - begin
-    return {"proved": proved and taken <= seconds, "seconds": taken, "disruption": best, "bound": bound}
+    found = None if best == inf else best
+    return {"proved": proved and taken <= seconds, "seconds": taken, "disruption": found, "bound": bound}
+
+
+WAYS: Final[dict[str, Callable[[int, Change, float], dict[str, Any]]]] = {
+    "minimal": lambda _, change, seconds: planned(change, seconds),
+    "plain": lambda _, change, seconds: plain(change, seconds),
+    "clingo": lambda seed, _, seconds: clingo(seed, seconds),
+    "cpsat": lambda _, change, seconds: cpsat(change, seconds),
+}
+
+
+def judged(row: dict[str, Any], way: str) -> str:
+    """One way's result in words. Two proofs that disagree end the benchmark."""
+    found = row[way]
+    if found["proved"] and row.get("minimal", {}).get("proved") and "disruption" in found:
+        assert abs(found["disruption"] - row["minimal"]["disruption"]) < 1e-6, f"seed {row['seed']}"
+    if found["proved"]:
+        return f"{way} {found['seconds']:.2f} s"
+    bound = f", bound {found['bound']:.2f}" if "bound" in found else ""
+    return f"{way} no proof in {found['seconds']:.2f} s{bound}"
+
+
+def summary(rows: list[dict[str, Any]], seconds: float) -> dict[str, bool]:
+    """Prints what each way has proved. Returns what the issue asks for, and whether it holds."""
+    for way in WAYS:
+        found = [row[way] for row in rows if way in row]
+        proved = [each["seconds"] for each in found if each["proved"]]
+        median = f", median {statistics.median(proved):.2f} s" if proved else ""
+        if found:
+            print(f"{way}: {len(proved)} of {len(found)} proved within {seconds:g} s{median}")
+    verdict: dict[str, bool] = {}
+    if ours := [row["minimal"] for row in rows if "minimal" in row]:
+        gaps = [each["gap"] for each in ours if not each["proved"]]
+        print(f"gap of the others: {', '.join(f'{gap:.0%}' for gap in gaps) or 'none'}")
+        verdict["proved_in_90_percent"] = sum(each["proved"] for each in ours) >= 0.9 * len(ours)
+        verdict["others_within_20_percent"] = all(gap <= 0.2 for gap in gaps)
+    if others := [row["plain"] for row in rows if "plain" in row]:
+        verdict["plain_fails_on_half"] = sum(not each["proved"] for each in others) >= len(others) / 2
+    print(", ".join(f"{name.replace('_', ' ')}: {'yes' if held else 'NO'}" for name, held in verdict.items()))
+    return verdict
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=10.0, help="for each change and each way")
     parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
-    parser.add_argument("--skip-plain", action="store_true", help="without the plain A*, which takes most of the time")
-    parser.add_argument("--clingo", action="store_true", help="needs clingo; most of the time goes into it")
-    parser.add_argument("--cpsat", action="store_true", help="needs ortools")
+    parser.add_argument("--ways", choices=list(WAYS), nargs="+", default=["minimal", "plain"])
+    parser.add_argument("--resume", action="store_true", help="leave out what the file of results has already")
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "conflict_cores.json")
     options = parser.parse_args()
 
-    rows: list[dict[str, Any]] = []
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    rows: dict[int, dict[str, Any]] = {}
+    if options.resume and options.out.exists():
+        rows = {row["seed"]: row for row in json.loads(options.out.read_text())["rows"]}
     for seed in options.seeds:
         change = changed(seed)
         separate = parts(change, ())
-        row: dict[str, Any] = {"seed": seed, "tied": sum(len(part.ops) for part in separate), "parts": len(separate)}
-        row["minimal"] = planned(change, options.seconds)
-        if not options.skip_plain:
-            row["plain"] = plain(change, options.seconds)
-        if options.clingo:
-            row["clingo"] = clingo(seed, options.seconds)
-        if options.cpsat:
-            row["cpsat"] = cpsat(change, options.seconds)
-            if row["cpsat"]["proved"] and row["minimal"]["proved"]:
-                assert abs(row["cpsat"]["disruption"] - row["minimal"]["disruption"]) < 1e-6, f"seed {seed}"
-        rows.append(row)
-        ours, other = row["minimal"], row.get("plain")
-        print(
-            f"{seed:>3}  {row['tied']} tied in {row['parts']} parts  disruption {ours['disruption']:8.2f}  "
-            + (f"proved in {ours['seconds']:5.2f} s" if ours["proved"] else f"at least {ours['bound']:8.2f}")
-            + (
-                f"  plain A*: {'proved' if other['proved'] else 'no proof'} in {other['seconds']:5.2f} s"
-                if other
-                else ""
-            ),
-            flush=True,
-        )
+        row = rows.setdefault(seed, {"seed": seed})
+        row |= {"tied": sum(len(part.ops) for part in separate), "parts": len(separate)}
+        for way in options.ways:
+            if way not in row:
+                row[way] = WAYS[way](seed, change, options.seconds)
+        words = "; ".join(judged(row, way) for way in WAYS if way in row)
+        print(f"{seed:>3}  {row['tied']} tied in {row['parts']} parts: {words}", flush=True)
+        options.out.write_text(json.dumps({"rows": [rows[each] for each in sorted(rows)]}, indent=2) + "\n")
 
-    for way in (way for way in ("minimal", "plain", "clingo", "cpsat") if way in rows[0]):
-        proved = [row[way]["seconds"] for row in rows if row[way]["proved"]]
-        median = f", median {statistics.median(proved):.2f} s" if proved else ""
-        print(f"{way}: {len(proved)} of {len(rows)} proved within {options.seconds:g} s{median}")
-    gaps = [row["minimal"]["gap"] for row in rows if not row["minimal"]["proved"]]
-    print(f"gap of the others: {', '.join(f'{gap:.0%}' for gap in gaps) or 'none'}")
-    verdict = {
-        "proved_in_90_percent": sum(row["minimal"]["proved"] for row in rows) >= 0.9 * len(rows),
-        "others_within_20_percent": all(gap <= 0.2 for gap in gaps),
-    }
-    if not options.skip_plain:
-        verdict["plain_fails_on_half"] = sum(not row["plain"]["proved"] for row in rows) >= len(rows) / 2
-    print(", ".join(f"{name.replace('_', ' ')}: {'yes' if held else 'NO'}" for name, held in verdict.items()))
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps({"rows": rows, "verdict": verdict}, indent=2) + "\n")
+    verdict = summary([rows[each] for each in sorted(rows)], options.seconds)
+    document = {"rows": [rows[each] for each in sorted(rows)], "verdict": verdict}
+    options.out.write_text(json.dumps(document, indent=2) + "\n")
     return 0 if all(verdict.values()) else 1
 
 

@@ -40,26 +40,31 @@ def lowered(**changed: Any) -> dict[str, Any]:
     return {**brake, **changed}
 
 
-def test_a_plan_takes_as_long_as_its_steps_one_after_another() -> None:
+def test_a_plan_takes_as_long_as_its_steps_with_what_overlaps() -> None:
     assert "takes about 1.38 s; strategy minimal." in render.cost(plan())
-    assert "takes about 1.38 s (critical path 1.12 s); strategy paper." in render.cost(
-        plan(makespan=1.12, strategy="paper")
+    assert "takes about 1.12 s (1.38 s one step after another); strategy paper." in render.cost(
+        plan(duration=1.12, strategy="paper")
     )
 
 
 def test_a_plan_shows_the_spread_of_what_was_measured_where_it_is_wide() -> None:
     assert "takes about 1.38 s (1.10 s to 2.50 s); " in render.cost(plan(between=(1.1, 2.5)))
     assert "takes about 1.38 s; " in render.cost(plan(between=(1.36, 1.41)))
+    assert "takes about 1.12 s (1.00 s to 2.50 s; 1.38 s one step after another); " in render.cost(
+        plan(duration=1.12, between=(1.0, 2.5))
+    )
 
 
-def test_the_report_sets_what_was_measured_beside_the_plan_where_steps_may_overlap() -> None:
+def test_the_report_sets_what_was_measured_beside_the_plan() -> None:
     steps = [{"step": 1, "begun": 0.0, "seconds": 1.0}, {"step": 2, "begun": 1.0, "seconds": 0.5}]
     steps.append({"step": 3, "begun": 1.0, "seconds": 0.25})
-    assert shown(render.outcome(done(plan=plan(makespan=1.12), steps=steps)))[1] == (
-        "Planned: 1.38 s one step after another, 1.12 s on the critical path. "
+    assert shown(render.outcome(done(plan=plan(duration=1.12, between=(1.0, 1.6)), steps=steps)))[1] == (
+        "Planned: 1.12 s (1.00 s to 1.60 s; 1.38 s one step after another). "
         "Measured: 1.50 s, for steps of 1.75 s in all."
     )
-    assert len(shown(render.outcome(done(plan=plan(), steps=steps)))) == 2, "nothing may overlap"
+    assert shown(render.outcome(done(plan=plan(), steps=steps[:2])))[1] == "Planned: 1.38 s. Measured: 1.50 s."
+    assert len(shown(render.outcome(done(plan=plan(), steps=steps, verdict={"outcome": "HOLDS"})))) == 2
+    assert len(shown(render.outcome(done("rolled_back", plan=plan(), steps=steps)))) == 2
 
 
 def test_how_far_apart_the_members_of_a_group_changed_their_modes_is_reported() -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from random import Random
 
 import pytest
 
+from midstride.errors import PlanRefused
 from midstride.model.component import FunctionalityRef
 from midstride.model.specification import Limit, initial
 from midstride.plan.bound_check import WORK, BoundCheck, check_bound
@@ -94,7 +96,7 @@ def test_a_bound_that_rests_on_keep_and_order_is_checked() -> None:
     assert check(raised).outcome == "not checked"
 
 
-def test_a_bound_that_rests_on_a_limit_is_not_checked() -> None:
+def test_a_bound_that_rests_on_a_limit_is_checked() -> None:
     """The first to be replaced is absent, and the limit has the more important one wait for the other."""
     components = [
         component(
@@ -108,19 +110,41 @@ def test_a_bound_that_rests_on_a_limit_is_not_checked() -> None:
     limit = Limit(FunctionalityRef("a", "work"), 0.5)
     target = dataclasses.replace(start.with_replaced("a", "NewA").with_replaced("b", "NewB"), constraints=(limit,))
     plan = minimal(change_between(initial(start), start, target))
+    free = minimal(change_between(initial(start), start, dataclasses.replace(target, constraints=())))
     assert plan.proved_minimal
-    result = replay(plan)
-    assert result.holds
-    assert result.bound.outcome == "not checked"
-    assert str(result).endswith("its lower bound was not checked: it is higher than without the constraints")
+    assert plan.lower_bound > free.disruption
+    assert replay(plan).bound == BoundCheck("holds")
+    raised = dataclasses.replace(plan, lower_bound=plan.lower_bound + 0.01)
+    assert check(raised) == BoundCheck("not checked", "it is higher than what follows from the constraints here")
+
+
+@pytest.mark.parametrize("seeds", [(9, 14, 16, 17, 23), pytest.param(range(24, 200), marks=pytest.mark.full)])
+def test_a_limit_never_makes_a_bound_too_high(seeds: Sequence[int]) -> None:
+    """Each functionality that falls in the cheapest plan may fall for so long, or for less."""
+    higher = 0
+    for seed in seeds:
+        change = tight(seed)
+        free = minimal(change)
+        if not free.fallen:
+            continue
+        fall = free.degradations[0]
+        limit = Limit(FunctionalityRef.parse(fall.functionality), round(fall.seconds * 0.9, 3))
+        target = dataclasses.replace(change.target, constraints=(limit,))
+        try:
+            plan = minimal(change_between(change.start, change.specification, target))
+        except PlanRefused:
+            continue
+        assert plan.lower_bound >= free.lower_bound - 1e-6, f"seed {seed}"
+        assert replay(plan).bound == BoundCheck("holds"), f"seed {seed}"
+        higher += plan.lower_bound > free.lower_bound
+    assert higher > len(seeds) / 20
 
 
 # -- certificates ----------------------------------------------------------------------------------------
 
 
 def check(plan: Plan, work: int = WORK) -> BoundCheck:
-    ledger = Ledger(plan)
-    return check_bound(plan, ledger.loss, ledger.is_allowed, work)
+    return check_bound(plan, Ledger(plan), work)
 
 
 def computers(number: int) -> Plan:
@@ -181,10 +205,10 @@ def test_whatever_the_parts_no_bound_above_the_least_holds() -> None:
 
 def test_a_large_change_is_not_checked() -> None:
     plan = minimal(tight(14))
-    assert check_bound(plan, lambda _: 0.0, work=10) == BoundCheck("not checked", "the change is too large")
+    assert check(plan, work=10) == BoundCheck("not checked", "the change is too large")
 
 
 def test_other_instances_than_the_change_needs_are_not_checked() -> None:
     plan = minimal(tight(14))
     renewed = dataclasses.replace(plan, change=dataclasses.replace(plan.change, leaving=plan.change.leaving[1:]))
-    assert check_bound(renewed, lambda _: 0.0).outcome == "not checked"
+    assert check(renewed).outcome == "not checked"

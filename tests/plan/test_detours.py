@@ -8,6 +8,7 @@ from dataclasses import replace
 from random import Random
 
 import pytest
+from immutables import Map
 
 from midstride.errors import PlanRefused
 from midstride.model.component import ComponentSpec, FunctionalityRef
@@ -18,6 +19,7 @@ from midstride.plan.change_builder import change_between
 from midstride.plan.core_plan import Budget
 from midstride.plan.detour_search import minimal_with_detours
 from midstride.plan.detours import further, with_detours
+from midstride.plan.estimate import Estimate
 from midstride.plan.forms import decode_plan, encode_plan
 from midstride.plan.minimal import minimal
 from midstride.plan.plan import Plan
@@ -129,13 +131,41 @@ def test_the_json_form_names_the_space_and_the_detours() -> None:
     )
     again = decode_plan(document)
     assert (again.change, again.steps, again.proof_space) == (plan.change, plan.steps, "detours")
-    assert replay(again).bound == BoundCheck("not checked", "it speaks of plans with detours too")
+    assert replay(again).bound == BoundCheck("holds")
     document["detours"][0]["role"] = "nobody"
     with pytest.raises(PlanRefused, match="a detour is about nobody, which is not there"):
         decode_plan(document)
     direct = encode_plan(minimal(between(crowded(), crowded())))
     assert direct["proof_space"] == "direct"
     assert "detours" not in direct
+
+
+def test_a_bound_that_only_holds_without_detours_is_too_high_with_them() -> None:
+    start = crowded()
+    direct = minimal(between(start, start.with_replaced("detector", "New")))
+    assert replay(direct).bound == BoundCheck("holds")
+    result = replay(replace(direct, proof_space="detours"))
+    assert not result.holds
+    assert str(result).endswith("a plan with a disruption of 6 exists; " + detoured(start).remarks[0])
+    stand_in = crowded(important("Light"))
+    claimed = replace(minimal(between(stand_in, stand_in.with_replaced("detector", "New"))), proof_space="detours")
+    assert "a plan with a disruption of 0 exists" in str(replay(claimed))
+
+
+def test_the_replay_of_a_document_knows_how_long_what_the_plan_does_not_take_would_take() -> None:
+    """The logger took 40 s to start, so to move it is no detour that helps."""
+    start = crowded()
+    components = {name: replace(each, startup_seconds=None) for name, each in start.components.items()}
+    start = replace(start, components=start.components.update(components), timing=Map(remove=0.5))
+    measured = {"create Logger": Estimate(80.0, 70.0, 90.0), "create New": Estimate.exactly(1.0)}
+    change = change_between(initial(start), start, start.with_replaced("detector", "New"), measured)
+    plan = sound(minimal_with_detours(change))
+    assert plan.change.detours == ()
+    document = encode_plan(plan)
+    assert document["measured"]["create Logger"] == (80.0, 70.0, 90.0)
+    assert replay(decode_plan(document)).bound == BoundCheck("holds")
+    del document["measured"]
+    assert not replay(decode_plan(document)).holds
 
 
 def test_only_a_plan_with_detours_may_have_a_stand_in() -> None:
@@ -202,6 +232,7 @@ def agree(seeds: Iterable[int], most: int) -> tuple[int, int]:
         assert plan.disruption == pytest.approx(least), f"seed {seed}"
         assert plan.proved_minimal, f"seed {seed}"
         assert decode_plan(encode_plan(plan)).change == plan.change
+        assert replay(plan).bound == BoundCheck("holds"), f"seed {seed}"
         compared += 1
         better += bool(plan.change.detours)
     return compared, better

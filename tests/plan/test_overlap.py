@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence
 from random import Random
@@ -16,7 +17,7 @@ from midstride.model.rules import violations
 from midstride.model.specification import initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.disruption import Levels
-from midstride.plan.overlap import one_by_one, overlap
+from midstride.plan.overlap import duration, one_by_one, overlap
 from midstride.plan.plan import Plan
 from midstride.plan.registry import STRATEGIES, planner
 from tests.plan import systems
@@ -217,6 +218,39 @@ def test_processes_start_beside_each_other_also_where_other_steps_are_between_th
     assert "attach" in kinds[first:second]
     removed = [index for index, kind in enumerate(kinds) if kind == "remove"]
     assert overlap(plan).starts == {removed[0] + 1: [first], removed[1] + 1: [second]}
+
+
+@FEW_AND_MANY
+def test_a_plan_takes_between_its_critical_path_and_the_sum_of_its_steps(seeds: range) -> None:
+    shorter = 0
+    for which, plan in plans(seeds):
+        taken = duration(plan).seconds
+        assert plan.makespan - 1e-6 <= taken <= plan.seconds + 1e-6, which
+        shorter += taken < plan.seconds - 1e-6
+    assert shorter > len(seeds) / 2
+
+
+def test_how_long_a_plan_takes_follows_from_what_overlaps() -> None:
+    """Both processes load at once, the longer one for as long as its longest; both old ones are removed at once."""
+    parts = [work(name, outputs=["out"]) for name in ("A", "B", "A2", "B2")]
+    start = system(parts, {"a": ("A", {"out": "/x"}), "b": ("B", {"out": "/y"})})
+    target = system(parts, {"a": ("A2", {"out": "/x"}), "b": ("B2", {"out": "/y"})})
+    plan = sound(changed(start, target, "minimal"))
+    kinds = [step.action.kind for step in plan.steps]
+    assert kinds[:2] == ["create", "create"] and kinds[-2:] == ["remove", "remove"]
+    others = sum(step.seconds for step in plan.steps[2:-2])
+    seconds: dict[int, tuple[float, tuple[float, float] | None]] = {
+        0: (1.0, (0.5, 1.5)),
+        1: (2.0, (1.0, 9.0)),
+        len(plan.steps) - 2: (0.25, None),
+        len(plan.steps) - 1: (0.75, (0.5, 0.75)),
+    }
+    steps = list(plan.steps)
+    for index, (expected, between) in seconds.items():
+        steps[index] = dataclasses.replace(steps[index], seconds=expected, between=between)
+    found = duration(dataclasses.replace(plan, steps=tuple(steps)))
+    assert found.seconds == pytest.approx(2.0 + others + 0.75)
+    assert found.between == pytest.approx((1.0 + others + 0.5, 9.0 + others + 0.75))
 
 
 def test_one_by_one_only_processes_of_creations_in_a_row_start_at_once() -> None:

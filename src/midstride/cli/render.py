@@ -102,10 +102,30 @@ def plan(document: Document, title: str) -> RenderableType:
 
 
 def _about(document: Document) -> str:
-    """How long a step or a plan takes, and the shortest and the longest that was measured where they differ much."""
-    expected = seconds(document.get("seconds"))
+    """How long a step takes, and the shortest and the longest that was measured where they differ much."""
+    return _with_remarks(document.get("seconds"), _spread(document))
+
+
+def _spread(document: Document) -> list[str]:
     shortest, longest = document.get("between") or (0.0, 0.0)
-    return expected if longest - shortest < SPREAD else f"{expected} ({seconds(shortest)} to {seconds(longest)})"
+    return [] if longest - shortest < SPREAD else [f"{seconds(shortest)} to {seconds(longest)}"]
+
+
+def _with_remarks(taken: float | None, remarks: list[str]) -> str:
+    return seconds(taken) + (f" ({'; '.join(remarks)})" if remarks else "")
+
+
+def planned_seconds(document: Document) -> float:
+    """How long a plan takes as it is carried out (s). Reports of earlier versions only have the sum of its steps."""
+    found = document.get("duration")
+    return float(document["seconds"] if found is None else found)
+
+
+def _about_plan(document: Document) -> str:
+    """How long a plan takes as it is carried out, with its range; beside it the sum of its steps where they overlap."""
+    taken, total = planned_seconds(document), document["seconds"]
+    in_turn = [] if seconds(taken) == seconds(total) else [f"{seconds(total)} one step after another"]
+    return _with_remarks(taken, [*_spread(document), *in_turn])
 
 
 def _runtime_values(document: Document) -> Iterable[Text]:
@@ -187,10 +207,7 @@ def cost(document: Document) -> str:
         disruption += f" on the way ({bound}), and afterwards {', '.join(map(_lowered, lower))}"
     else:
         disruption += f" ({bound})"
-    # The steps run one after another; the critical path is beside it, where that is shorter.
-    total, critical = seconds(document["seconds"]), seconds(document["makespan"])
-    duration = _about(document) + ("" if total == critical else f" (critical path {critical})")
-    return f"{disruption}; takes about {duration}; strategy {document['strategy']}."
+    return f"{disruption}; takes about {_about_plan(document)}; strategy {document['strategy']}."
 
 
 def measurements(swap: Document) -> list[RenderableType]:
@@ -233,14 +250,14 @@ def outcome(document: Document) -> RenderableType:
 
 
 def _times(document: Document) -> list[str]:
-    """The planned duration beside the measured one, where steps may overlap."""
+    """The planned duration beside the measured one. A plan that is verified is carried out without overlap."""
     plan, steps = document.get("plan"), document.get("steps")
-    if document["outcome"] != "done" or not (plan and steps) or plan["makespan"] == plan["seconds"]:
+    if document["outcome"] != "done" or not (plan and steps) or document.get("verdict"):
         return []
-    planned = f"{seconds(plan['seconds'])} one step after another, {seconds(plan['makespan'])} on the critical path"
     ended = max(step["begun"] + step["seconds"] for step in steps)
     together = sum(step["seconds"] for step in steps)
-    return [f"Planned: {planned}. Measured: {seconds(ended)}, for steps of {seconds(together)} in all."]
+    in_all = "" if seconds(ended) == seconds(together) else f", for steps of {seconds(together)} in all"
+    return [f"Planned: {_about_plan(plan)}. Measured: {seconds(ended)}{in_all}."]
 
 
 def _skews(document: Document) -> list[str]:

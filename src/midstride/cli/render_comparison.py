@@ -10,13 +10,15 @@ from typing import Final
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from midstride.cli.render import Document, seconds, table
+from midstride.cli.render import Document, planned_seconds, seconds, table
 
 # How many characters the longest plan takes.
 WIDTH: Final = 60
 # They differ without colour as well.
 AT_LEVEL, DEGRADED, UNSERVED = "─", "▒", "█"
-LEGEND: Final = f"{AT_LEVEL} at its level or above   {DEGRADED} degraded   {UNSERVED} no instance serves it"
+LEGEND: Final = (
+    f"one step after another: {AT_LEVEL} at its level or above   {DEGRADED} degraded   {UNSERVED} no instance serves it"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +51,7 @@ def _figures(document: Document) -> Iterable[str]:
     bound = " (minimal)" if document["proved_minimal"] else ""
     yield f"{document['disruption']:.3g}{bound}"
     yield str(len(document["fallen"]))
-    yield seconds(document["seconds"])
+    yield seconds(planned_seconds(document))
     yield seconds(document["makespan"])
     yield str(len(document["steps"]))
 

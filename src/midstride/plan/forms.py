@@ -23,7 +23,9 @@ from midstride.plan.alternatives import Alternative, alternatives
 from midstride.plan.change import Change, Detour
 from midstride.plan.change_builder import change_between
 from midstride.plan.detours import with_detours
+from midstride.plan.estimate import Estimate
 from midstride.plan.explain import Degradation, LevelShift
+from midstride.plan.overlap import duration
 from midstride.plan.plan import BoundPart, Plan, ProofSpace
 from midstride.plan.runtime_values import RuntimeValue
 from midstride.plan.state import left_behind
@@ -84,6 +86,14 @@ class BoundPartForm(PlanPart, frozen=True, kw_only=True):
 Certificate: TypeAlias = Annotated[
     list[BoundPartForm], field("a list of parts", "of the lower bound, which add up to it; absent where there is none")
 ]
+Measured: TypeAlias = Annotated[
+    dict[str, tuple[FiniteNumber, FiniteNumber, FiniteNumber]],
+    field(
+        "a table of durations",
+        "how long steps took in earlier runs: what is expected, the shortest and the longest (s); only of a plan whose "
+        "proof covers detours, since it rests on steps that the plan does not take",
+    ),
+]
 Detours: TypeAlias = Annotated[list[DetourForm], field("a list of detours", "what is done beyond the change itself")]
 
 
@@ -101,6 +111,13 @@ class PlanCosts(PlanPart, frozen=True, kw_only=True):
     )
     makespan: Annotated[FiniteNumber, field("a makespan", "the critical path of the steps, in seconds")]
     seconds: Annotated[FiniteNumber, field("a number of seconds", "one step after another")]
+    duration: (
+        Annotated[
+            FiniteNumber,
+            field("a number of seconds", "as the plan is carried out: what can start or end at once, does"),
+        ]
+        | UnsetType
+    ) = UNSET
     between: Between | UnsetType = UNSET
     fallen: Annotated[list[str], field("a list of functionalities", "of roles, ever below their baseline")]
     falls: Annotated[list[Degradation], field("a list", "why each functionality falls")] = []
@@ -123,6 +140,7 @@ class PlanPreview(PlanCosts, frozen=True, kw_only=True):
     remarks: Remarks | UnsetType = UNSET
     detours: Detours | UnsetType = UNSET
     certificate: Certificate | UnsetType = UNSET
+    measured: Measured | UnsetType = UNSET
 
     @classmethod
     def of(cls, plan: Plan) -> PlanPreview:
@@ -143,6 +161,7 @@ class PlanForm(PlanCosts, frozen=True, kw_only=True):
     remarks: Remarks | UnsetType = UNSET
     detours: Detours | UnsetType = UNSET
     certificate: Certificate | UnsetType = UNSET
+    measured: Measured | UnsetType = UNSET
 
     @classmethod
     def of(cls, plan: Plan, **more: Any) -> PlanForm:
@@ -152,6 +171,7 @@ class PlanForm(PlanCosts, frozen=True, kw_only=True):
 
 
 def _fields(plan: Plan) -> dict[str, Any]:
+    taken = duration(plan)
     return {
         "strategy": plan.strategy,
         "proved_minimal": plan.proved_minimal,
@@ -160,7 +180,8 @@ def _fields(plan: Plan) -> dict[str, Any]:
         "proof_space": plan.proof_space,
         "makespan": plan.makespan,
         "seconds": plan.seconds,
-        "between": plan.between or UNSET,
+        "duration": taken.seconds,
+        "between": taken.between or UNSET,
         "fallen": [str(ref) for ref in plan.fallen],
         "falls": list(plan.degradations),
         "afterwards": list(plan.level_shifts),
@@ -171,8 +192,16 @@ def _fields(plan: Plan) -> dict[str, Any]:
         "remarks": list(plan.remarks) or UNSET,
         "certificate": [BoundPartForm(roles=[*each.roles], bound=each.bound) for each in plan.certificate] or UNSET,
         "detours": [DetourForm.of(detour) for detour in plan.change.detours] or UNSET,
+        "measured": _measured(plan) or UNSET,
         "own_state": left_behind(plan.change, (step.action for step in plan.steps)) or UNSET,
     }
+
+
+def _measured(plan: Plan) -> dict[str, tuple[float, float, float]]:
+    if plan.proof_space != "detours":
+        return {}
+    measured = plan.change.measured
+    return {key: (each.seconds, each.shortest, each.longest) for key, each in sorted(measured.items())}
 
 
 def _running(change: Change) -> dict[str, str | None]:
@@ -204,7 +233,8 @@ def decode_plan(document: object) -> Plan:
     form, start, target = decode(document, PlanForm, _parts, _names)
     standing = {} if form.standing is UNSET else form.standing
     origin = _started(start, {} if form.running is UNSET else form.running, standing)
-    change = change_between(origin, start, target)
+    measured = {key: Estimate(*each) for key, each in (form.measured or {}).items()}
+    change = change_between(origin, start, target, measured)
     try:
         change = with_detours(change, (each.detour() for each in (form.detours or ())))
     except KeyError as error:

@@ -35,7 +35,8 @@ class Plan:
     """A sequence of steps, each valid, that ends in ``best`` of the target.
 
     ``disruption`` is in weighted functionality-seconds, ``makespan`` the critical path of the
-    steps that do not commute, ``seconds`` the plain sum. ``fallen`` names roles' functionalities
+    steps that do not commute, ``seconds`` the plain sum; what the executor makes of it is in between
+    (:func:`midstride.plan.overlap.duration`). ``fallen`` names roles' functionalities
     that are ever below the baseline. ``proved_minimal`` is claimed only where it is proved.
     ``proof_space``: the plans that ``lower_bound`` speaks of, without detours or with them as well.
     ``certificate``: parts that add up to ``lower_bound``, from which a check can start; empty where there is none.
@@ -96,14 +97,6 @@ class Plan:
         for step in self.steps:
             configuration = step.action.effect(configuration)
             yield configuration
-
-    @property
-    def between(self) -> tuple[float, float] | None:
-        """The sums of the shortest and of the longest durations (s) that were measured; None where none were."""
-        if all(step.between is None for step in self.steps):
-            return None
-        found = [step.between or (step.seconds, step.seconds) for step in self.steps]
-        return round(sum(low for low, _ in found), DIGITS), round(sum(high for _, high in found), DIGITS)
 
     @cached_property
     def degradations(self) -> tuple[Degradation, ...]:

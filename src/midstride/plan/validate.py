@@ -78,7 +78,7 @@ def replay(plan: Plan) -> ReplayResult:
     findings += [ReplayFinding(None, because) for because in ledger.differences()]
     if findings:
         return ReplayResult("violated", tuple(findings), len(plan.steps))
-    bound = check_bound(plan, ledger.loss, ledger.is_allowed)
+    bound = check_bound(plan, ledger)
     if bound.outcome == "violated":
         findings.append(ReplayFinding(None, f"its lower bound, {plan.lower_bound:g}, is too high: {bound.because}"))
     return ReplayResult("violated" if findings else "holds", tuple(findings), len(plan.steps), bound)
@@ -195,8 +195,14 @@ class Ledger:
             if isinstance(constraint, Keep) and (ref := constraint.functionality) in self.levels:
                 chain = self.target.component_of(ref.instance).functionalities[ref.functionality]
                 self.keeps[constraint] = max(chain.mode_index(constraint.mode), self.levels[ref])
-        limits = (each for each in in_force(plan.change) if isinstance(each, Limit))
-        self.never = [each.functionality for each in limits if not each.seconds and each.functionality in self.levels]
+        self.never: list[FunctionalityRef] = []
+        self.limits: dict[FunctionalityRef, float] = {}
+        for constraint in in_force(plan.change):
+            if isinstance(constraint, Limit) and (ref := constraint.functionality) in self.levels:
+                if constraint.seconds:
+                    self.limits[ref] = min(constraint.seconds, self.limits.get(ref, constraint.seconds))
+                else:
+                    self.never.append(ref)
         self.roles: list[set[str]] = []
         self.broken: dict[str, None] = {}
 
@@ -231,6 +237,11 @@ class Ledger:
         return all(levels[keep.functionality] <= threshold for keep, threshold in self.keeps.items()) and not any(
             self._below(ref, levels) for ref in self.never
         )
+
+    def limited(self, configuration: Configuration) -> frozenset[FunctionalityRef]:
+        """Those of ``limits`` that are below their baselines."""
+        levels = self._now(configuration)
+        return frozenset(ref for ref in self.limits if self._below(ref, levels))
 
     def enter(self, action: Action, seconds: float, start: Configuration, after: Configuration) -> None:
         before, self.levels = self.levels, self._now(after)

@@ -205,7 +205,7 @@ class ChangeSession:
         wait: float,
     ) -> Outcome:
         system = self.system
-        preview = PlanPreview.of(plan)
+        preview = await asyncio.to_thread(PlanPreview.of, plan)  # which steps of a large plan commute takes a while
         silent_before = {fault.words for fault in self.monitor.faults(system.configuration)}
         afterwards = "".join(
             f"; afterwards {wording.lowered(shift.functionality, shift.after, shift.before)}"
