@@ -1,7 +1,7 @@
 """Three experiments of SUAVE, 30 missions each, in virtual time, beside the published figures: `python campaign.py`.
 
 The seeds are fixed (:func:`missions.scenario`), so every figure of the table is the same on every machine. The last
-line is not: it says how long this machine computed in a reaction, since computing takes no virtual time.
+lines are not: they say how long this machine computed in a reaction, since computing takes no virtual time.
 """
 
 from __future__ import annotations
