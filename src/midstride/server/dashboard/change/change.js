@@ -40,7 +40,8 @@ class ChangePanel {
   /** @type {any} */ #plan = null;
   /** @type {any} */ #shown = null; // the plan that is on the graph
   #mine = false; // a change that this page has asked for is in progress
-  #dismissed = 0; // when the change began whose outcome is closed
+  #own = 0; // when that change began
+  #watched = 0; // when the change of another client began that is shown until it is closed
   #drawn = "";
   #generation = 0;
 
@@ -230,7 +231,7 @@ class ChangePanel {
   async #carryOut(asked, expected, by, choice) {
     const { ask } = this.context;
     this.#mine = true;
-    this.#dismissed = 0;
+    this.#watched = 0;
     this.#drawActions();
     replace(this.result);
     this.chooser.open = false;
@@ -259,7 +260,6 @@ class ChangePanel {
     this.#ghosts(null);
     const changed = outcome.outcome === "done";
     const close = () => {
-      this.#dismissed = this.context.store.live?.change?.began ?? 0;
       this.chooser.open = true;
       replace(this.result);
       this.#follow();
@@ -313,7 +313,10 @@ class ChangePanel {
   #follow() {
     const { store } = this.context;
     const change = store.live?.change ?? null;
-    const shown = change !== null && change.state !== "ended";
+    const running = this.#running();
+    if (running && this.#mine) this.#own = change.began; // its outcome is shown by the answer to the request
+    if (running && change.began !== this.#own) this.#watched = change.began;
+    const shown = running || (change !== null && change.began === this.#watched);
     const key = shown ? JSON.stringify([change.began, change.state, change.steps, change.swaps.length]) : "";
     if (key === this.#drawn) return;
     this.#drawn = key;
@@ -322,7 +325,13 @@ class ChangePanel {
       if (this.#shown !== null && this.#plan === null) this.#ghosts(null);
       return;
     }
-    replace(this.progress, ...watch(change, this.#width));
-    if (change.plan) this.#ghosts(change.plan, change.index);
+    const close = () => {
+      this.#watched = 0;
+      this.#follow();
+    };
+    const button = h("button", { class: "button", type: "button", onclick: close }, "Close");
+    replace(this.progress, ...watch(change, this.#width), running ? null : h("div", { class: "change-actions" }, button));
+    if (running && change.plan) this.#ghosts(change.plan, change.index);
+    else if (this.#plan === null) this.#ghosts(null);
   }
 }

@@ -16,14 +16,17 @@ const STATES = /** @type {Record<string, string>} */ ({
   measuring: "Measuring at the subscribers, over 20 periods",
 });
 
-/** @param {any} change of the view @param {number} width of the axis (px) @returns {(Node | null)[]} */
+/** A change in progress, or one that has ended. @param {any} change of the view @param {number} width of the axis (px) @returns {(Node | null)[]} */
 export function watch(change, width) {
   const done = change.steps.filter((/** @type {any} */ each) => each.ended !== null && !each.failed).length;
+  const ended = change.state === "ended";
   const count = change.of === null ? "" : `, ${done} of ${change.of} steps done`;
-  const kind = change.state === "rolling_back" ? "bad" : null;
+  const good = change.outcome === "done" ? "good" : "bad";
+  const kind = ended ? good : change.state === "rolling_back" ? "bad" : null;
+  const words = ended ? `ended: ${change.because}` : `${STATES[change.state] ?? change.state}${count} …`;
   const parts = [
     h("h2", { class: "panel-title" }, change.command),
-    h("p", { class: "banner", "data-kind": kind, role: "status" }, `${STATES[change.state] ?? change.state}${count} …`),
+    h("p", { class: "banner", "data-kind": kind, role: "status" }, words),
   ];
   if (change.plan) {
     const spans = liveSpans(change);
