@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from midstride.backends.simulator import Simulator
+from midstride.backends.simulator.process import SimulatedProcess
 from midstride.lang.load import load
 from midstride.model.component import FunctionalitySpec, InputAlternatives
 from midstride.model.specification import Node, Specification
@@ -25,6 +26,7 @@ from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.simulation.disk import SimulatedDisk
 from midstride.simulation.lives import Life
+from midstride.simulation.threadless import ThreadlessOnceStarted
 
 FOLDER = Path(__file__).resolve().parent
 # How long a process takes to start (s), besides what its own code takes to load.
@@ -55,12 +57,19 @@ class Seen:
     longest_blind: float = 0.0
 
 
+class Platform(Simulator):
+    """Calls the nodes without threads, once they have come up: half of the processor time, and no switches."""
+
+    def _process(self, launch: Launch, log: Path | None) -> SimulatedProcess:
+        return ThreadlessOnceStarted(launch, self._pids, self.time, self._host, self._exited, log)
+
+
 class Lab:
     """A simulator with the hall in it. ``state`` is the true state of the hall, once :meth:`open_hall` was called."""
 
     def __init__(self, specification: Specification, seed: int, people: int = 6) -> None:
         self.specification = specification
-        self.simulator = Simulator(starting=STARTING, seed=seed)
+        self.simulator = Platform(starting=STARTING, seed=seed)
         self.seen = Seen()
         self._seed, self._people = seed, people
         self._published: dict[str, float] = {}  # by topic, when last (s)
@@ -102,6 +111,9 @@ class Lab:
 
     def hang(self, instance: str) -> None:
         """The next call of the code of a detector does not return: it writes by ``scan``, which now waits for ever."""
+        process = self.simulator.processes[instance]
+        assert isinstance(process, ThreadlessOnceStarted)
+        process.let_block()
         self._module(instance)["scan"] = lambda *_: time.sleep(3600.0)
 
     async def watch(self, seconds: float, level: Callable[[str, FunctionalitySpec], int | None]) -> None:

@@ -229,6 +229,21 @@ def test_code_that_never_returns_is_abandoned(tmp_path: Path, monkeypatch: pytes
     release.set()
 
 
+def test_code_that_waits_for_a_processor_is_not_abandoned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a machine with other work: all of the time that it takes, it is ready to run."""
+    monkeypatch.setattr(cooperative_thread, "COMPUTE_LIMIT", 0.2)
+    monkeypatch.setattr(cooperative_thread, "_waits_for_a_processor", lambda thread: time.monotonic())
+    release = threading.Event()
+    monkeypatch.setattr(sys, "release_the_slow_thread", release, raising=False)
+    threading.Timer(0.6, release.set).start()
+
+    async def main(lab: Lab) -> None:
+        await start_script(lab, tmp_path, "slow", "import sys\nsys.release_the_slow_thread.wait()\n")
+        assert (await lab.exited("slow")).status == 0
+
+    in_lab(tmp_path, main)
+
+
 def test_sleeping_takes_simulated_time_and_only_there(tmp_path: Path) -> None:
     async def main(lab: Lab) -> None:
         begun = lab.clock.steady()

@@ -17,6 +17,10 @@ class Clock(Protocol):
     def ros_now(self) -> int:
         """ROS time in nanoseconds."""
 
+    def processors(self) -> int:
+        """How many processors the components run on."""
+        ...
+
     def idle(self) -> float:
         """How long the processors have been idle, in total (s)."""
         ...
@@ -33,6 +37,9 @@ class SystemClock:
 
     def ros_now(self) -> int:
         return time.time_ns()
+
+    def processors(self) -> int:
+        return len(os.sched_getaffinity(0))
 
     def idle(self) -> float:
         with open("/proc/stat", encoding="ascii") as file:

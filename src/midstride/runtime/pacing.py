@@ -6,15 +6,13 @@ start at once, all are slow, the middleware repeats what was not acknowledged in
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from typing import Final
 
 from midstride.runtime.clock import Clock
 
-PROCESSORS: Final = len(os.sched_getaffinity(0))
-# How many processes may be starting while the processors are idle, because they wait for devices or disks.
-MOST: Final = 8 * PROCESSORS
+# How many processes per processor may be starting while these are idle, because they wait for devices or disks.
+MOST_EACH: Final = 8
 # Over this time (s), at least this share of one processor must have been idle before another process starts.
 INTERVAL: Final = 0.1
 SPARE: Final = 0.5
@@ -25,8 +23,9 @@ async def room_for_a_start(clock: Clock, starting: Callable[[], int]) -> None:
 
     One per processor may start in any case, also on a machine that is busy with other work.
     """
-    while starting() >= PROCESSORS:
+    processors = clock.processors()
+    while starting() >= processors:
         at, idle = clock.steady(), clock.idle()
         await clock.sleep(INTERVAL)
-        if starting() < MOST and clock.idle() - idle >= SPARE * (clock.steady() - at):
+        if starting() < MOST_EACH * processors and clock.idle() - idle >= SPARE * (clock.steady() - at):
             return

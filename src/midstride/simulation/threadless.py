@@ -7,6 +7,7 @@ a fault (:mod:`midstride.simulation.faults`).
 from __future__ import annotations
 
 import contextvars
+from functools import partial
 from typing import Any
 
 from midstride.backends.simulator.cooperative_thread import CooperativeThread, Ended, Yielded
@@ -37,6 +38,9 @@ class _OnLoop(CooperativeThread):
         except BaseException as error:
             self.ended = True
             return Ended(error)
+        return self._unless_done()
+
+    def _unless_done(self) -> Yielded:
         main = self.process.main
         if main is not None and main.done():
             self.ended = True
@@ -45,6 +49,41 @@ class _OnLoop(CooperativeThread):
 
     def kill(self) -> None:
         self.ended = True
+
+
+class _OnLoopOnceStarted(_OnLoop):
+    """Runs in a thread until the component has been started, and again, call by call, where ``blocks`` is set."""
+
+    blocks = False
+    _call: CooperativeThread | None = None
+
+    def resume(self, work: Any = None) -> Yielded:
+        if not self._begun:
+            yielded = CooperativeThread.resume(self, work)
+            if isinstance(yielded, Ended) and isinstance(yielded.error, _Waits):
+                self._begun, self.ended = True, False
+                return None
+            return yielded
+        if self._call is None:
+            if not self.blocks or work is None:
+                return super().resume(work)
+            self._call = CooperativeThread(self.name, partial(work), self._context)
+        yielded = self._call.resume()
+        if not isinstance(yielded, Ended):
+            return yielded
+        self._call = None
+        if yielded.error is not None:
+            self.ended = True
+            return yielded
+        return self._unless_done()
+
+    def kill(self) -> None:
+        if self._call is not None:
+            self._call.kill()
+        if self._begun:
+            self.ended = True
+        else:
+            CooperativeThread.kill(self)
 
 
 class ThreadlessProcess(SimulatedProcess):
@@ -57,3 +96,18 @@ class ThreadlessProcess(SimulatedProcess):
 
     def run_work(self) -> None:
         raise _Waits
+
+
+class ThreadlessOnceStarted(ThreadlessProcess):
+    """For programs that sleep only until they call ``start()``, and after :meth:`let_block`."""
+
+    _thread: _OnLoopOnceStarted
+
+    def _new_thread(self, context: contextvars.Context) -> CooperativeThread:
+        thread = _OnLoopOnceStarted(self.instance, self._program.run, context)
+        thread.process = self
+        return thread
+
+    def let_block(self) -> None:
+        """From now on its calls may sleep, too."""
+        self._thread.blocks = True

@@ -14,6 +14,8 @@ from midstride.node.clock_history import ClockHistory
 EPOCH: Final = 1_000_000_000_000_000_000
 # How often a ROS clock that `/clock` drives is recorded (s).
 CLOCK_INTERVAL: Final = 0.01
+# How many processors the simulated machine has: the number of this one would make runs differ between machines.
+PROCESSORS: Final = 2
 
 
 class SimulatedClock:
@@ -83,6 +85,9 @@ class SimulatedClock:
         if left > 0 and self._speed == 0:
             return math.inf
         return self.loop.time() + max(0.0, left / 1e9 / (self._speed or 1.0))
+
+    def processors(self) -> int:
+        return PROCESSORS
 
     def idle(self) -> float:
         return 0.0  # that of this machine would make runs differ
