@@ -16,8 +16,8 @@ import pytest
 from tests.cli.conftest import EXAMPLES, running
 from tests.server.support import free_port
 
-# Operations that do not end, or end the manager: the other two tests are about them.
-EXCLUDED = ("/api/v1/events", "/api/v1/view/stream", "/api/v1/down")
+# Operations that do not end, or end the manager, or take seconds each time: the other tests are about them.
+EXCLUDED = ("/api/v1/events", "/api/v1/view/stream", "/api/v1/down", "/api/v1/rehearsal")
 # A schema cannot say that names are declared and that a command is not empty (`midstride check` does).
 UNSTATED = "positive_data_acceptance"
 
