@@ -161,8 +161,8 @@ class World:
     """``manager``: its commands; it may end before each. `c` cancels and `s` settles a side, `o` or `n`, `k` kills it,
     `d` takes it off its topic.
 
-    ``mortal``: the sides that may die. ``fails``: the code of the new side may raise. ``hosts``: one, with one claim for
-    both sides, or two.
+    ``mortal``: the sides that may die. ``fails``: the code of the new side may raise. ``hosts``: one, with one claim
+    for both sides, or two.
     """
 
     def __init__(self, manager: str = "", mortal: str = "", fails: bool = False, hosts: int = 1) -> None:

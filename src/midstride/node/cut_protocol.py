@@ -168,7 +168,10 @@ class CutOutTask(_CutTask):
         await super()._end(outcome, gates_then_calls)
 
     async def taken(self, failed: bool, place: str = "") -> bool:
-        """The new side has written, with its claim in ``place``, or has failed. Returns whether this one writes again."""
+        """The new side has written, and has its claim in ``place``; or it has failed.
+
+        Returns whether this one writes again.
+        """
         if self.outcome in ("resumed", "cancelled"):
             return True
         if failed:

@@ -90,7 +90,19 @@ class OutputLink:
     ``times`` has the writes of both.
     """
 
-    __slots__ = ("count", "cut", "endpoint", "gated", "last_gated", "open", "output", "publish", "set_by", "times", "topic")
+    __slots__ = (
+        "count",
+        "cut",
+        "endpoint",
+        "gated",
+        "last_gated",
+        "open",
+        "output",
+        "publish",
+        "set_by",
+        "times",
+        "topic",
+    )
 
     def __init__(self, output: Output, topic: str, publisher: Publisher, times: MessageTimes) -> None:
         self.output = output
