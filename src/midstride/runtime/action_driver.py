@@ -36,7 +36,7 @@ from midstride.runtime.answering import have_answer
 from midstride.runtime.backend import Backend
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
-from midstride.runtime.fencing import Budget, Fences
+from midstride.runtime.fencing import Fences, StepBudget
 from midstride.runtime.handover import LiveHandover
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.mode_changes import ModeChanges
@@ -173,7 +173,7 @@ class ActionDriver:
         attachments = specification.attachments_of(instance.role) if instance.role in specification.nodes else []
         return {port.port: specification.connectors[connector].topic for port, connector in attachments}
 
-    async def _perform(self, action: Action, because: str, budget: Budget) -> None:
+    async def _perform(self, action: Action, because: str, budget: StepBudget) -> None:
         if not isinstance(action, Attach):
             await self.settle()
         match action:
@@ -322,7 +322,7 @@ class ActionDriver:
         if self._settled > clock.steady():
             await clock.sleep(self._settled - clock.steady())
 
-    async def _detach(self, action: Detach, budget: Budget) -> None:
+    async def _detach(self, action: Detach, budget: StepBudget) -> None:
         port, topic = action.port, self.configuration.topic(action.connector)
         timeout = budget.timeout(port.instance, DETACH_TIMEOUT)
         detach = commands.DetachCommand(port=port.port, topic=topic, timeout=timeout)

@@ -30,7 +30,7 @@ INTERVAL: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Budget:
+class StepBudget:
     """The time that one step has without a fence, for ``instances``, which may be fenced: ``until`` (steady s)."""
 
     client: ComponentClient
@@ -38,10 +38,10 @@ class Budget:
     until: float
 
     def timeout(self, instance: str, usual: float) -> float:
-        """How long a command to ``instance`` may wait for user code that ``usual`` seconds are for otherwise."""
+        """How long a command to ``instance`` may wait for user code: what is left, or ``usual`` seconds for others."""
         if instance not in self.instances:
             return usual
-        return min(usual, max(PATIENCE, self.until - self.client.clock.steady()))
+        return max(PATIENCE, self.until - self.client.clock.steady())
 
     def is_spent(self, instance: str) -> bool:
         return instance in self.instances and self.client.clock.steady() >= self.until
@@ -62,9 +62,9 @@ class Fences:
     def now(self) -> float:
         return self.client.clock.steady()
 
-    def budget(self, instances: Collection[str]) -> Budget:
+    def budget(self, instances: Collection[str]) -> StepBudget:
         """That of a step that begins now. ``instances``: those that it may fence."""
-        return Budget(self.client, instances, self.now() + self.wait)
+        return StepBudget(self.client, instances, self.now() + self.wait)
 
     def hangs_already(self, instance: str) -> bool:
         """Whether it reports a call that has been running for longer than this change would wait."""

@@ -15,7 +15,7 @@ from midstride.model.action import Degrade, Upgrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.fencing import Budget, Fences
+from midstride.runtime.fencing import Fences, StepBudget
 from midstride.runtime.observed_configuration import own_degradations_in
 from midstride.runtime.reports import ModeSkew
 from midstride.runtime.running_system import RunningSystem
@@ -44,7 +44,7 @@ class ModeChanges:
     def configuration(self) -> Configuration:
         return self.system.configuration
 
-    async def enter(self, action: Degrade | Upgrade, because: str, budget: Budget) -> None:
+    async def enter(self, action: Degrade | Upgrade, because: str, budget: StepBudget) -> None:
         """The functionalities of all instances at once; those of several are held between two calls before that."""
         groups = by_instance(action.modes)
         if isinstance(action, Degrade):
@@ -68,14 +68,14 @@ class ModeChanges:
             names = [str(ref) for modes in groups.values() for ref in modes]
             self.skews.append(ModeSkew(action.kind, names, round((max(moments) - min(moments)) / 1e9, 9)))
 
-    async def _hold(self, groups: Mapping[str, Mapping[FunctionalityRef, int]], budget: Budget) -> None:
+    async def _hold(self, groups: Mapping[str, Mapping[FunctionalityRef, int]], budget: StepBudget) -> None:
         """Have each instance begin no call of its functionalities until their modes change. Raises what one raises."""
+        timeouts = {name: budget.timeout(name, self.drain_timeout) for name in groups}
+        seconds = max(timeouts.values()) + HELD_LONGER
 
         async def hold(instance: str) -> None:
             names = [ref.functionality for ref in groups[instance]]
-            seconds = self.drain_timeout + HELD_LONGER  # others may take as long as the drain timeout
-            timeout = budget.timeout(instance, self.drain_timeout)
-            command = commands.HoldCommand(functionalities=names, seconds=seconds, timeout=timeout)
+            command = commands.HoldCommand(functionalities=names, seconds=seconds, timeout=timeouts[instance])
             await self.client.change(instance, command)
 
         found = await asyncio.gather(*map(hold, groups), return_exceptions=True)
@@ -90,7 +90,7 @@ class ModeChanges:
         modes: Mapping[FunctionalityRef, int],
         action: Degrade | Upgrade,
         because: str,
-        budget: Budget,
+        budget: StepBudget,
     ) -> commands.PreviousModes:
         command = self._command(modes, because, budget.timeout(instance, self.drain_timeout))
         try:
