@@ -71,7 +71,7 @@ def test_who_answers() -> None:
 def test_the_openapi_document_has_every_operation() -> None:
     async def test(client: httpx.AsyncClient, _: ScriptedManager, __: Lifecycle) -> None:
         document = (await client.get("/openapi.json")).json()
-        assert {f"/api/v1{path}" for path in ("/plan", "/change", "/parameters", "/down")} == {
+        assert {f"/api/v1{path}" for path in ("/check", "/plan", "/rehearsal", "/change", "/parameters", "/down")} == {
             path for path, operations in document["paths"].items() if "post" in operations
         }
         reading = ("", "/up", "/status", "/programs", "/configuration", "/specification", "/why", "/log", "/events")
@@ -118,6 +118,8 @@ def test_the_openapi_document_describes_every_body_and_refers_to_nothing_else() 
         }
         assert bodies == {
             "/api/v1/plan": ["#/components/schemas/ChangeRequest"],
+            "/api/v1/check": ["#/components/schemas/SubmittedText"],
+            "/api/v1/rehearsal": ["#/components/schemas/SubmittedRehearsal"],
             "/api/v1/change": ["#/components/schemas/SubmittedChange"],
             "/api/v1/parameters": ["#/components/schemas/ParameterSetting"],
             "/api/v1/down": [],

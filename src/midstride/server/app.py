@@ -22,6 +22,7 @@ from midstride.errors import MidstrideError, SpecificationError
 from midstride.plan.alternatives import alternatives
 from midstride.plan.request_form import ChangeRequest
 from midstride.runtime.history import History, SpecificationVersion
+from midstride.runtime.rehearsal_forms import Rehearsal
 from midstride.runtime.reports import (
     DownReport,
     Event,
@@ -36,10 +37,22 @@ from midstride.runtime.reports import (
     Why,
 )
 from midstride.server import stream
+from midstride.server.checked_text import CheckedText, checked
 from midstride.server.errors import Failure, answer, in_one_line, status_of
 from midstride.server.lifecycle import Lifecycle
 from midstride.server.openapi import answers, document_forms, failures, request_body
-from midstride.server.requests import ParameterSetting, SubmittedChange, read_change, read_request, read_setting
+from midstride.server.rehearsal import Rehearser
+from midstride.server.requests import (
+    ParameterSetting,
+    SubmittedChange,
+    SubmittedRehearsal,
+    SubmittedText,
+    read_change,
+    read_rehearsal,
+    read_request,
+    read_setting,
+    read_text,
+)
 from midstride.server.static import dashboard
 from midstride.server.view.live import LiveView
 from midstride.server.view.routes import viewing
@@ -184,7 +197,7 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
 
 
 def _changing(lifecycle: Lifecycle) -> APIRouter:
-    router, manager = APIRouter(), lifecycle.manager
+    router, manager, rehearser = APIRouter(), lifecycle.manager, Rehearser()
 
     @router.post("/plan", responses=answers(PlannedChange, body=True), openapi_extra=request_body(ChangeRequest))
     async def plan(http: Request) -> Response:
@@ -199,6 +212,19 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
             return answer(PlannedChange.of(found, revision=revision, **more))
 
         return await asyncio.to_thread(response)
+
+    @router.post("/check", responses=answers(CheckedText, body=True), openapi_extra=request_body(SubmittedText))
+    async def check(http: Request) -> Response:
+        """Check the text of a specification; no file is read for it. Its `request` can be planned and carried out."""
+        submitted = await read_text(http)
+        return await asyncio.to_thread(lambda: answer(checked(submitted)))
+
+    @router.post("/rehearsal", responses=answers(Rehearsal, body=True), openapi_extra=request_body(SubmittedRehearsal))
+    async def rehearsal(http: Request) -> Response:
+        """Rehearse a change in the simulator, with stand-ins for programs, while faults strike. Nothing is changed."""
+        asked = await read_rehearsal(http)
+        lifecycle.require_up()
+        return answer(await rehearser.rehearse(manager.specification, asked))
 
     @router.post("/change", responses=answers(Outcome, body=True), openapi_extra=request_body(SubmittedChange))
     async def change(http: Request) -> Response:

@@ -12,8 +12,10 @@ from midstride.codec.specification import SpecificationForm
 from midstride.plan.request_form import ChangeRequest
 from midstride.runtime import reports
 from midstride.runtime.history import History, SpecificationVersion
+from midstride.runtime.rehearsal_forms import Rehearsal
+from midstride.server.checked_text import CheckedText
 from midstride.server.errors import Failure
-from midstride.server.requests import LARGEST_BODY, ParameterSetting, SubmittedChange
+from midstride.server.requests import LARGEST_BODY, ParameterSetting, SubmittedChange, SubmittedRehearsal, SubmittedText
 from midstride.server.view import forms
 
 Responses: TypeAlias = dict[int | str, dict[str, Any]]
@@ -24,7 +26,11 @@ FORMS: Final = (
     ParameterSetting,
     SpecificationForm,
     SubmittedChange,
+    SubmittedRehearsal,
+    SubmittedText,
+    CheckedText,
     History,
+    Rehearsal,
     SpecificationVersion,
     reports.DownReport,
     reports.Event,

@@ -26,6 +26,10 @@ T = TypeVar("T")
 # The specification of 1,000 nodes has about 150,000 bytes.
 LARGEST_BODY: Final = 1_048_576
 
+# How many seeds at most, and how long they may take at most (s).
+MOST_SEEDS: Final = 1_000
+LONGEST_REHEARSAL: Final = 120.0
+
 
 class SubmittedChange(Form, frozen=True):
     """A request to be carried out.
@@ -59,6 +63,29 @@ class ParameterSetting(Form, frozen=True):
     parameters: Annotated[dict[str, Value], field("an object of values", min_length=1)]
 
 
+class SubmittedText(Form, frozen=True, kw_only=True):
+    """The text of a specification: JSON where `name` ends in `.json`, else the Stride language."""
+
+    what: ClassVar[str] = "a text"
+
+    text: str
+    name: Annotated[str, field("a file's name", "for the diagnostics", min_length=1, max_length=255)] = "text.stride"
+
+
+class SubmittedRehearsal(Form, frozen=True, kw_only=True):
+    """A change to be rehearsed on the running specification, with faults that are drawn from a seed each time.
+
+    `seeds`: how often; `first`: the first of the seeds. After `seconds` no further one is begun.
+    """
+
+    what: ClassVar[str] = "a rehearsal"
+
+    request: ChangeRequest
+    seeds: Annotated[int, field("a number of seeds", ge=1, le=MOST_SEEDS)] = 20
+    first: Annotated[int, field("the first seed", ge=0, le=2**31)] = 0
+    seconds: Annotated[float, field("a number of seconds", gt=0, le=LONGEST_REHEARSAL)] = 30.0
+
+
 async def read_setting(http: HttpRequest) -> tuple[str, Mapping[str, ParameterValue]]:
     """The node and the values in the body. Raises as :func:`read_request` does."""
     return await _read(http, ParameterSetting, lambda form: (form.node, values_of(form.parameters)), lambda _: ())
@@ -72,6 +99,22 @@ async def read_request(http: HttpRequest) -> PlanRequest:
 async def read_change(http: HttpRequest) -> tuple[SubmittedChange, PlanRequest]:
     """The change in the body, and its request. Raises as :func:`read_request` does."""
     return await _read(http, SubmittedChange, _parts, lambda parts: under("request", request_names(parts[1])))
+
+
+async def read_text(http: HttpRequest) -> SubmittedText:
+    """The text in the body. Raises as :func:`read_request` does."""
+    return await _read(http, SubmittedText, lambda form: form, lambda _: ())
+
+
+async def read_rehearsal(http: HttpRequest) -> SubmittedRehearsal:
+    """The rehearsal in the body. Raises as :func:`read_request` does."""
+    form, _ = await _read(
+        http,
+        SubmittedRehearsal,
+        lambda form: (form, form.request.request()),
+        lambda parts: under("request", request_names(parts[1])),
+    )
+    return form
 
 
 def _parts(form: SubmittedChange) -> tuple[SubmittedChange, PlanRequest]:

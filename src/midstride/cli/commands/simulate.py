@@ -6,22 +6,20 @@ import os
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from midstride.cli.files import load
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.planned_change import planned_change, planned_change_options
+from midstride.codec.form import encode
 from midstride.plan.request_form import decode_request
 
 if TYPE_CHECKING:
     from midstride.simulation.campaign import Summary
     from midstride.simulation.run import SeedRun
     from midstride.simulation.scenario import Scenario
-
-# The columns of the table: the branches of recovery that the outcome of a change is.
-_OUTCOMES: Final = ("done", "refused", "rolled_back", "failed", "manager killed", "recovered")
 
 
 @click.command("simulate")
@@ -70,7 +68,10 @@ def _scenario(file: Path | None, change: dict[str, Any]) -> Scenario | None:
 
 def _show_one(run: SeedRun, same: bool) -> int:
     if wants_json():
-        print_json({**_document(run), "deterministic": same, "digest": run.digest, "timeline": run.timeline})
+        from midstride.simulation.rehearsal import rehearsed_seed
+
+        document = encode(rehearsed_seed(run))
+        print_json({**document, "deterministic": same, "digest": run.digest, "timeline": run.timeline})
     else:
         for line in run.timeline:
             click.echo(line)
@@ -81,24 +82,18 @@ def _show_one(run: SeedRun, same: bool) -> int:
 
 
 def _show(summary: Summary, seconds: float) -> int:
+    from midstride.simulation.rehearsal import BRANCHES, rehearsal_of
+
+    result = rehearsal_of(summary)
     if wants_json():
-        faults = {
-            fault: {"struck": count, **{name: summary.branches[fault, name] for name in _OUTCOMES}}
-            for fault, count in sorted(summary.struck.items())
-        }
-        outcomes, failed = dict(summary.outcomes), [_document(run) for run in summary.failed]
-        print_json({"seeds": summary.seeds, "outcomes": outcomes, "faults": faults, "failed": failed})
-        return int(bool(failed))
+        print_json(encode(result))
+        return int(bool(result.failed))
     from midstride.cli import render
 
-    heads = ["fault", "struck", *(name.replace("_", " ") for name in _OUTCOMES)]
-    rows = [
-        [fault, count, *(summary.branches[fault, name] for name in _OUTCOMES)]
-        for fault, count in sorted(summary.struck.items())
-    ]
+    heads = ["fault", "struck", *(name.replace("_", " ") for name in BRANCHES)]
     table = render.table(heads[:1], heads[1:])
-    for row in rows:
-        table.add_row(*map(str, row))
+    for fault, counts in result.faults.items():
+        table.add_row(fault, *map(str, counts.values()))
     console().print(table)
     rate = f"{summary.seeds} seeds in {seconds:.1f} s"
     if not summary.failed:
@@ -112,7 +107,3 @@ def _show(summary: Summary, seconds: float) -> int:
         click.echo(f"seed {run.seed}: {'; '.join(run.problems)}")
     click.echo(f"{rate}: {len(summary.failed)} violate an invariant; `--seed {worst.seed}` repeats the first")
     return 1
-
-
-def _document(run: SeedRun) -> dict[str, Any]:
-    return {"seed": run.seed, "problems": run.problems, "outcomes": run.outcomes}

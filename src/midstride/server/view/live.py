@@ -27,7 +27,7 @@ from midstride.server.view.changes import ChangeTracker
 from midstride.server.view.components import Baseline, component_view
 from midstride.server.view.forms import VERSION, ComponentView, CrashView, SilenceView, Timeline
 from midstride.server.view.recording import ModeHistory, ViewRecording
-from midstride.server.view.same import same_but_figures, same_report
+from midstride.server.view.same import rates_as_shown, same_but_figures, same_report
 from midstride.server.view.table import Part, ViewTable, encode_view
 from midstride.server.view.topics import changed_parts, topic_view
 from midstride.wire.state import ComponentState
@@ -93,13 +93,20 @@ class LiveView:
 
     def _on_report(self, event: ComponentEvent) -> None:
         name = event.instance
-        if isinstance(event, ComponentState) and same_report(self._reported.get(name), event):
+        if isinstance(event, ComponentState) and self._same(event):
             self._measured.add(name)
             if self._wakers:
                 self._at(self._figures_at + FIGURES)
         else:
             self._dirty.add(name)
             self._soon()
+
+    def _same(self, state: ComponentState) -> bool:
+        """Whether a report differs from the entry of its component in figures at most."""
+        shown = self._shown.get(state.instance)
+        if shown is None or not shown.answers or not same_report(self._reported.get(state.instance), state):
+            return False
+        return rates_as_shown(shown, state, self._configuration.context)
 
     def _on_event(self, event: Event) -> None:
         self._changes.on_event(event)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from midstride.server.view.forms import ComponentView
-from midstride.wire.state import ComponentState
+from typing import Final
 
-# By how much (s) the time in a mode may differ from the time between two reports.
-_SAME_MODE = 0.5
+from midstride.model.configuration import SystemContext
+from midstride.server.view.forms import ComponentView
+from midstride.wire.state import ComponentState, LinkState
+
+_NO_LINKS: Final[dict[str, LinkState]] = {}
 
 
 def same_report(before: ComponentState | None, state: ComponentState) -> bool:
     """Whether a component reports the same as before, but for counts, figures and the time that has passed.
 
-    A functionality that is not in its best mode may be about to be restored, which reports do not say: it is not the
-    same. Called for every report, so it must be cheap.
+    Called for every report, so it must be cheap.
     """
     if before is None or before.uuid != state.uuid:
         return False
@@ -42,6 +43,18 @@ def same_report(before: ComponentState | None, state: ComponentState) -> bool:
         state.differences,
         state.undeclared,
     )
+
+
+def rates_as_shown(shown: ComponentView, state: ComponentState, context: SystemContext) -> bool:
+    """Whether the declared rates are met or not as the entry says. Called for every report as well."""
+    for port in shown.ports:
+        if port.declared is None or port.topic is None or port.topic not in context.connectors:
+            continue
+        link = state.ports.get(port.name, _NO_LINKS).get(context.connectors[port.topic].topic)
+        measured = None if link is None else link.measured
+        if port.met != (None if measured is None else measured.meets(port.declared)):
+            return False
+    return True
 
 
 def same_but_figures(before: ComponentView, view: ComponentView) -> bool:

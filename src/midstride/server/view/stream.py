@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -36,7 +36,7 @@ def position(text: str) -> Position | None:
     return Position(manager, int(n), None if event is None else int(event))
 
 
-async def view_events(live: LiveView, since: Position | None) -> AsyncIterator[bytes]:
+async def view_events(live: LiveView, since: Position | None) -> AsyncGenerator[bytes, None]:
     """The view, or what has changed since ``since``, and then each difference, until the manager exits."""
     lifecycle, events, table = live.lifecycle, live.events, live.table
     known = since is not None and since.manager == live.manager
@@ -51,6 +51,8 @@ async def view_events(live: LiveView, since: Position | None) -> AsyncIterator[b
             yield b": midstride\n\n"
             while True:
                 waker.clear()
+                if over := ended.done():
+                    live.refresh(figures=False)  # the last difference is sent as well
                 if not table.knows(sent):
                     sent, sent_at = table.n, loop.time()
                     yield _message("view", live.manager, sent, last, live.document())
@@ -61,7 +63,7 @@ async def view_events(live: LiveView, since: Position | None) -> AsyncIterator[b
                 for event in events.since(last):
                     last = event.n
                     yield _message("event", live.manager, sent, last, msgspec.json.encode(event))
-                if ended.done():
+                if over:
                     return
                 if table.n == sent and events.last == last and not await _woken(waker, ended):
                     yield b": still here\n\n"

@@ -1,0 +1,55 @@
+"""The text of a specification that the page sends: diagnostics with their places, and no file is read for it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from midstride.codec.specification import decode_specification, encode_specification
+from midstride.server.checked_text import checked
+from midstride.server.requests import SubmittedText
+from tests.server.scripted import EXAMPLES
+
+TALKER = (EXAMPLES / "talker" / "talker.stride").read_text(encoding="utf-8")
+
+
+def test_a_correct_text_can_be_applied() -> None:
+    result = checked(SubmittedText(text=TALKER, name="talker.stride"))
+    assert result.ok and result.request is not None and result.request.to is not None
+    document = json.loads((EXAMPLES / "talker" / "talker.json").read_text(encoding="utf-8"))
+    assert result.request.to.specification() == decode_specification(document)
+
+
+def test_json_is_told_by_its_name() -> None:
+    document = json.loads((EXAMPLES / "talker" / "talker.json").read_text(encoding="utf-8"))
+    text = json.dumps(encode_specification(decode_specification(document)))
+    assert checked(SubmittedText(text=text, name="talker.json")).ok
+    assert not checked(SubmittedText(text=text, name="talker.stride")).ok
+
+
+def test_a_problem_has_its_place() -> None:
+    lines = TALKER.splitlines()
+    (index,) = [number for number, line in enumerate(lines) if line.strip().startswith("node talker")]
+    lines[index] = lines[index].replace("Talker", "Talkre")
+    result = checked(SubmittedText(text="\n".join(lines), name="../../etc/edited.stride"))
+    assert not result.ok and result.request is None
+    (problem,) = [each for each in result.diagnostics if each.severity == "error"]
+    assert (problem.file, problem.line) == ("edited.stride", index + 1)
+    assert lines[index][problem.column - 1 :].startswith("Talkre")
+    assert "Talker" in (problem.help or "")
+
+
+@pytest.mark.parametrize(("statement", "name"), [('include "{}"', "part.stride"), ('parameters "{}"', "values.yaml")])
+def test_no_file_is_read(statement: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).write_text("secret: 1")
+    text = TALKER + "\n" + statement.format(name) + "\n"
+    result = checked(SubmittedText(text=text))
+    assert not result.ok and result.request is None
+    (problem,) = [each for each in result.diagnostics if each.severity == "error"]
+    assert "no file is read for a text that is sent to the manager" in problem.message
+    assert "midstride apply FILE" in (problem.help or "")
+    assert problem.line == len(TALKER.splitlines()) + 2
+    assert "secret" not in repr(result)
