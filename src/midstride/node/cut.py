@@ -272,9 +272,9 @@ class IncomingCut(_Side):
         """Write nothing more, and let the old side write: unless a later cut decides that for an output."""
         attached = [link for link in self.links if link in link.output.links]
         for link in attached:
-            if link.cut in (None, self):
+            if link.cut in (None, self) and link.set_by in (None, self):
                 link.set_gate(False, self)
-        if not any(link.cut for link in attached):
+        if not any(link.open or link.cut for link in attached):
             self.claim.give_back()
 
     def abandon(self) -> bool:

@@ -163,9 +163,9 @@ class OutputLink:
 
     def set_gate(self, open_: bool, by: GatePolicy | None = None) -> None:
         """Open or close the gate, and take this attachment out of its cut; ``by`` the end of a cut."""
-        self.cut = None
-        self.open = open_
         self.set_by = by
+        self.open = open_
+        self.cut = None
 
     def enter(self, cut: GatePolicy) -> None:
         """From now on, ``cut`` decides what passes."""
