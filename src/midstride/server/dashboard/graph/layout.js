@@ -26,8 +26,11 @@ const WRAP_ABOVE = 8;
 
 /** Starts the worker, which takes a while to read its program: as early as the page knows that it will draw. */
 export function startWorker() {
+  const { ELK, midstrideWorker } = /** @type {any} */ (globalThis);
   const workerUrl = new URL("../vendor/elkjs/elk-worker.min.js", import.meta.url).href;
-  elk ??= new /** @type {any} */ (globalThis).ELK({ workerUrl, algorithms: ["layered"] });
+  // A report from disk can start no worker: it brings one along that runs in the page.
+  const worker = midstrideWorker ? { workerFactory: () => new midstrideWorker() } : { workerUrl };
+  elk ??= new ELK({ ...worker, algorithms: ["layered"] });
 }
 
 /**
