@@ -145,7 +145,7 @@ def test_a_call_that_outlasts_the_drain_fails_the_step_and_nothing_has_changed(
 
             def impatient(*arguments: Any) -> Any:
                 executor = make(*arguments)
-                executor.driver.drain_timeout = 0.3
+                executor.driver.modes.drain_timeout = 0.3
                 return executor
 
             monkeypatch.setattr(manager._session, "executor", impatient)

@@ -81,6 +81,9 @@ class Wire:
     def publish(self, message: Any) -> None:
         self.published.append(message.data)
 
+    def destroy(self) -> None:
+        """Nothing is to be released."""
+
 
 def link_of(owner: Owner, topic: str = "/chatter") -> tuple[OutputLink, list[str]]:
     output, wire = Output("out", String, QoS()), Wire()

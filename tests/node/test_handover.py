@@ -11,8 +11,10 @@ import pytest
 
 from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.network import SimulatedWriter
+from midstride.backends.simulator.process import SimulatedProcess
 from midstride.testing.conformance import puppets
 from midstride.testing.conformance.lab import Lab
+from midstride.wire.pipe import PipeClaim
 
 TOPIC = "/chatter"
 SWAPS = [{"port": "out", "topic": TOPIC}]
@@ -286,15 +288,22 @@ async def reopened(lab: Lab) -> bool:
     return bool((await lab.port("old", "out", TOPIC))["gate"] == "open")
 
 
-@pytest.mark.parametrize("how", ["is killed", "is detached", "is cancelled"])
-def test_an_old_side_that_is_cancelled_waits_until_the_new_one_cannot_write(how: str, tmp_path: Path) -> None:
-    """As where the manager could not reach the new side."""
+@pytest.mark.parametrize("reports", ["arrive", "are lost"])
+@pytest.mark.parametrize("asked", [True, False])
+@pytest.mark.parametrize("how", ["is killed", "is detached", "is cancelled", "is settled"])
+def test_an_old_side_that_has_done_its_part_writes_again_when_the_new_one_cannot(
+    how: str, asked: bool, reports: str, tmp_path: Path
+) -> None:
+    """As where the manager cannot reach the new side and then kills it, or cannot reach the old one, or dies."""
 
     async def main(lab: Lab, simulator: Simulator) -> None:
         await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
+        if reports == "are lost":
+            simulator.faults.fail_next("old", "taken", "lost_request", 1000)
         await cut_at(lab, await next_slot(lab, 0.2))
-        assert await outcomes(lab) == ("done", "done")
-        assert "can still write" in await lab.refusal("old", "cancel_cut", cut="cut")
+        assert await outcomes(lab, timeout=20.0) == ("done", "done")
+        if asked:
+            assert "can still write" in await lab.refusal("old", "cancel_cut", cut="cut")
         await lab.sleep(1.0)
         assert not await reopened(lab)
         if how == "is killed":
@@ -303,9 +312,59 @@ def test_an_old_side_that_is_cancelled_waits_until_the_new_one_cannot_write(how:
             await lab.change("new", "detach", port="out", topic=TOPIC)
         else:
             await lab.change("new", "cancel_cut", cut="cut")
+        if how == "is settled":  # by the next manager, which goes by what is then open
+            await lab.read("old", "settle_cuts", new=False)
+            assert await reopened(lab)
         await lab.eventually("the old side writes again", lambda: reopened(lab))
+        await lab.sleep(0.2)
         words = sides(await lab.received("sink"))
-        assert words == sorted(words, reverse=True), "the new one writes until the old one may"
+        assert [word for word, _ in itertools.groupby(words)] == ["old", "new", "old"]
+
+    in_lab(tmp_path, main)
+
+
+def test_an_old_side_leaves_the_gate_to_a_later_cut(tmp_path: Path) -> None:
+    """Its successor ends, and has handed over the topic before."""
+
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
+        await cut_at(lab, await next_slot(lab, 0.2))
+        assert await outcomes(lab) == ("done", "done")
+        await lab.start("newest", puppets.talker(rate=20))
+        await lab.attach("newest", "out", TOPIC, peers=1, gate="closed")
+        await lab.mode("newest", "talk", "normal")
+        at = await next_slot(lab, 0.2)
+        await lab.change("new", "cut_out", cut="second", swaps=SWAPS, at=at, resume_after=1.0)
+        await lab.change("newest", "cut_in", cut="second", swaps=SWAPS, at=at, epoch=at, peer="new")
+        await lab.change("new", "cancel_cut", cut="cut")
+        await lab.sleep(1.0)
+        assert not await reopened(lab), "the new one writes, by its later cut, or the newest one does"
+        words = sides(await lab.received("sink"))
+        assert [word for word, _ in itertools.groupby(words)] == ["old", "new", "newest"]
+
+    in_lab(tmp_path, main)
+
+
+def test_an_old_side_that_has_a_claim_elsewhere_writes_again_on_command_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two hosts: that this one's claim is free says nothing about the new side."""
+
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
+
+        def claim_of(process: SimulatedProcess, cut: str) -> PipeClaim:
+            return PipeClaim({}, cut, process.instance)
+
+        monkeypatch.setattr(simulator.control, "claim_of", claim_of)
+        await cut_at(lab, await next_slot(lab, 0.2))
+        assert await outcomes(lab) == ("done", "done")
+        await lab.sleep(1.0)
+        simulator.faults.kill("new")
+        await lab.sleep(1.0)
+        assert not await reopened(lab)
+        await lab.change("old", "cancel_cut", cut="cut")
+        assert await reopened(lab)
 
     in_lab(tmp_path, main)
 

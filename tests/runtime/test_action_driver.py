@@ -24,8 +24,8 @@ from midstride.model.action import (
 )
 from midstride.model.component import Connector
 from midstride.model.configuration import Configuration, SystemContext, configure
-from midstride.runtime.action_driver import HELD_LONGER
 from midstride.runtime.backend import Exited
+from midstride.runtime.mode_changes import HELD_LONGER
 from midstride.runtime.new_publishers import ATTACH_TIMEOUT, DETACH_TIMEOUT
 from midstride.runtime.reports import ModeSkew
 from midstride.wire.commands import (
@@ -217,7 +217,7 @@ def test_the_end_of_its_connection_is_known_before_the_end_of_a_process(action: 
     async def body(b: Bench) -> None:
         b.client.lost.add("talker")
         await perform(b, action)
-        await b.driver.lower("talker", {work("talker"): 1}, "")
+        await b.driver.modes.lower("talker", {work("talker"): 1}, "")
         assert b.client.sent == []
 
     bench(talking(), tmp_path, body)
@@ -248,7 +248,7 @@ def test_a_process_that_has_ended_cannot_be_given_anything(tmp_path: Path) -> No
 def test_modes_are_sent_by_name_with_the_reason(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         await perform(b, Degrade(Map({work("talker"): 1, work("listener"): 1})))
-        timeout = b.driver.drain_timeout
+        timeout = b.driver.modes.drain_timeout
         hold = HoldCommand(functionalities=["work"], seconds=timeout + HELD_LONGER, timeout=timeout)
         modes = ModesCommand(modes={"work": "degraded"}, because="for the test", timeout=timeout)
         assert [(sent.instance, sent.command) for sent in b.client.sent] == [
@@ -261,7 +261,7 @@ def test_modes_are_sent_by_name_with_the_reason(tmp_path: Path) -> None:
 def test_the_modes_of_one_instance_change_without_a_hold(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         await perform(b, Degrade(Map({work("listener"): 1})))
-        assert b.client.changes == [("listener", "modes")] and b.driver.skews == []
+        assert b.client.changes == [("listener", "modes")] and b.driver.modes.skews == []
 
     bench(talking(), tmp_path, body)
 
@@ -282,7 +282,7 @@ def test_several_instances_change_at_once_when_all_of_them_are_held_and_the_skew
         assert b.client.changes == [("listener", "hold"), ("talker", "hold")], "nothing changes while a call runs"
         slow.set()
         await performing
-        assert b.driver.skews == [ModeSkew("degrade", ["listener.work", "talker.work"], 0.0015)]
+        assert b.driver.modes.skews == [ModeSkew("degrade", ["listener.work", "talker.work"], 0.0015)]
 
     bench(talking(), tmp_path, body)
 
@@ -309,9 +309,8 @@ def test_where_one_component_does_not_change_its_mode_the_others_go_back(tmp_pat
             ("talker", "hold"),
             ("listener", "modes"),
             ("talker", "modes"),
-            ("talker", "undo modes"),
             ("listener", "undo modes"),
-        ]
+        ], "what has refused has changed nothing, and an undo would wait for the call that hangs there as well"
         assert [command.modes for command in b.client.of(ModesCommand, "listener")][1] == {"work": "normal"}
 
     bench(talking(), tmp_path, body)

@@ -20,10 +20,10 @@ from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.backend import Handle, Launch
 from midstride.runtime.component_client import STOPPED
-from midstride.runtime.fencing import DEFAULT_WAIT
+from midstride.runtime.fencing import DEFAULT_WAIT, PATIENCE
 from midstride.runtime.launcher import STOP_GRACE
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Outcome
+from midstride.runtime.reports import Event, Outcome
 from midstride.runtime.workspace import Workspace
 from tests.runtime.systems import last_said, managed, replace, stateful_talkers
 
@@ -282,6 +282,69 @@ class Acting(Simulator):
         if self.armed and (instance, op) == (self.instance, self.op):
             self.armed = False
             self.act(self)
+
+
+@pytest.mark.parametrize(("name", "op"), [("listener", "modes"), ("talker", "detach")])
+@pytest.mark.parametrize("wait", [0.0, 1.0, 10.0])
+def test_all_that_is_tried_in_a_step_without_a_fence_takes_as_long_as_asked_for(
+    wait: float, name: str, op: str, tmp_path: Path
+) -> None:
+    """Not each command on its own, nor their undoing, which would wait for the same call."""
+    hung: list[float] = []
+
+    def hang(simulator: Acting) -> None:
+        hung.append(simulator.clock.steady())
+        simulator.faults.hang(name, 1000)
+
+    simulator = Acting(name, op, hang)
+
+    async def body(manager: Manager, _: Simulator, heard: Heard) -> None:
+        fenced: list[float] = []
+
+        def on_event(event: Event) -> None:
+            record(event)
+            if event.kind == "fenced":
+                fenced.append(simulator.clock.steady())
+
+        record, manager.events.on_event = manager.events.on_event, on_event
+        simulator.armed = True
+        outcome = await manager.change(PlanRequest(restart=(name,), strategy="paper"), wait=wait)
+        assert outcome.outcome == "done", outcome.because
+        assert [(each.instance, each.how) for each in outcome.fenced] == [(name, "gate")]
+        assert wait <= fenced[0] - hung[0] < wait + 2 * PATIENCE + 0.1
+
+    hanging(tmp_path, body, simulator, Old=_talker("old", 0, 0))
+
+
+def test_one_that_returns_in_time_degrades_in_order(tmp_path: Path) -> None:
+    """Although that takes longer than a mode change of others may."""
+    simulator = Acting("listener", "modes", lambda s: s.faults.hang("listener", 7.0))
+
+    async def body(manager: Manager, _: Simulator, heard: Heard) -> None:
+        simulator.armed = True
+        outcome = await manager.change(PlanRequest(restart=("listener",), strategy="paper"), wait=10.0)
+        assert (outcome.outcome, outcome.fenced) == ("done", [])
+
+    hanging(tmp_path, body, simulator, Old=_talker("old", 0, 0))
+
+
+def test_one_that_is_stopped_before_it_degrades_is_killed_once_it_counts_as_stopped(tmp_path: Path) -> None:
+    stopped: list[float] = []
+
+    def stop(simulator: Acting) -> None:
+        stopped.append(simulator.clock.steady())
+        simulator.faults.freeze("listener", 1000)
+
+    simulator = Acting("listener", "modes", stop)
+
+    async def body(manager: Manager, _: Simulator, heard: Heard) -> None:
+        simulator.armed = True
+        outcome = await manager.change(PlanRequest(restart=("listener",), strategy="paper"), wait=1.0)
+        assert outcome.outcome == "done", outcome.because
+        assert [(each.instance, each.how) for each in outcome.fenced] == [("listener", "killed")]
+        assert simulator.clock.steady() - stopped[0] < STOPPED + 5
+
+    hanging(tmp_path, body, simulator, Old=_talker("old", 0, 0))
 
 
 @pytest.mark.parametrize("op", ["observe", "grid", "attach", "meet", "cut_out", "cut_in", "await_cut", "detach"])

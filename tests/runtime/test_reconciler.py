@@ -63,7 +63,7 @@ def test_a_crash_takes_the_instance_out_of_the_model_and_lowers_what_relied_on_i
         assert r.system.configuration == talking().without_instance("talker").with_modes(DEGRADED_LISTENER)
         assert r.client.of(ModesCommand) == [
             ModesCommand(
-                modes={"work": "degraded"}, because="talker exited unexpectedly", timeout=r.driver.drain_timeout
+                modes={"work": "degraded"}, because="talker exited unexpectedly", timeout=r.driver.modes.drain_timeout
             )
         ]
         [event] = [event for event in r.events.since() if event.kind == "exited"]

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from midstride.wire.claims import FileClaim
-from midstride.wire.pipe import PipeNetwork
+from midstride.wire.pipe import PipeClaim, PipeNetwork
 from midstride.wire.sockets import SocketFolder
 from midstride.wire.transport import CutClaim
 
@@ -59,13 +59,56 @@ def test_the_end_of_its_process_gives_it_back(tmp_path: Path) -> None:
         assert claim.take()
 
 
-def test_it_costs_a_descriptor_while_it_is_held(tmp_path: Path) -> None:
+def test_it_costs_a_descriptor_until_it_is_given_back(tmp_path: Path) -> None:
     before = len(os.listdir("/proc/self/fd"))
     claims = [FileClaim(tmp_path / "claims", "cut") for _ in range(10)]
-    assert [claim.take() for claim in claims] == [True] + 9 * [False]
-    assert len(os.listdir("/proc/self/fd")) == before + 1
-    claims.clear()
     assert len(os.listdir("/proc/self/fd")) == before
+    assert [claim.take() for claim in claims] == [True] + 9 * [False]
+    assert len(os.listdir("/proc/self/fd")) == before + 10
+    for claim in claims[5:]:
+        claim.give_back()
+    assert len(os.listdir("/proc/self/fd")) == before + 5
+    claims.clear()
+    del claim
+    assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_it_is_inherited_from_a_side_that_had_it_in_the_same_place_only(tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    folder, elsewhere = SocketFolder(tmp_path), SocketFolder(tmp_path / "other")
+    pipes = PipeNetwork()
+    for one, other, apart in (
+        (folder.claim("a"), folder.claim("a"), elsewhere.claim("a")),
+        (pipes.claim("a"), pipes.claim("a"), PipeClaim({}, "a", "another memory")),
+    ):
+        assert one.take()
+        apart.share(one.place)
+        assert apart.place != one.place != "" and not apart.inherit(), "nobody had this one"
+        assert not other.inherit(), "it does not know yet that the two are one"
+        other.share(one.place)
+        assert not other.inherit(), "the other side has it"
+        one.give_back()
+        assert not apart.inherit() and other.inherit() and not one.take()
+
+
+def test_what_was_found_taken_can_be_inherited(tmp_path: Path) -> None:
+    """Where the new side has not reported where its claim is."""
+    folder, pipes = SocketFolder(tmp_path), PipeNetwork()
+    for one, other in ((folder.claim("a"), folder.claim("a")), (pipes.claim("a"), pipes.claim("a"))):
+        assert not other.inherit() and one.take() and not other.take() and not other.inherit()
+        one.give_back()
+        assert other.inherit() and not one.take()
+
+
+def test_a_file_that_is_removed_and_made_again_does_not_free_it(tmp_path: Path) -> None:
+    path = tmp_path / "claims"
+    one, other = FileClaim(path, "cut"), FileClaim(path, "cut")
+    assert one.take() and not other.take()
+    path.unlink()
+    path.touch()
+    assert not other.inherit(), "the file in which the other side has its lock counts"
+    one.give_back()
+    assert other.inherit()
 
 
 def test_without_its_folder_neither_side_has_it(tmp_path: Path) -> None:

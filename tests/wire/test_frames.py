@@ -229,7 +229,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (AnswerCommand(peer="old", address="unix:/x", timeout=1.5), Done()),
     (ReleaseCommand(timeout=1.5), Done()),
     (StopCommand(timeout=1.5), Done()),
-    (CutTakenCommand(cut="c", failed=True, timeout=1.5), Relieved(resumed=True)),
+    (CutTakenCommand(cut="c", failed=True, claim="here", timeout=1.5), Relieved(resumed=True)),
     (YieldCommand(timeout=1.5), Yielded(handled=["1 2", "1 3"])),
     (SettleCutsCommand(new=True, timeout=1.5), Done()),
     (OfferStateCommand(changes=True, timeout=1.5), StateOffer(exports="nothing")),

@@ -101,12 +101,18 @@ class Attachments:
             await self.data.run(link.destroy, timeout)
             return commands.Detached(acknowledged=None, last=None)
         was_open = link.gate == "open"
-        await self.data.run(lambda: link.set_gate(False), timeout)
+
+        def close() -> None:
+            if link.open or link.cut is not None:  # else what has closed it may open it, if the detachment fails
+                link.set_gate(False)
+
+        await self.data.run(close, timeout)
         acknowledged = await link.endpoint.acknowledged(timeout)
         try:
             await self.data.run(link.destroy, timeout)
         except CommandRefused:
-            self.host.on_data(lambda: link.set_gate(was_open))
+            if was_open:
+                self.host.on_data(lambda: link.set_gate(True))
             raise
         return commands.Detached(acknowledged=acknowledged, last=link.count)
 

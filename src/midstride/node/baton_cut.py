@@ -42,8 +42,7 @@ class BatonCut(GatePolicy):
 
     def arm(self) -> None:
         for link in self.links:
-            link.open = False
-            link.cut = self
+            link.enter(self)
 
     def passes(self, link: OutputLink) -> bool:
         word = self.seat.word()
@@ -160,6 +159,10 @@ class BatonTask:
     @property
     def new(self) -> bool:
         return self.cut.new
+
+    @property
+    def over(self) -> bool:
+        return self.finished.is_set()
 
     async def settle(self) -> None:
         """Return once it has an outcome; cancel it unless the new side has the baton, and has written."""

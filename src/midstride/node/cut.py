@@ -114,13 +114,7 @@ class _Side(GatePolicy):
         """Final for this cut. A link that another command has taken out of it, or destroyed, is left alone."""
         for link in self.links:
             if link.cut is self:
-                link.set_gate(open_)
-
-    def _set_attached(self, open_: bool) -> None:
-        """The same for links that are attached, and that no later cut has."""
-        for link in self.links:
-            if link in link.output.links and link.cut in (None, self):
-                link.set_gate(open_)
+                link.set_gate(open_, self)
 
 
 @dataclass(eq=False)
@@ -142,8 +136,7 @@ class OutgoingCut(_Side):
 
     def arm(self) -> None:
         for link in self.links:
-            link.open = False
-            link.cut = self
+            link.enter(self)
         for runner in self._runners:
             runner.watch = self._on_input
 
@@ -179,7 +172,18 @@ class OutgoingCut(_Side):
         """Write again: the new side has not taken over in time, or the cut is cancelled."""
         self.over = True
         self.relieved()
-        self._set_attached(True)
+        for link in self.links:
+            if self._decides(link):
+                link.set_gate(True, self)
+
+    @property
+    def closed(self) -> bool:
+        """Whether there is an attachment that nothing but this cut keeps closed."""
+        return any(map(self._decides, self.links))
+
+    def _decides(self, link: OutputLink) -> bool:
+        closed = link.set_by is self and not link.open
+        return (closed or link.cut is self) and link in link.output.links
 
     def relieved(self) -> None:
         """The new side has taken over, or this one has given up the cut: inputs need not be watched any more."""
@@ -236,7 +240,7 @@ class IncomingCut(_Side):
 
     def arm(self, epoch: int | None) -> None:
         for link in self.links:
-            link.cut = self
+            link.enter(self)
         for runner in self._runners:
             if epoch is not None and runner.rate is not None:
                 runner.rate.regrid(epoch)
@@ -265,8 +269,13 @@ class IncomingCut(_Side):
         self._set_gates(True)
 
     def close(self) -> None:
-        self._set_attached(False)
-        self.claim.give_back()
+        """Write nothing more, and let the old side write: unless a later cut decides that for an output."""
+        attached = [link for link in self.links if link in link.output.links]
+        for link in attached:
+            if link.cut in (None, self) and link.set_by in (None, self):
+                link.set_gate(False, self)
+        if not any(link.open or link.cut for link in attached):
+            self.claim.give_back()
 
     def abandon(self) -> bool:
         """Close, unless it has written; whether it is closed."""

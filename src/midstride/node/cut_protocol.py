@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import abc
 import asyncio
-import contextlib
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import ClassVar, Final
@@ -29,7 +28,7 @@ REPORT_ATTEMPTS: Final = 20
 JUMP: Final = 1.0
 # A new side may be late by so much, however fast the ROS clock runs (s).
 SHORTEST_SILENCE: Final = 0.1
-# How often an old side that was asked to write again looks whether the new one has ended (s).
+# How often an old side that has done its part looks whether the new one can still write (s).
 SLOW_TICK: Final = 0.05
 # How often a side that waits for T looks at the clock, and at what has happened meanwhile (s).
 LONGEST_WAIT: Final = 0.01
@@ -54,6 +53,11 @@ class _CutTask(abc.ABC):
     def _failed(self) -> bool:
         """Whether this side will not write at T."""
         return False
+
+    @property
+    @abc.abstractmethod
+    def over(self) -> bool:
+        """Whether nothing of this cut, and no claim, decides any more what this side writes."""
 
     @abc.abstractmethod
     async def cancel(self) -> None: ...
@@ -92,8 +96,16 @@ class CutOutTask(_CutTask):
     resume_after: float
     export: StateExport | None = None
     _taken: bool = field(default=False, init=False)
+    # The manager wants this side to write again, and the new one could still.
+    _wanted: bool = field(default=False, init=False)
+    _lingering: bool = field(default=False, init=False)
 
     async def run(self) -> None:
+        await self._pass()
+        await self.linger()
+
+    async def _pass(self) -> None:
+        """Do this side's part, until there is an outcome."""
         await self._until(self.side.at)
         passed_at = self.host.steady()
         while self._going():
@@ -155,13 +167,17 @@ class CutOutTask(_CutTask):
 
         await super()._end(outcome, gates_then_calls)
 
-    async def taken(self, failed: bool) -> bool:
-        """The new side has written, or has failed. Returns whether this one writes again."""
+    async def taken(self, failed: bool, place: str = "") -> bool:
+        """The new side has written, and has its claim in ``place``; or it has failed.
+
+        Returns whether this one writes again.
+        """
         if self.outcome in ("resumed", "cancelled"):
             return True
         if failed:
             await self.cancel()
             return True
+        self.side.claim.share(place)
         self._note_taken()
         return False
 
@@ -181,20 +197,40 @@ class CutOutTask(_CutTask):
         """Raises CommandRefused where the new side has taken over, and has not given up."""
         if not self.side.claim.take():
             self._note_taken()
+            self._wanted = True
             raise CommandRefused("the new side has taken over, and can still write")
         await self._end("cancelled", self.side.reopen)
 
-    async def cancel_later(self) -> None:
-        """As soon as the new side has given up, or its process has ended."""
-        while self.outcome in (None, "done"):
+    async def linger(self) -> None:
+        """Write again as soon as the new side can no longer: it has given up, or its process has ended.
+
+        That needs no command, which may not arrive. It ends with the attachments, or once another cut has them. Where
+        the claims of the two sides are not known to be one, only a command makes this side write again.
+        """
+        if self._lingering:
+            return
+        self._lingering = True
+        while not self.over:
             await self.host.sleep(SLOW_TICK)
-            with contextlib.suppress(CommandRefused):
-                await self.cancel()
+            await self._inherit()
+        if self.outcome == "done":
+            self.side.claim.give_back()
+
+    @property
+    def over(self) -> bool:
+        if self.outcome == "done":
+            return not (self.side.closed or (self._wanted and not self.side.links))
+        return self.outcome is not None
+
+    async def _inherit(self) -> None:
+        if not self.over and self._taken and self.side.claim.inherit():
+            await self._end("resumed", self.side.reopen)
 
     async def settle(self) -> None:
         if self._going() and self._may_resume():
             await self._end("cancelled", self.side.reopen)
         await self.finished.wait()
+        await self._inherit()
 
     def result(self) -> CutResult:
         because = None if self.export is None else self.export.because
@@ -262,6 +298,12 @@ class CutInTask(_CutTask):
             return True
         failed = self._jumped_back() or any(link.output.owner.failed for link in self.side.links)
         return failed and not self.side.written
+
+    @property
+    def over(self) -> bool:
+        if not self.side.links:
+            return self.finished.is_set()
+        return self.outcome == "cancelled" or self.is_detached
 
     async def _resumed(self, failed: bool) -> bool:
         """Report to the old side until it answers; whether it has resumed. One that cannot be reached has not."""

@@ -147,7 +147,7 @@ class HandoverCommands:
         await self._arm(side, arm)
 
         async def report(timeout: float, failed: bool) -> bool:
-            taken = commands.CutTakenCommand(cut=command.cut, failed=failed)
+            taken = commands.CutTakenCommand(cut=command.cut, failed=failed, claim="" if failed else side.claim.place)
             reply = await self.call(command.address, taken, timeout)
             return not reply.ok or result_of(reply, taken).resumed
 
@@ -178,7 +178,7 @@ class HandoverCommands:
                 await side.cancel()
             except CommandRefused:
                 if isinstance(side, CutOutTask):
-                    self._start(side.cancel_later())
+                    self._start(side.linger())
                 raise
         return commands.Done()
 
@@ -204,7 +204,7 @@ class HandoverCommands:
     async def taken(self, command: commands.CutTakenCommand) -> commands.Relieved:
         """From the new side. Where the cut is unknown, this side has not stopped writing."""
         old = [side for side in self._sides.get(command.cut, []) if isinstance(side, CutOutTask)]
-        resumed = [await side.taken(command.failed) for side in old]
+        resumed = [await side.taken(command.failed, command.claim) for side in old]
         return commands.Relieved(resumed=any(resumed) if old else True)
 
     # -- state ---------------------------------------------------------------------------------------
@@ -305,7 +305,7 @@ class HandoverCommands:
 
     def _begin(self, cut: str, side: Side) -> None:
         self._sides.setdefault(cut, []).append(side)
-        over = [cut for cut, sides in self._sides.items() if all(earlier.finished.is_set() for earlier in sides)]
+        over = [cut for cut, sides in self._sides.items() if all(earlier.over for earlier in sides)]
         for old in over[:-REMEMBERED]:
             del self._sides[old]
         self._start(side.run())

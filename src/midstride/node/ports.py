@@ -90,7 +90,19 @@ class OutputLink:
     ``times`` has the writes of both.
     """
 
-    __slots__ = ("count", "cut", "endpoint", "gated", "last_gated", "open", "output", "publish", "times", "topic")
+    __slots__ = (
+        "count",
+        "cut",
+        "endpoint",
+        "gated",
+        "last_gated",
+        "open",
+        "output",
+        "publish",
+        "set_by",
+        "times",
+        "topic",
+    )
 
     def __init__(self, output: Output, topic: str, publisher: Publisher, times: MessageTimes) -> None:
         self.output = output
@@ -103,6 +115,8 @@ class OutputLink:
         self.gated = 0
         self.last_gated: Any = None
         self.cut: GatePolicy | None = None
+        # What has set the gate last, where that was the end of a cut.
+        self.set_by: GatePolicy | None = None
 
     @property
     def lets_pass(self) -> bool:
@@ -147,10 +161,17 @@ class OutputLink:
         self.count += 1
         return True
 
-    def set_gate(self, open_: bool) -> None:
-        """Open or close the gate, and take this attachment out of its cut."""
-        self.cut = None
+    def set_gate(self, open_: bool, by: GatePolicy | None = None) -> None:
+        """Open or close the gate, and take this attachment out of its cut; ``by`` the end of a cut."""
+        self.set_by = by
         self.open = open_
+        self.cut = None
+
+    def enter(self, cut: GatePolicy) -> None:
+        """From now on, ``cut`` decides what passes."""
+        self.cut = cut
+        self.open = False
+        self.set_by = None
 
     def destroy(self) -> None:
         self.set_gate(False)

@@ -6,11 +6,10 @@ each component that can be reached.
 
 from __future__ import annotations
 
-import asyncio
 import math
 from collections.abc import Awaitable, Callable, Collection, Container, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, TypeVar
+from typing import Any, TypeVar
 
 from immutables import Map
 
@@ -27,7 +26,7 @@ from midstride.model.action import (
     Swap,
     Upgrade,
 )
-from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import handover_seconds
 from midstride.plan.change import Change
@@ -37,14 +36,14 @@ from midstride.runtime.answering import have_answer
 from midstride.runtime.backend import Backend
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
-from midstride.runtime.fencing import Fences
+from midstride.runtime.fencing import Fences, StepBudget
 from midstride.runtime.handover import LiveHandover
 from midstride.runtime.launcher import Launcher
+from midstride.runtime.mode_changes import ModeChanges
 from midstride.runtime.new_publishers import ATTACH_TIMEOUT, DETACH_TIMEOUT
 from midstride.runtime.observed_configuration import own_degradations_in
 from midstride.runtime.parameter_transfer import ParameterTransfer
 from midstride.runtime.probation import watch_after
-from midstride.runtime.reports import ModeSkew
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.simulated_time import stretch_of
 from midstride.runtime.state_moves import StateMoves
@@ -53,12 +52,6 @@ from midstride.wire import commands
 from midstride.wire.commands import Command
 
 R = TypeVar("R")
-
-# How long a call of user code may take to return before a mode change is given up (s).
-DRAIN_TIMEOUT: Final = 5.0
-# For how much longer than that components hold functionalities that are to change their modes at once (s): long enough
-# for the commands that change them, which end that.
-HELD_LONGER: Final = 2.0
 
 
 @dataclass(slots=True)
@@ -76,7 +69,6 @@ class ActionDriver:
     system: RunningSystem
     events: EventLog
     before_handover: Callable[[Configuration, Handover], Awaitable[None]] | None = None
-    drain_timeout: float = DRAIN_TIMEOUT
     rolling_back: bool = False
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
     late: dict[str, float] = field(default_factory=dict)
@@ -87,9 +79,8 @@ class ActionDriver:
     timing: Mapping[str, float] = field(default_factory=dict)  # of the specification
     leaving: Container[str] = ()  # the instances that the plan removes
     change: Change | None = None  # what the plan does
-    # How far apart the functionalities of several instances changed their modes that were to do so at once.
-    skews: list[ModeSkew] = field(default_factory=list)
     fences: Fences = field(init=False)
+    modes: ModeChanges = field(init=False)
     _settled: float = -math.inf  # when the inputs have settled that were attached (steady s)
     _keeping: set[str] = field(default_factory=set)  # instances that keep state, also where they have exited since
     _before_setting: dict[str, commands.PreviousParameters] = field(default_factory=dict)  # by instance
@@ -97,6 +88,7 @@ class ActionDriver:
 
     def __post_init__(self) -> None:
         self.fences = Fences(self.client, self.launcher, self.system, self.events)
+        self.modes = ModeChanges(self.client, self.system, self.fences, self._is_gone)
 
     @property
     def configuration(self) -> Configuration:
@@ -107,19 +99,19 @@ class ActionDriver:
 
         ``because`` is the reason that components report for their new modes.
         """
-        begun = self.fences.now()
+        budget = self.fences.budget(self._may_fence(action))
         if any(self.fences.hangs_already(name) for name in action.instances()):
-            await self._fence_leaving(action, begun)
+            await self._fence_leaving(action, self.fences.now())
         try:
             if self.moves is not None:
                 gone = {name for name in self.configuration.instances if self._is_gone(name)} | {*self.fences.fenced}
                 await self.moves.before(action, self.configuration.instances, gone)
             try:
-                await self._perform(action, because)
+                await self._perform(action, because, budget)
             except (CommandRefused, CallTimeout):
-                if not await self._fence_leaving(action, begun + self.fences.wait):
+                if not await self._fence_leaving(action, budget.until):
                     raise
-                await self._perform(action, because)
+                await self._perform(action, because, self.fences.budget(self._may_fence(action)))
         except (CommandRefused, StepFailed) as error:
             if degradations := await self._own_degradations(action):
                 raise StepFailed("; ".join(degradations)) from error
@@ -130,12 +122,8 @@ class ActionDriver:
 
         They need not do their part: what they still do in that call is neither heard nor relied on.
         """
-        if self.rolling_back or not isinstance(action, Degrade | Detach | Remove):
-            return False
         found = False
-        for name in sorted(action.instances()):
-            if name not in self.leaving or name in self.fences.fenced:
-                continue
+        for name in self._may_fence(action):
             if (because := await self.fences.unresponsive(name, deadline)) is not None:
                 found = True
                 links = [(port, self.configuration.topic(key)) for port, key in self.configuration.attached_ports(name)]
@@ -143,6 +131,12 @@ class ActionDriver:
                     name, because, [link for link in links if self.configuration.is_output(link[0])]
                 )
         return found
+
+    def _may_fence(self, action: Action) -> list[str]:
+        """The instances of a step that the plan removes, and that have not been fenced yet."""
+        if self.rolling_back or not isinstance(action, Degrade | Detach | Remove):
+            return []
+        return sorted(name for name in action.instances() if name in self.leaving and name not in self.fences.fenced)
 
     async def _own_degradations(self, action: Action) -> list[str]:
         """What degraded by itself in the instances of ``action``: the root cause of whatever they refused."""
@@ -179,7 +173,7 @@ class ActionDriver:
         attachments = specification.attachments_of(instance.role) if instance.role in specification.nodes else []
         return {port.port: specification.connectors[connector].topic for port, connector in attachments}
 
-    async def _perform(self, action: Action, because: str) -> None:
+    async def _perform(self, action: Action, because: str, budget: StepBudget) -> None:
         if not isinstance(action, Attach):
             await self.settle()
         match action:
@@ -194,7 +188,7 @@ class ActionDriver:
                 if (state := self._exported.get(instance.role)) is not None:
                     await self._import_state(instance.name, state)
             case Degrade() | Upgrade():
-                await self._set_modes(action, because)
+                await self.modes.enter(action, because, budget)
             case Handover():
                 await self._hand_over(action)
             case SetParameters(instance, parameters):
@@ -214,7 +208,7 @@ class ActionDriver:
                 or port.instance in self.fences.fenced
                 or self._has_endpoint(port, connector)
             ):
-                await self._detach(action)
+                await self._detach(action, budget)
 
     async def _set_parameters(self, instance: str, declared: dict[str, Any]) -> None:
         """Set parameters to the specification's values; a roll-back restores what was set at run time before."""
@@ -328,9 +322,10 @@ class ActionDriver:
         if self._settled > clock.steady():
             await clock.sleep(self._settled - clock.steady())
 
-    async def _detach(self, action: Detach) -> None:
+    async def _detach(self, action: Detach, budget: StepBudget) -> None:
         port, topic = action.port, self.configuration.topic(action.connector)
-        detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
+        timeout = budget.timeout(port.instance, DETACH_TIMEOUT)
+        detach = commands.DetachCommand(port=port.port, topic=topic, timeout=timeout)
         attach = commands.AttachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT, **self._relied_on(port))
         reply = await self._or_undo(port.instance, detach, attach)
         if reply.last:
@@ -356,71 +351,6 @@ class ActionDriver:
         except Exception:
             await self.client.undo(instance, undo)
             raise
-
-    async def _set_modes(self, action: Degrade | Upgrade, because: str) -> None:
-        """The functionalities of all instances at once; those of several are held between two calls before that."""
-        groups = by_instance(action.modes)
-        if isinstance(action, Degrade):
-            gone = [name for name in groups if self._is_gone(name) or name in self.fences.fenced]
-            groups = {name: modes for name, modes in groups.items() if name not in gone}
-        if len(groups) > 1:
-            await self._hold(groups)
-        found = await asyncio.gather(
-            *(self._enter(name, modes, action, because) for name, modes in groups.items()), return_exceptions=True
-        )
-        if failed := [each for each in found if isinstance(each, BaseException)]:
-            for instance, modes in reversed(groups.items()):
-                before = {ref: self.configuration.modes[ref] for ref in modes}
-                await self.client.undo(instance, self._modes_command(before, "roll-back"))
-            raise failed[0]
-        moments = [each.at for each in found if isinstance(each, commands.PreviousModes) and each.at is not None]
-        if len(moments) > 1:
-            names = [str(ref) for modes in groups.values() for ref in modes]
-            self.skews.append(ModeSkew(action.kind, names, round((max(moments) - min(moments)) / 1e9, 9)))
-
-    async def _hold(self, groups: Mapping[str, Mapping[FunctionalityRef, int]]) -> None:
-        """Have each instance begin no call of its functionalities until their modes change. Raises what one raises."""
-
-        async def hold(instance: str) -> None:
-            names = [ref.functionality for ref in groups[instance]]
-            seconds = self.drain_timeout + HELD_LONGER  # others may take as long as the drain timeout
-            command = commands.HoldCommand(functionalities=names, seconds=seconds, timeout=self.drain_timeout)
-            await self.client.change(instance, command)
-
-        found = await asyncio.gather(*map(hold, groups), return_exceptions=True)
-        if failed := [each for each in found if each is not None]:
-            end = commands.HoldCommand(functionalities=[], seconds=0.0)
-            await asyncio.gather(*(self.client.undo(instance, end) for instance in groups))
-            raise failed[0]
-
-    async def _enter(
-        self, instance: str, modes: Mapping[FunctionalityRef, int], action: Degrade | Upgrade, because: str
-    ) -> commands.PreviousModes:
-        command = self._modes_command(modes, because)
-        try:
-            return await self.client.change(instance, command)
-        except CommandRefused:
-            if isinstance(action, Upgrade) or not await self._has_degraded(instance):
-                raise
-            return await self.client.change(instance, command)  # whatever mode it has fallen to
-
-    async def _has_degraded(self, instance: str) -> bool:
-        """Whether it has degraded by itself since the change began."""
-        return bool(own_degradations_in(self.configuration, await self.client.peek(instance)))
-
-    async def lower(self, instance: str, modes: Mapping[FunctionalityRef, int], because: str) -> None:
-        """Degrade functionalities of ``instance`` whose assumptions no longer hold. Raises MidstrideError.
-
-        A failure is not undone: if only the reply was lost, undoing would upgrade them without their inputs.
-        """
-        if not self._is_gone(instance):
-            await self.client.change(instance, self._modes_command(modes, because))
-
-    def _modes_command(self, modes: Mapping[FunctionalityRef, int], because: str) -> commands.ModesCommand:
-        names = {
-            ref.functionality: self.configuration.functionality(ref).modes[index].name for ref, index in modes.items()
-        }
-        return commands.ModesCommand(modes=names, because=because, timeout=self.drain_timeout)
 
     async def _hand_over(self, action: Handover) -> None:
         configuration = self.configuration
@@ -475,11 +405,3 @@ class ActionDriver:
     async def _carry_parameters(self, old: str, new: str) -> None:
         if self.parameters is not None and not self.rolling_back:
             await self.parameters.before_cut(old, self.configuration.instances[new])
-
-
-def by_instance(modes: Mapping[FunctionalityRef, int]) -> dict[str, dict[FunctionalityRef, int]]:
-    """The modes of each instance, the instances in order of their names."""
-    found: dict[str, dict[FunctionalityRef, int]] = {}
-    for ref, index in sorted(modes.items()):
-        found.setdefault(ref.instance, {})[ref] = index
-    return found

@@ -291,7 +291,7 @@ class ChangeSession:
             plan=PlanForm.of(plan),
             seconds=round(seconds, 6),
             steps=executor.times,
-            skews=executor.driver.skews,
+            skews=executor.driver.modes.skews,
             fallen=degraded_seconds,
             swaps=swaps,
             late=executor.driver.late,

@@ -188,6 +188,11 @@ class ComponentClient:
         latest = self._latest.get(instance)
         return latest is not None and self.clock.steady() - latest.at > SILENCE
 
+    def is_stopped(self, instance: str) -> bool:
+        """Whether a component that is connected has reported nothing for so long that it counts as stopped."""
+        latest = self._latest.get(instance)
+        return latest is not None and self.clock.steady() - latest.at >= STOPPED
+
     def disconnect(self, instance: str) -> None:
         """Close the connection: the component was released or has exited. ``on_event`` is not called."""
         if reopening := self._reopening.pop(instance, None):

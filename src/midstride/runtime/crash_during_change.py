@@ -16,8 +16,8 @@ from immutables import Map
 from midstride.errors import MidstrideError
 from midstride.model.action import Action, Create, Degrade, Handover, Remove
 from midstride.model.component import FunctionalityRef
-from midstride.runtime.action_driver import by_instance
 from midstride.runtime.executor import Executor
+from midstride.runtime.mode_changes import by_instance
 from midstride.runtime.reconciler import Reconciler, respond
 
 
@@ -70,7 +70,7 @@ class CrashResponse:
         for name, modes in by_instance(changes).items():
             words = Degrade(Map(modes)).describe(configuration)
             try:
-                await driver.lower(name, modes, "; ".join(f"{each} exited unexpectedly" for each in gone))
+                await driver.modes.lower(name, modes, "; ".join(f"{each} exited unexpectedly" for each in gone))
                 driver.events.add("degraded", words)
             except MidstrideError as error:
                 driver.events.add("note", f"{words} failed: {error}")

@@ -23,10 +23,11 @@ from midstride.model.configuration import Configuration
 from midstride.model.wording import counted
 from midstride.plan.overlap import Overlap, one_by_one
 from midstride.plan.step_forms import AnyStep
-from midstride.runtime.action_driver import ActionDriver, by_instance
+from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.backend import Exited
 from midstride.runtime.early_starts import EarlyStarts, StartFailedEarly
 from midstride.runtime.journal import JournalEntry
+from midstride.runtime.mode_changes import by_instance
 from midstride.runtime.reports import StepTime
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.state_store import StateStore
@@ -258,7 +259,7 @@ class Executor:
         async def lower_instance(name: str, group: Mapping[FunctionalityRef, int]) -> None:
             words = Degrade(Map(group)).describe(self.system.configuration)
             try:
-                await self.driver.lower(name, group, because)
+                await self.driver.modes.lower(name, group, because)
                 self.driver.events.add("degraded", words)
             except MidstrideError as error:
                 self.driver.events.add("note", f"{words} failed: {error}")

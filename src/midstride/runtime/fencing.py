@@ -29,6 +29,24 @@ PATIENCE: Final = 0.5
 INTERVAL: Final = 0.1
 
 
+@dataclass(frozen=True, slots=True)
+class StepBudget:
+    """The time that one step has without a fence, for ``instances``, which may be fenced: ``until`` (steady s)."""
+
+    client: ComponentClient
+    instances: Collection[str]
+    until: float
+
+    def timeout(self, instance: str, usual: float) -> float:
+        """How long a command to ``instance`` may wait for user code: what is left, or ``usual`` seconds for others."""
+        if instance not in self.instances:
+            return usual
+        return max(PATIENCE, self.until - self.client.clock.steady())
+
+    def is_spent(self, instance: str) -> bool:
+        return instance in self.instances and self.client.clock.steady() >= self.until
+
+
 @dataclass(slots=True)
 class Fences:
     """Those of one change. ``wait``: how long it tries without (s). ``fenced``: by instance, what was done and why."""
@@ -44,6 +62,10 @@ class Fences:
     def now(self) -> float:
         return self.client.clock.steady()
 
+    def budget(self, instances: Collection[str]) -> StepBudget:
+        """That of a step that begins now. ``instances``: those that it may fence."""
+        return StepBudget(self.client, instances, self.now() + self.wait)
+
     def hangs_already(self, instance: str) -> bool:
         """Whether it reports a call that has been running for longer than this change would wait."""
         state = self.client.responsive(instance)
@@ -52,6 +74,8 @@ class Fences:
     async def unresponsive(self, instance: str, deadline: float) -> str | None:
         """Why ``instance`` is not free until ``deadline`` (steady s); None as soon as it is free, or has exited."""
         while True:
+            if self.now() >= deadline and self.client.is_stopped(instance):
+                return f"{instance} does not answer (stopped, or hanging outside of Python)"
             try:
                 idle = AwaitIdleCommand(timeout=max(PATIENCE, deadline - self.now()))
                 busy = (await self.client.read(instance, idle)).busy

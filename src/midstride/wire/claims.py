@@ -3,58 +3,99 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import hashlib
 import os
 import struct
 import threading
+from functools import cache
 from pathlib import Path
+
+# How a lock is refused that another open file description holds.
+_HELD = (errno.EAGAIN, errno.EACCES)
 
 
 class FileClaim:
     """Implements :class:`midstride.wire.transport.CutClaim`: a lock of the byte of ``path`` that ``cut`` is hashed to.
 
-    The lock is that of an open file description, so both sides of a cut may be in one process.
+    The lock is that of an open file description, so both sides of a cut may be in one process. The file stays open once
+    it is used: were it removed and made again, the other side's lock would be in another file.
     """
 
     def __init__(self, path: Path, cut: str) -> None:
         self._path = path
         self._byte = int.from_bytes(hashlib.blake2b(cut.encode(), digest_size=7).digest(), "big")
         self._descriptor: int | None = None
-        self._renounced = False
+        self._held = self._renounced = self._shared = False
         self._turn = threading.Lock()
 
     def take(self) -> bool:
         with self._turn:
-            if self._descriptor is None and not self._renounced:
-                self._descriptor = self._locked()
-            return self._descriptor is not None
+            return self._held or (not self._renounced and self._take())
 
     def renounce(self) -> bool:
         with self._turn:
-            self._renounced = self._descriptor is None
+            self._renounced = not self._held
             return self._renounced
 
     def give_back(self) -> None:
         with self._turn:
+            self._held = False
             if self._descriptor is not None:
                 os.close(self._descriptor)
                 self._descriptor = None
 
     __del__ = give_back
 
-    def _locked(self) -> int | None:
-        """The descriptor that holds the lock; None where another one does, or the file cannot be used."""
-        try:
-            descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-        except OSError:
-            return None
-        with contextlib.suppress(PermissionError):  # its creator lets the other users of the folder use it
-            os.fchmod(descriptor, 0o666)
+    @property
+    def place(self) -> str:
+        with self._turn:
+            return self._place()
+
+    def share(self, place: str) -> None:
+        with self._turn:
+            self._shared = self._shared or (place != "" and place == self._place())
+
+    def inherit(self) -> bool:
+        return self._shared and self.take()
+
+    def _take(self) -> bool:
+        if not self._open():
+            return False
+        assert self._descriptor is not None
         try:
             lock = struct.pack("hhqqi4x", fcntl.F_WRLCK, os.SEEK_SET, self._byte, 1, 0)
-            fcntl.fcntl(descriptor, fcntl.F_OFD_SETLK, lock)
-        except OSError:
-            os.close(descriptor)
-            return None
-        return descriptor
+            fcntl.fcntl(self._descriptor, fcntl.F_OFD_SETLK, lock)
+            self._held = True
+        except OSError as error:
+            self._shared = self._shared or error.errno in _HELD
+        return self._held
+
+    def _open(self) -> bool:
+        """Whether the file can be used."""
+        if self._descriptor is None:
+            try:
+                self._descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+            except OSError:
+                return False
+            with contextlib.suppress(PermissionError):  # its creator lets the other users of the folder use it
+                os.fchmod(self._descriptor, 0o666)
+        return True
+
+    def _place(self) -> str:
+        kernel = _kernel()
+        if not kernel or not self._open():
+            return ""
+        assert self._descriptor is not None
+        file = os.fstat(self._descriptor)
+        return f"{kernel} {file.st_dev} {file.st_ino}"
+
+
+@cache
+def _kernel() -> str:
+    """Which kernel runs here, as hosts may have files of the same numbers; empty where it does not say."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except OSError:
+        return ""

@@ -576,11 +576,15 @@ class StopCommand(Command[Done], frozen=True, kw_only=True, tag="stop"):
 
 
 class CutTakenCommand(Command[Relieved], frozen=True, kw_only=True, tag="taken"):
-    """From the new side of a cut to the old one: it has written, or it has ``failed`` and will not."""
+    """From the new side of a cut to the old one: it has written, or it has ``failed`` and will not.
+
+    ``claim``: where the claim is that it has taken (:class:`midstride.wire.transport.CutClaim`).
+    """
 
     kind = "between"
     cut: str
     failed: bool = False
+    claim: str = ""
 
 
 class YieldCommand(Command[Yielded], frozen=True, kw_only=True, tag="yield"):

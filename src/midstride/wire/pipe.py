@@ -65,13 +65,24 @@ def pipe() -> tuple[PipeEnd, PipeEnd]:
 class PipeClaim:
     """Implements :class:`midstride.wire.transport.CutClaim`. ``holders`` has, by cut, the claim that is taken."""
 
-    def __init__(self, holders: dict[str, PipeClaim], cut: str) -> None:
+    def __init__(self, holders: dict[str, PipeClaim], cut: str, place: str = "memory") -> None:
         self._holders = holders
         self._cut = cut
-        self._renounced = False
+        self.place = place
+        self._renounced = self._shared = False
+
+    def share(self, place: str) -> None:
+        self._shared = self._shared or place == self.place
+
+    def inherit(self) -> bool:
+        return self._shared and self.take()
 
     def take(self) -> bool:
-        return not self._renounced and self._holders.setdefault(self._cut, self) is self
+        if self._renounced:
+            return False
+        taken = self._holders.setdefault(self._cut, self) is self
+        self._shared = self._shared or not taken
+        return taken
 
     def renounce(self) -> bool:
         self._renounced = self._holders.get(self._cut) is not self

@@ -45,6 +45,19 @@ class CutClaim(Protocol):
 
     def give_back(self) -> None: ...
 
+    @property
+    def place(self) -> str:
+        """Where the claim is; empty where that is not known. Two sides have one claim if they have it in one place."""
+
+    def share(self, place: str) -> None:
+        """The other side has it, or had it, in ``place``."""
+
+    def inherit(self) -> bool:
+        """As :meth:`take`, from another side that had it; False while it is not known whether that had the same one.
+
+        That side has then given it back, or its process has ended.
+        """
+
 
 class Transport(Protocol):
     """Where the components of one system listen. An address is a string that can be sent and stored."""
