@@ -8,6 +8,7 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 from rich.console import Console
@@ -32,6 +33,26 @@ def test_the_map_shows_the_robot_the_people_and_the_walls(patrol: Callable[[str]
     assert lines[-4][1 + 6] == "↑"  # two rows above the lowest one
     assert lines[-5][1 + 20] == "o" and lines[1][40] == "o"
     assert lines[-10][1 + 12 : 1 + 28] == "▒" * 16 and "▒" not in lines[-4]
+
+
+def test_the_animation_shows_where_it_was_in_which_mode_and_what_happened(patrol: Callable[[str], ModuleType]) -> None:
+    animate = patrol("animate")
+    people = ((5.0, 5.0), (6.0, 5.0))
+    frames = [
+        animate.Frame(3.0, 3.0, 3.0, "full", people, ""),
+        animate.Frame(3.5, 3.0, -3.0, "slow", people, "it hangs"),
+        animate.Frame(4.0, 3.0, -3.0, "slow", people, "it hangs"),
+    ]
+    root = ElementTree.fromstring(animate.drawn(frames))
+    moved = [each.attrib for each in root.iter("{http://www.w3.org/2000/svg}animateTransform")]
+    assert [each["values"] for each in moved if each["type"] == "translate"][0] == "3.00 3.00;3.50 3.00;4.00 3.00"
+    # It turns on past straight back, and not the whole way round.
+    assert [each["values"] for each in moved if each["type"] == "rotate"] == ["172;188;188"]
+    stepped = [each.attrib for each in root.iter("{http://www.w3.org/2000/svg}animate")]
+    shown = [(each["values"], each["keyTimes"]) for each in stepped if each["attributeName"] == "r"]
+    assert shown == [("6;4", "0.0000;0.3333")]
+    assert {each.text for each in root.iter("{http://www.w3.org/2000/svg}text")} >= {"it hangs", "controller: slow"}
+    assert (FOLDER / "patrol.svg").stat().st_size < 300_000
 
 
 @pytest.mark.full
