@@ -58,7 +58,7 @@ class Seen:
 
 
 class Platform(Simulator):
-    """Calls the nodes without threads, once they have come up: half of the processor time, and no waiting at each switch."""
+    """Calls the nodes without threads, once they have come up: half of the processor time, and no switches."""
 
     def _process(self, launch: Launch, log: Path | None) -> SimulatedProcess:
         return ThreadlessOnceStarted(launch, self._pids, self.time, self._host, self._exited, log)

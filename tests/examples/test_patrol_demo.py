@@ -45,7 +45,7 @@ def test_the_animation_shows_where_it_was_in_which_mode_and_what_happened(patrol
     ]
     root = ElementTree.fromstring(animate.drawn(frames))
     moved = [each.attrib for each in root.iter("{http://www.w3.org/2000/svg}animateTransform")]
-    assert [each["values"] for each in moved if each["type"] == "translate"][0] == "3.00 3.00;3.50 3.00;4.00 3.00"
+    assert next(each["values"] for each in moved if each["type"] == "translate") == "3.00 3.00;3.50 3.00;4.00 3.00"
     # It turns on past straight back, and not the whole way round.
     assert [each["values"] for each in moved if each["type"] == "rotate"] == ["172;188;188"]
     stepped = [each.attrib for each in root.iter("{http://www.w3.org/2000/svg}animate")]
