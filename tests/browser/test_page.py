@@ -97,6 +97,36 @@ def test_the_picture_can_be_saved(talker: System, opened: Opened, tmp_path: Path
     assert "listener" in text and "--panel:rgb" in text and "light-dark" not in text.split("svg{")[1].split("}")[0]
 
 
+# A graph like the page's, beside it, with the plan that the manager makes.
+GHOSTS = """async (request) => {
+  const { createGraph } = await import("/dashboard/graph/graph.js");
+  const { byName } = await import("/dashboard/store.js");
+  const { ask } = await import("/dashboard/api.js");
+  const element = document.createElement("div");
+  element.id = "planned";
+  document.querySelector("#graph").replaceChildren(element);
+  const graph = createGraph(element);
+  graph.draw(byName(await ask("GET", "/view")));
+  graph.ghosts(await ask("POST", "/plan", request));
+  window.planned = graph;
+}"""
+
+
+def test_a_plan_is_drawn_as_ghosts(talker: System, opened: Opened) -> None:
+    page = opened(talker)
+    page.evaluate(GHOSTS, {"replace": [["talker", "NewTalker"]]})
+    new = page.locator('#planned .component[data-planned="true"]')
+    expect(new).to_have_count(1)
+    expect(new).to_contain_text("+ planned")
+    expect(new).to_contain_text("NewTalker")
+    expect(page.locator('#planned .component[data-fate="removed"]')).to_contain_text("− will be removed")
+    expect(page.locator('#planned .link[data-fate="created"]')).to_have_count(1)
+    expect(page.locator('#planned .link[data-fate="removed"]')).to_have_count(1)
+    page.evaluate("window.planned.ghosts(null)")
+    expect(page.locator("#planned .component")).to_have_count(2)
+    expect(page.locator('#planned .component[data-fate="removed"]')).to_have_count(0)
+
+
 @pytest.mark.parametrize("colours", ["light", "dark"])
 def test_axe_finds_no_barrier(talker: System, opened: Opened, colours: str) -> None:
     if not AXE.is_file():

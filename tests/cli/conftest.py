@@ -53,6 +53,7 @@ IN_PROCESS = {
     "plan",
     "remove",
     "replace",
+    "report",
     "restart",
     "rollback",
     "status",

@@ -69,7 +69,7 @@ def complete(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str])
 @pytest.mark.parametrize(
     ("line", "candidates"),
     [
-        ("re", ["replace", "restart", "remove"]),
+        ("re", ["report", "replace", "restart", "remove"]),
         ("--v", ["--version"]),
         ("check --", ["--strict", "--no-types", "--json", "--help"]),
         ("plan x --strategy ", ["minimal", "paper", "quiesce", "stop"]),

@@ -76,9 +76,10 @@ def test_the_openapi_document_has_every_operation() -> None:
         }
         reading = ("", "/up", "/status", "/programs", "/configuration", "/specification", "/why", "/log", "/events")
         viewing = ("/view", "/view/stream", "/view/timeline", "/view/at")
-        assert {f"/api/v1{path}" for path in (*reading, *viewing, "/history", "/specification/earlier")} == {
-            path for path, operations in document["paths"].items() if "get" in operations
-        }
+        assert {
+            f"/api/v1{path}"
+            for path in (*reading, *viewing, "/change", "/history", "/report", "/specification/earlier")
+        } == {path for path, operations in document["paths"].items() if "get" in operations}
         strategies = document["components"]["schemas"]["ChangeRequest"]["properties"]["strategy"]["enum"]
         assert strategies == ["minimal", "paper", "quiesce", "stop"]
 
@@ -95,6 +96,13 @@ def references(value: Any) -> Iterator[str]:
             yield from references(item)
 
 
+TEXTS = {
+    "/api/v1/events": "text/event-stream",
+    "/api/v1/view/stream": "text/event-stream",
+    "/api/v1/report": "text/html",
+}
+
+
 def test_the_openapi_document_describes_every_body_and_refers_to_nothing_else() -> None:
     async def test(client: httpx.AsyncClient, _: ScriptedManager, __: Lifecycle) -> None:
         document = (await client.get("/openapi.json")).json()
@@ -103,11 +111,9 @@ def test_the_openapi_document_describes_every_body_and_refers_to_nothing_else() 
         for path, operations in document["paths"].items():
             for method, operation in operations.items():
                 (media,) = operation["responses"]["200"]["content"]
-                assert path.endswith(("/events", "/stream")) or list(references(operation["responses"]["200"])), (
-                    method,
-                    path,
-                )
-                assert media == ("text/event-stream" if path.endswith(("/events", "/stream")) else "application/json")
+                expected = TEXTS.get(path, "application/json")
+                assert media == expected, (method, path)
+                assert path in TEXTS or list(references(operation["responses"]["200"])), (method, path)
                 assert {"401", "409", "422", "500", "502", "504"} <= set(operation["responses"])
                 for status, response in operation["responses"].items():
                     assert status == "200" or list(references(response)) == ["#/components/schemas/Failure"]

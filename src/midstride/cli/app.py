@@ -40,6 +40,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
         "logs": ("logs", "show what a node's component has written"),
         "log": ("running", "show the latest events"),
         "history": ("history", "show the changes of a system, with their figures"),
+        "report": ("report", "write a change of the history as one HTML file"),
         "watch": ("running", "watch the system live"),
         "dashboard": ("dashboard", "show the system and its changes on a live page"),
         "down": ("running", "stop all components and the manager"),

@@ -47,6 +47,11 @@ class Client:
     def get(self, path: str, timeout: float | None = READ_TIMEOUT, **query: Any) -> Any:
         return self._request("GET", path + (f"?{urlencode(query)}" if query else ""), None, timeout)
 
+    def text(self, path: str, timeout: float | None = READ_TIMEOUT, **query: Any) -> str:
+        """The answer to a request for a text."""
+        found = self._answer("GET", path + (f"?{urlencode(query)}" if query else ""), None, timeout)
+        return found.decode()
+
     def post(self, path: str, document: Document | None = None, timeout: float | None = None) -> Any:
         return self._request("POST", path, document, timeout)
 
@@ -72,16 +77,25 @@ class Client:
             connection.close()
 
     def _request(self, method: str, path: str, document: Document | None, timeout: float | None) -> Any:
+        try:
+            return json.loads(self._answer(method, path, document, timeout))
+        except ValueError as error:
+            raise self._unanswered(error) from None
+
+    def _unanswered(self, error: Exception) -> errors.ManagerError:
+        reason = str(error) or type(error).__name__
+        log = self._socket.parent / "logs" / "manager.log"
+        return errors.ManagerError(f"the manager exited before it answered ({reason}); see {log}")
+
+    def _answer(self, method: str, path: str, document: Document | None, timeout: float | None) -> bytes:
         connection = _UnixConnection(self._socket, timeout)
         try:
             response = self._send(connection, method, path, document)
-            return json.loads(response.read())
+            return response.read()
         except TimeoutError:
             raise errors.ManagerError(f"the manager did not answer within {timeout:g} s") from None
-        except (OSError, http.client.HTTPException, ValueError) as error:
-            reason = str(error) or type(error).__name__
-            log = self._socket.parent / "logs" / "manager.log"
-            raise errors.ManagerError(f"the manager exited before it answered ({reason}); see {log}") from None
+        except (OSError, http.client.HTTPException) as error:
+            raise self._unanswered(error) from None
         finally:
             connection.close()
 

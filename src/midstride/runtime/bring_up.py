@@ -13,6 +13,7 @@ from midstride.errors import CommandRefused, ManagerError, PlanRefused, StepFail
 from midstride.model.component import FunctionalityRef
 from midstride.model.specification import Specification
 from midstride.plan.change_builder import change_between
+from midstride.plan.forms import PlanPreview
 from midstride.plan.registry import planner
 from midstride.plan.restore import restore
 from midstride.plan.runtime_values import of_change
@@ -113,7 +114,8 @@ class BringUp:
         # Before any component has the token.
         self.store.begin(self.backend, self.client.token, running, self.options, self.file)
         if plan.steps or specification != running:
-            new = NewChange("up", None, None if is_new else running, specification, len(plan.steps))
+            before = None if is_new else running
+            new = NewChange("up", None, before, specification, len(plan.steps), PlanPreview.of(plan))
             entry = await self.journal.begin(new, required=False)
             outcome = await self.session.carry_out(plan, specification, entry)
             if outcome.outcome != "done":

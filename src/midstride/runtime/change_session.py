@@ -7,15 +7,17 @@ and 7). Planning and verification do not block the event loop.
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Final, cast
 
 from msgspec import UNSET, UnsetType, structs
 
-from midstride.errors import ManagerError, PlanRefused, StepFailed
+from midstride.errors import ManagerError, PlanRefused, StepFailed, Superseded
 from midstride.model import wording
-from midstride.model.action import Action, Upgrade
+from midstride.model.action import Action, Create, Upgrade
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Order, Specification
@@ -30,6 +32,7 @@ from midstride.plan.request import PlanRequest
 from midstride.plan.restore import restore
 from midstride.plan.runtime_values import Values, of_change
 from midstride.plan.sensitivity import sensitivity
+from midstride.runtime.change_report import ChangeTimeline
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.crash_during_change import CrashResponse
@@ -40,6 +43,7 @@ from midstride.runtime.fencing import DEFAULT_WAIT
 from midstride.runtime.journal import Journal, JournalEntry
 from midstride.runtime.journal_records import NewChange
 from midstride.runtime.lowered import in_words, lowered_functionalities
+from midstride.runtime.mode_recorder import ModeRecorder
 from midstride.runtime.observed_configuration import with_failures
 from midstride.runtime.parameter_transfer import ParameterTransfer
 from midstride.runtime.reconciler import Reconciler
@@ -81,6 +85,7 @@ class ChangeSession:
     journal: Journal
     measuring: bool = False
     another_waits: asyncio.Event = field(default_factory=asyncio.Event)
+    modes: ModeRecorder | None = None  # of the change in progress
     _measured_until: int = 0
 
     async def plan(self, request: PlanRequest) -> tuple[Plan, Specification]:
@@ -125,14 +130,14 @@ class ChangeSession:
                 return self._refuse(verdict.words, verdict)
             seen = tuple(plan.configurations())
             step_verifier = StepVerifier(self.verifier, seen, self.client, self.system.crashed, self._verified)
-        new = NewChange(request.describe(), by, self.system.specification, target, len(plan.steps))
+        preview = PlanPreview.of(plan)
+        new = NewChange(request.describe(), by, self.system.specification, target, len(plan.steps), preview)
         try:
             entry = await self.journal.begin(new)
         except ManagerError as error:
             return self._refuse(str(error), verdict)
         keep = not request.declared_parameters
-        outcome = await self.carry_out(plan, target, entry, step_verifier, keep=keep, brief=brief, wait=wait)
-        return structs.replace(outcome, verdict=verdict)
+        return await self.carry_out(plan, target, entry, step_verifier, verdict, keep=keep, brief=brief, wait=wait)
 
     def _verified(self, verdict: Verdict) -> None:
         self.events.add("verified", str(verdict), verdict=verdict)
@@ -147,23 +152,47 @@ class ChangeSession:
         target: Specification,
         entry: JournalEntry,
         verifier: StepVerifier | None = None,
+        verdict: Verdict | UnsetType = UNSET,
         *,
         keep: bool = True,
         brief: bool = False,
         wait: float = DEFAULT_WAIT,
     ) -> Outcome:
-        """Carry out ``plan``, measure, report, and record it in ``entry``.
+        """Carry out ``plan``, measure, report, and record it in ``entry``; ``verdict`` is reported with it.
 
         ``keep``: with the parameter values that were set at run time. ``brief``: the next command does not wait for the
         whole measurement. ``wait``: after how long a component that hangs, and is to go, is fenced (s).
         """
         recording = Recording(self.client, self.clock, self.another_waits if brief else None, self._measured_until)
         transfer = ParameterTransfer(self.client, self.system.values, plan.change, plan.parameters, keep)
+        since, before = time.time(), self.events.last
+        modes = self._record_modes(plan)
         try:
-            return await self._carry_out(plan, target, entry, recording, transfer, verifier, wait)
+            outcome = await self._carry_out(plan, target, entry, recording, transfer, verifier, wait)
         finally:
+            self.modes = None
             self.reconciler.on_failure = lambda _: None
             await recording.stop(self.system.configuration.instances)
+        outcome = structs.replace(outcome, verdict=verdict)
+        roles = {role for step in plan.steps for role in step.roles}
+        timeline = ChangeTimeline(
+            since=since,
+            until=time.time(),
+            modes=modes.intervals(roles, since, self.system.configuration.instances.keys()),
+            events=[structs.replace(event, plan=UNSET) for event in self.events.since(before)],
+        )
+        with suppress(Superseded):
+            await entry.recorded(outcome, timeline)
+        return outcome
+
+    def _record_modes(self, plan: Plan) -> ModeRecorder:
+        created = [step.action.instance for step in plan.steps if isinstance(step.action, Create)]
+        self.modes = recorder = ModeRecorder(self.system.configuration, created, time.time)
+        now, steady = time.time(), self.clock.steady()
+        for name in self.system.configuration.instances:
+            if (latest := self.client.latest(name)) is not None:
+                recorder.reported(latest.state, now - (steady - latest.at))
+        return recorder
 
     async def _carry_out(
         self,

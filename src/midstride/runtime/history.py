@@ -13,10 +13,9 @@ from midstride.runtime.journal_records import IN_FORCE
 from midstride.runtime.measure import SwapReport
 from midstride.runtime.reports import OutcomeKind, Report
 
-_CHANGES: Final = f"""
-SELECT number, at, command, by, total, {IN_FORCE} AS version, outcome, because, seconds, swaps
-FROM changes ORDER BY number DESC LIMIT ?
-"""
+_COLUMNS: Final = f"number, at, command, by, total, {IN_FORCE} AS version, outcome, because, seconds, swaps"
+_CHANGES: Final = f"SELECT {_COLUMNS} FROM changes ORDER BY number DESC LIMIT ?"
+_CHANGE: Final = f"SELECT {_COLUMNS} FROM changes WHERE number = ?"
 _FIELDS: Final = ("number", "at", "command", "by", "total", "version", "outcome", "because", "seconds")
 _PREVIOUS: Final = "SELECT before FROM changes WHERE outcome = 'done' AND before <> after ORDER BY number DESC LIMIT 1"
 
@@ -77,6 +76,18 @@ def read_history(database: Database, latest: int, damaged: str | None) -> Histor
     query = "SELECT at, kind, words FROM incidents WHERE at >= ? ORDER BY number DESC LIMIT ?"
     incidents = [_named(("at", "kind", "words"), row) for row in reversed(database.read(query, since, latest))]
     return msgspec.convert({"changes": changes, "incidents": incidents, "damaged": damaged}, History)
+
+
+def read_change(database: Database, number: int | None) -> ChangeRecord | None:
+    """One change; None if there is none of that number. Raises as :func:`read_history` does."""
+    rows = database.read(_CHANGE, number)
+    return msgspec.convert(_change(database, rows[0]), ChangeRecord) if rows else None
+
+
+def read_incidents(database: Database, since: float, until: float) -> list[Incident]:
+    """The incidents between two times (unix seconds), oldest first."""
+    query = "SELECT at, kind, words FROM incidents WHERE at >= ? AND at <= ? ORDER BY number"
+    return [Incident(*row) for row in database.read(query, since, until)]
 
 
 def _change(database: Database, row: tuple[Any, ...]) -> dict[str, Any]:

@@ -24,11 +24,12 @@ from midstride.errors import ManagerError, MidstrideError, Superseded
 from midstride.model.specification import Specification
 from midstride.plan.estimate import Estimate
 from midstride.runtime import journal_records
+from midstride.runtime.change_report import ChangeReport, ChangeTimeline, read_report, recorded
 from midstride.runtime.disk import DISK, Database, Disk, Lease, Statement
 from midstride.runtime.history import History, SpecificationVersion, read_history, read_specification
 from midstride.runtime.journal_records import Interrupted, NewChange
 from midstride.runtime.measure import SwapReport
-from midstride.runtime.reports import Event, OutcomeKind
+from midstride.runtime.reports import Event, Outcome, OutcomeKind
 
 T = TypeVar("T")
 
@@ -178,6 +179,16 @@ class Journal:
             await self.write()  # incidents that wait
         return await self._beside(lambda database: read_history(database, latest, self.damaged))
 
+    async def report(self, number: int | None = None) -> ChangeReport:
+        """Change ``number``, by default the latest. Raises ManagerError if there is none, or it cannot be read."""
+        with suppress(Superseded):
+            await self.write()
+        found = await self._beside(lambda database: read_report(database, number))
+        if found is None:
+            which = "no change yet" if number is None else f"no change {number}"
+            raise ManagerError(f"the history has {which}; `midstride history` lists them")
+        return found
+
     async def specification(self, version: int | None = None) -> SpecificationVersion:
         """A version of the specification, by default the one before the latest change of it.
 
@@ -312,6 +323,11 @@ class JournalEntry:
         if self.number is not None and swaps:
             form = msgspec.json.encode(list(swaps)).decode()
             await self.journal.write(("UPDATE changes SET swaps = ? WHERE number = ?", (form, self.number)))
+
+    async def recorded(self, outcome: Outcome, timeline: ChangeTimeline) -> None:
+        """The change was reported so, and this happened meanwhile."""
+        if self.number is not None:
+            await self.journal.write(recorded(self.number, outcome, timeline))
 
     def _end_of_steps(self, outcome: OutcomeKind, places: Collection[int] = ()) -> list[Statement]:
         """The statements for the steps begun last: ``outcome`` for those at ``places`` and those that are not done."""

@@ -16,6 +16,7 @@ import msgspec
 from midstride.codec.specification import SpecificationForm, decode_specification
 from midstride.model.specification import Specification
 from midstride.plan.estimate import Estimate
+from midstride.plan.forms import PlanPreview
 from midstride.runtime.disk import Database, Statement
 
 VERSION: Final = "1"
@@ -38,6 +39,7 @@ CREATE TABLE IF NOT EXISTS changes (
 CREATE TABLE IF NOT EXISTS steps (
     change INTEGER, number INTEGER, words TEXT NOT NULL, outcome TEXT, seconds REAL, PRIMARY KEY (change, number)
 ) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS records (change INTEGER PRIMARY KEY, plan TEXT, outcome TEXT, timeline TEXT);
 CREATE TABLE IF NOT EXISTS incidents (
     number INTEGER PRIMARY KEY AUTOINCREMENT, at REAL NOT NULL, kind TEXT NOT NULL, words TEXT NOT NULL
 );
@@ -59,6 +61,7 @@ class NewChange:
     before: Specification | None
     after: Specification
     steps: int
+    plan: PlanPreview | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +108,11 @@ def beginning(database: Database, change: NewChange) -> tuple[int, list[Statemen
         before = int(found[0][0]) if found else after  # what ran last, if anything did
     row = (number, time.time(), change.command, change.by, change.steps, before, after)
     insert = "INSERT INTO changes (number, at, command, by, total, before, after) VALUES (?, ?, ?, ?, ?, ?, ?)"
-    return number, [*statements, (insert, row), *_removals(database, number)]
+    statements.append((insert, row))
+    if change.plan is not None:
+        plan = msgspec.json.encode(change.plan).decode()
+        statements.append(("INSERT INTO records (change, plan) VALUES (?, ?)", (number, plan)))
+    return number, [*statements, *_removals(database, number)]
 
 
 def _removals(database: Database, number: int) -> list[Statement]:
@@ -118,6 +125,7 @@ def _removals(database: Database, number: int) -> list[Statement]:
     return [
         ("DELETE FROM changes WHERE number <= ? AND outcome IS NOT NULL", (number - kept,)),
         ("DELETE FROM steps WHERE change NOT IN (SELECT number FROM changes)", ()),
+        ("DELETE FROM records WHERE change NOT IN (SELECT number FROM changes)", ()),
         (f"DELETE FROM specifications WHERE version NOT IN ({_REFERENCED})", ()),
         ("DELETE FROM incidents WHERE number <= (SELECT max(number) FROM incidents) - ?", (INCIDENTS,)),
         ("DELETE FROM durations WHERE number <= (SELECT max(number) FROM durations) - ?", (DURATIONS,)),

@@ -30,6 +30,7 @@ from midstride.runtime import status
 from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.backend import Backend
 from midstride.runtime.bring_up import BringUp
+from midstride.runtime.change_report import ChangeReport
 from midstride.runtime.change_session import ChangeSession
 from midstride.runtime.component_client import ComponentClient, ComponentEvent
 from midstride.runtime.discovery_watch import DiscoveryWatch
@@ -170,6 +171,8 @@ class Manager:
     def _on_component_event(self, event: ComponentEvent) -> None:
         if isinstance(event, ComponentState):
             self._programs.on_report(event)
+        if self._session.modes is not None:
+            self._session.modes.on_component_event(event)
         self._reconciler.on_component_event(event)
         if isinstance(event, ComponentState):
             self._restorer.on_report(event)
@@ -345,6 +348,10 @@ class Manager:
     async def history(self, latest: int) -> History:
         """The latest changes and incidents, also of earlier managers. Raises ManagerError if they cannot be read."""
         return await self._journal.history(latest)
+
+    async def change_report(self, number: int | None = None) -> ChangeReport:
+        """A change of the history with all that was recorded of it; by default the latest. Raises ManagerError."""
+        return await self._journal.report(number)
 
     async def earlier_specification(self, version: int | None = None) -> SpecificationVersion:
         """A version of the specification, by default the one before the latest change of it. Raises ManagerError."""

@@ -12,7 +12,7 @@ from typing import Annotated, Final
 
 from fastapi import APIRouter, FastAPI, Header, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import StreamingResponse
+from fastapi.responses import HTMLResponse, StreamingResponse
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
@@ -21,6 +21,7 @@ from midstride.codec.specification import SpecificationForm
 from midstride.errors import MidstrideError, SpecificationError
 from midstride.plan.alternatives import alternatives
 from midstride.plan.request_form import ChangeRequest
+from midstride.runtime.change_report import ChangeReport
 from midstride.runtime.history import History, SpecificationVersion
 from midstride.runtime.rehearsal_forms import Rehearsal
 from midstride.runtime.reports import (
@@ -42,6 +43,7 @@ from midstride.server.errors import Failure, answer, in_one_line, status_of
 from midstride.server.lifecycle import Lifecycle
 from midstride.server.openapi import answers, document_forms, failures, request_body
 from midstride.server.rehearsal import Rehearser
+from midstride.server.report.documents import change_file
 from midstride.server.requests import (
     ParameterSetting,
     SubmittedChange,
@@ -163,6 +165,27 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
     ) -> Response:
         """The latest changes with their figures, also those of earlier managers, and incidents such as crashes."""
         return answer(await manager.history(latest))
+
+    @router.get("/change", responses=answers(ChangeReport))
+    async def past_change(
+        number: Annotated[int | None, Query(ge=1, le=_LARGEST, description="as in /history")] = None,
+    ) -> Response:
+        """A change of the history, by default the latest: its plan, both specifications, what happened, the figures."""
+        return answer(await manager.change_report(number))
+
+    @router.get(
+        "/report",
+        response_class=HTMLResponse,
+        responses={200: {"content": {"text/html": {}}, "description": "one self-contained file"}, **failures()},
+    )
+    async def report(
+        number: Annotated[int | None, Query(ge=1, le=_LARGEST, description="as in /history")] = None,
+    ) -> Response:
+        """A change of the history, by default the latest, as an HTML file that needs nothing else."""
+        found = await manager.change_report(number)
+        text = await asyncio.to_thread(change_file, found, manager.specification.name, backend)
+        headers = {"Content-Disposition": 'attachment; filename="change.html"', "X-Content-Type-Options": "nosniff"}
+        return HTMLResponse(text, headers=headers)
 
     @router.get("/why", responses=answers(Why))
     async def why(functionality: Annotated[str, Query(description="as `listener.listen`")]) -> Response:

@@ -11,6 +11,7 @@ from midstride.codec.schema import Schema, schemas
 from midstride.codec.specification import SpecificationForm
 from midstride.plan.request_form import ChangeRequest
 from midstride.runtime import reports
+from midstride.runtime.change_report import ChangeReport
 from midstride.runtime.history import History, SpecificationVersion
 from midstride.runtime.rehearsal_forms import Rehearsal
 from midstride.server.checked_text import CheckedText
@@ -26,6 +27,7 @@ FORMS: Final = (
     ParameterSetting,
     SpecificationForm,
     SubmittedChange,
+    ChangeReport,
     SubmittedRehearsal,
     SubmittedText,
     CheckedText,

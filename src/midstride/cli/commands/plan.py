@@ -16,7 +16,7 @@ from rich.console import RenderableType
 from midstride.cli import render, render_comparison
 from midstride.cli.change_options import STRATEGIES, declared_parameters_option
 from midstride.cli.client import Client, Document
-from midstride.cli.files import load
+from midstride.cli.files import load, write
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.planned_change import planned_change, planned_change_options
 from midstride.cli.systems import find, system_option
@@ -47,6 +47,7 @@ def _seconds(_context: click.Context, _parameter: click.Parameter, text: str | N
 @click.option("--compare", is_flag=True, help="Show the plans of every strategy side by side, on a time axis.")
 @click.option("--explain", is_flag=True, help="Say what it would cost to keep what degrades, if that is possible.")
 @click.option("--within", metavar="SECONDS", callback=_seconds, help="How long to search for the proof of minimality.")
+@click.option("--html", "page", type=click.Path(path_type=Path), metavar="FILE", help="Write it as one HTML file, too.")
 @declared_parameters_option
 @system_option
 @json_option
@@ -56,6 +57,7 @@ def plan_command(
     compare: bool,
     explain: bool,
     within: float | None,
+    page: Path | None,
     declared_parameters: bool,
     system: str | None,
     **options: Any,
@@ -73,6 +75,7 @@ def plan_command(
     midstride plan talker.json --add 'second Listener in=/chatter'
     midstride plan --restart talker --declared-parameters
     midstride plan talker.json --replace talker=NewTalker --compare
+    midstride plan talker.json --replace talker=NewTalker --html plan.html
     """
     context = click.get_current_context()
     if compare and explain:
@@ -104,6 +107,10 @@ def plan_command(
     else:
         document = planned(request.strategy)
         shown = render.plan(document, title)
+    if page is not None:
+        from midstride.server.report.documents import plan_file
+
+        write(page, plan_file(documents if compare else {request.strategy: document}, name, title))
     if wants_json():
         print_json(document)
     else:

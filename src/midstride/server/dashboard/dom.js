@@ -117,7 +117,7 @@ export function clock(at) {
  * @returns {string} as "80 ms", "11.4 s", "3 min 20 s", "2 h 5 min"
  */
 export function seconds(duration) {
-  if (duration < 0.1) return `${Math.round(duration * 1000)} ms`;
+  if (duration < 0.9995) return `${Math.round(duration * 1000)} ms`;
   if (duration < 10) return `${duration.toFixed(1)} s`;
   if (duration < 60) return `${Math.floor(duration)} s`;
   if (duration < 3600) return `${Math.floor(duration / 60)} min ${Math.floor(duration % 60)} s`;

@@ -4,8 +4,10 @@
  * @module
  */
 
+import { mountChange } from "./change/change.js";
 import { mountDetails } from "./details.js";
 import { mountEvents } from "./events.js";
+import { mountTimeline } from "./timeline/timeline.js";
 import { mountTop } from "./top.js";
 
 /**
@@ -19,6 +21,8 @@ import { mountTop } from "./top.js";
 /** @type {[string, (element: HTMLElement, context: Context) => void][]} */
 export const PANELS = [
   ["#top", mountTop],
+  ["#change", mountChange],
   ["#details", mountDetails],
   ["#events", mountEvents],
+  ["#timeline", mountTimeline],
 ];

@@ -1,11 +1,15 @@
-"""The entry of one component in the live view, from its last report and the manager's model."""
+"""The entry of one component in the live view, from its last report and the manager's model.
+
+It is built up to 20 times a second for each component that changes, so what does not change with a report is prepared.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Final
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Final, Literal
 
-from midstride.model.component import ComponentSpec, FunctionalityRef, FunctionalitySpec, PortRef
+from midstride.model.component import FunctionalityRef, FunctionalitySpec, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import Specification
 from midstride.runtime import status
@@ -16,6 +20,7 @@ from midstride.wire.state import ComponentState, FunctionalityState, LinkState
 
 # By how much (s) the beginning of a mode may seem to move between two reports, which travel for different times.
 _SAME_MODE: Final = 0.5
+_NO_LINKS: Final[dict[str, LinkState]] = {}
 
 
 class Baseline:
@@ -30,27 +35,73 @@ class Baseline:
         return self._modes.get(FunctionalityRef(role, functionality), 0)
 
 
+@dataclass(frozen=True, slots=True)
+class _PortShape:
+    """A port on a topic, or on none: ``topic`` is that of ``connector``."""
+
+    name: str
+    direction: Literal["in", "out"]
+    functionalities: list[str]
+    connector: str | None
+    topic: str | None
+    type: str | None
+
+
+@dataclass(slots=True)
+class EntryShape:
+    """What of an entry depends on the instance and its attachments alone; another one is made when these change."""
+
+    instance: Instance
+    functionalities: list[tuple[FunctionalityRef, FunctionalitySpec, list[str]]]
+    ports: list[_PortShape]
+    _declared: dict[tuple[str, ...], list[float | None]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, configuration: Configuration, instance: Instance) -> EntryShape:
+        functionalities = [
+            (FunctionalityRef(instance.name, each.name), each, [mode.name for mode in each.modes])
+            for each in instance.component
+        ]
+        return cls(instance, functionalities, list(_port_shapes(configuration, instance)))
+
+    def declared(self, state: ComponentState) -> list[float | None]:
+        """The rate (Hz) that each of ``ports`` declares in the modes that the component reports."""
+        modes = {name: each.mode for name, each in state.functionalities.items()}
+        key = tuple(modes.values())
+        if key not in self._declared:
+            self._declared[key] = [self.instance.component.stated_rate(port.name, modes) for port in self.ports]
+        return self._declared[key]
+
+
+def _port_shapes(configuration: Configuration, instance: Instance) -> Iterator[_PortShape]:
+    component = instance.component
+    for port in component.ports():
+        owner = component.find_owner(port)
+        users = [each.name for each in (component.users(port) if owner is None else [owner])]
+        connectors: list[str | None] = [*configuration.attached_to(PortRef(instance.name, port))]
+        for connector in connectors or [None]:
+            topic = None if connector is None else configuration.topic(connector)
+            direction: Literal["in", "out"] = "in" if owner is None else "out"
+            yield _PortShape(port, direction, users, connector, topic, component.type_of(port))
+
+
 def component_view(
     watched: WatchedSystem,
     configuration: Configuration,
-    instance: Instance,
+    shape: EntryShape,
     baseline: Baseline,
     now: float,
     shown: ComponentView | None,
+    ports: list[PortView],
 ) -> ComponentView:
-    """The entry of ``instance`` at ``now`` (UNIX time), where ``shown`` is the one before."""
+    """The entry of the instance of ``shape`` at ``now`` (UNIX time), where ``shown`` is the one before."""
+    instance = shape.instance
     latest = watched.client.latest(instance.name)
     state = watched.client.responsive(instance.name)
     handle = watched.launcher.handles.get(instance.name)
     process = state or handle
     reported = now if latest is None else now - (watched.clock.steady() - latest.at)
-    before = {} if shown is None else {each.name: each for each in shown.functionalities}
-    modes = [
-        _functionality(watched, configuration, instance.name, each, state, reported, before.get(each.name))
-        for each in instance.component
-    ]
-    ports = list(_ports(configuration, instance, state, shown))
-    as_modelled = all(each.mode == each.modelled for each in modes)
+    modes = list(_functionalities(watched, configuration, shape, state, reported, shown))
     return ComponentView(
         name=instance.name,
         role=instance.role,
@@ -62,7 +113,7 @@ def component_view(
         answers=state is not None,
         ending=instance.name in watched.launcher.ending,
         waiting=None if state is None else state.waiting,
-        as_modelled=as_modelled,
+        as_modelled=all(each.mode == each.modelled for each in modes),
         differences=[] if state is None else state.differences,
         undeclared=[] if state is None else state.undeclared,
         deviation="; ".join(_deviations(instance, state, modes, ports, baseline)) or None,
@@ -72,30 +123,30 @@ def component_view(
     )
 
 
-def _functionality(
+def _functionalities(
     watched: WatchedSystem,
     configuration: Configuration,
-    instance: str,
-    functionality: FunctionalitySpec,
+    shape: EntryShape,
     state: ComponentState | None,
     reported: float,
-    before: FunctionalityView | None,
-) -> FunctionalityView:
-    ref = FunctionalityRef(instance, functionality.name)
-    modelled = functionality.modes[configuration.modes[ref]].name
-    found = None if state is None else state.functionalities.get(functionality.name)
-    mode = modelled if found is None else found.mode
-    return FunctionalityView(
-        name=functionality.name,
-        mode=mode,
-        modes=[each.name for each in functionality.modes],
-        modelled=modelled,
-        normal=mode == functionality.modes[0].name,
-        because=None if found is None else found.because,
-        reflex=found is not None and found.reflex,
-        restoring=watched.restorer.status(ref),
-        since=None if found is None else _since(found, reported, before),
-    )
+    shown: ComponentView | None,
+) -> Iterator[FunctionalityView]:
+    before = {} if shown is None else {each.name: each for each in shown.functionalities}
+    for ref, functionality, modes in shape.functionalities:
+        modelled = modes[configuration.modes[ref]]
+        found = None if state is None else state.functionalities.get(functionality.name)
+        mode = modelled if found is None else found.mode
+        yield FunctionalityView(
+            name=functionality.name,
+            mode=mode,
+            modes=modes,
+            modelled=modelled,
+            normal=mode == modes[0],
+            because=None if found is None else found.because,
+            reflex=found is not None and found.reflex,
+            restoring=watched.restorer.status(ref),
+            since=None if found is None else _since(found, reported, before.get(functionality.name)),
+        )
 
 
 def _since(found: FunctionalityState, reported: float, before: FunctionalityView | None) -> float:
@@ -105,45 +156,57 @@ def _since(found: FunctionalityState, reported: float, before: FunctionalityView
     return known if known is not None and abs(began - known) <= _SAME_MODE else round(began, 3)
 
 
-def _ports(
-    configuration: Configuration, instance: Instance, state: ComponentState | None, shown: ComponentView | None
-) -> Iterator[PortView]:
-    component = instance.component
-    modes = {} if state is None else {name: each.mode for name, each in state.functionalities.items()}
-    before = {} if shown is None else {(each.name, each.topic): each for each in shown.ports}
-    for port in component.ports():
-        connectors: list[str | None] = [*configuration.attached_to(PortRef(instance.name, port))]
-        declared = component.stated_rate(port, modes)
-        for connector in connectors or [None]:
-            link = None
-            if connector is not None and state is not None:
-                link = state.ports.get(port, {}).get(configuration.topic(connector))
-            yield _port(component, port, connector, link, declared, before.get((port, connector)))
+def port_views(
+    shape: EntryShape, state: ComponentState | None, before: Sequence[PortView], *, refresh: bool
+) -> list[PortView]:
+    """The ports of the instance; ``before`` are those of the entry before, if that had the same shape, else empty.
+
+    ``refresh``: with new figures. A port that stays the same is the same object.
+    """
+    if state is None:
+        return [_port(port, None, None, None, refresh) for port in shape.ports]
+    found: list[PortView] = []
+    for index, (port, declared) in enumerate(zip(shape.ports, shape.declared(state), strict=True)):
+        link = None if port.topic is None else state.ports.get(port.name, _NO_LINKS).get(port.topic)
+        shown = before[index] if before else None
+        if not refresh and shown is not None and _is_as_shown(shown, link, declared):
+            found.append(shown)
+        else:
+            found.append(_port(port, link, declared, shown, refresh))
+    return found
+
+
+def _is_as_shown(shown: PortView, link: LinkState | None, declared: float | None) -> bool:
+    """Whether all but its figures is the same."""
+    if link is None or link.measured is None or shown.gate != link.gate or shown.declared != declared:
+        return False
+    return shown.met is (None if declared is None else link.measured.meets(declared))
 
 
 def _port(
-    component: ComponentSpec,
-    port: str,
-    topic: str | None,
-    link: LinkState | None,
-    declared: float | None,
-    shown: PortView | None,
+    port: _PortShape, link: LinkState | None, declared: float | None, shown: PortView | None, refresh: bool
 ) -> PortView:
     measured = None if link is None else link.measured
+    gate = None if link is None else link.gate
+    met = None if declared is None or measured is None else measured.meets(declared)
     before = NO_FIGURES if shown is None else Figures(shown.rate, shown.age, shown.jitter, shown.longest)
-    found = NO_FIGURES if link is None else figures(link, before)
-    owner = component.find_owner(port)
-    users = component.users(port) if owner is None else [owner]
+    found = before
+    if link is None:
+        found = NO_FIGURES
+    elif refresh or shown is None:
+        found = figures(link, before)
+    if shown is not None and found == before and (shown.gate, shown.declared, shown.met) == (gate, declared, met):
+        return shown
     return PortView(
-        name=port,
-        direction="in" if owner is None else "out",
-        functionalities=[each.name for each in users],
-        topic=topic,
-        type=component.type_of(port),
-        gate=None if link is None else link.gate,
+        name=port.name,
+        direction=port.direction,
+        functionalities=port.functionalities,
+        topic=port.connector,
+        type=port.type,
+        gate=gate,
         declared=declared,
         rate=found.rate,
-        met=None if declared is None or measured is None else measured.meets(declared),
+        met=met,
         age=found.age,
         jitter=found.jitter,
         longest=found.longest,

@@ -42,8 +42,8 @@ def figures(link: LinkState, shown: Figures = NO_FIGURES) -> Figures:
 
 
 def _refreshed(shown: float | None, value: float | None, share: float, least: float) -> float | None:
-    if value is None:
-        return None
+    if value is None or value == shown:
+        return value
     # A zero is not rounded up to what was there before: it may mean that nothing comes any more.
     if shown is not None and abs(value - shown) <= max(share * shown, least) and (value > 0) == (shown > 0):
         return shown

@@ -8,6 +8,7 @@ from msgspec import UNSET, Meta, UnsetType
 
 from midstride.plan.forms import PlanPreview
 from midstride.runtime.measure import SwapReport
+from midstride.runtime.mode_recorder import ModeInterval
 from midstride.runtime.reports import Event, OutcomeKind, ParameterStatus, Phase, Report, SilenceKind
 
 # The version of these forms. A later version may add fields; what is there keeps its meaning.
@@ -172,21 +173,6 @@ class Patch(Report, frozen=True, kw_only=True):
     crashed: list[CrashView] | UnsetType = UNSET
     silences: list[SilenceView] | UnsetType = UNSET
     change: ChangeView | UnsetType | None = UNSET
-
-
-class ModeInterval(Report, frozen=True, kw_only=True):
-    """A functionality was in one mode; `because` says why it had entered it."""
-
-    instance: str
-    role: str
-    functionality: str
-    mode: str
-    level: Annotated[int, Meta(description="of its mode: 0 is the best")]
-    levels: Annotated[int, Meta(description="how many modes it has")]
-    because: str | None
-    reflex: Annotated[bool, Meta(description="the component's local reflex has led to this mode")]
-    began: UnixTime
-    ended: Annotated[UnixTime | None, Meta(description="null: it is in this mode")]
 
 
 class PastChange(Report, frozen=True, kw_only=True):

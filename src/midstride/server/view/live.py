@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
+import operator
 import secrets
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from typing import Final
 
 import msgspec
@@ -24,7 +26,7 @@ from midstride.runtime.events import EventLog
 from midstride.runtime.reports import Event
 from midstride.server.lifecycle import Lifecycle
 from midstride.server.view.changes import ChangeTracker
-from midstride.server.view.components import Baseline, component_view
+from midstride.server.view.components import Baseline, EntryShape, component_view, port_views
 from midstride.server.view.forms import VERSION, ComponentView, CrashView, SilenceView, Timeline
 from midstride.server.view.recording import ModeHistory, ViewRecording
 from midstride.server.view.same import rates_as_shown, same_but_figures, same_report
@@ -58,6 +60,7 @@ class LiveView:
         self._recording = ViewRecording()
         self._modes = ModeHistory()
         self._wakers: set[asyncio.Event] = set()
+        self._shapes: dict[str, EntryShape] = {}
         self._shown: dict[str, ComponentView] = {}
         self._reported: dict[str, ComponentState] = {}  # what the entries were built from
         self._unsound: set[str] = set()  # the components that are not as modelled
@@ -66,9 +69,12 @@ class LiveView:
         self._configuration = Configuration()
         self._baseline: Baseline | None = None
         self._violations: list[str] = []
+        self._silences: list[SilenceView] | None = None  # None: to be looked for
         self._tick: asyncio.TimerHandle | None = None
+        self._due = math.inf  # when it is (steady s)
         self._looking: asyncio.TimerHandle | None = None
-        self._figures_at = 0.0
+        self._figures_at = 0.0  # when they were last refreshed (steady s)
+        self._figures_of: dict[str, float] = {}  # the same by component
         self._started = False
         watched.on_report = self._on_report
         watched.events.listeners.append(self._on_event)
@@ -110,6 +116,8 @@ class LiveView:
 
     def _on_event(self, event: Event) -> None:
         self._changes.on_event(event)
+        if event.kind in {"silence", "note"}:  # one has begun, or ended
+            self._silences = None
         self._soon()
 
     def _soon(self) -> None:
@@ -117,17 +125,16 @@ class LiveView:
 
     def _at(self, due: float) -> None:
         """Refresh at ``due`` (steady s), or earlier."""
-        if not self._started:
+        if not self._started or due >= self._due:
             return
-        loop, delay = asyncio.get_running_loop(), max(SOON, due - self._watched.clock.steady())
         if self._tick is not None:
-            if self._tick.when() <= loop.time() + delay:
-                return
             self._tick.cancel()
-        self._tick = loop.call_later(delay, self._on_tick)
+        self._due = due
+        delay = max(SOON, due - self._watched.clock.steady())
+        self._tick = asyncio.get_running_loop().call_later(delay, self._on_tick)
 
     def _on_tick(self) -> None:
-        self._tick = None
+        self._tick, self._due = None, math.inf
         self.refresh(figures=bool(self._wakers))
 
     def _look(self) -> None:
@@ -136,6 +143,7 @@ class LiveView:
         silent = {name for name, each in self._shown.items() if each.answers != (client.responsive(name) is not None)}
         if silent or self._wakers:
             self._dirty |= silent
+            self._silences = None
             self.refresh(figures=bool(self._wakers))
         self._looking = asyncio.get_running_loop().call_later(LOOK, self._look)
 
@@ -210,6 +218,10 @@ class LiveView:
         if configuration is not before:
             instances, connectors = changed_parts(before, configuration)
             self._dirty |= instances
+            if before.context is not configuration.context:
+                self._shapes.clear()
+            for name in instances:
+                self._shapes.pop(name, None)
             self._configuration = configuration
             self._violations = [str(violation) for violation in violations(configuration)]
             evaluator = Evaluator(configuration)
@@ -217,27 +229,46 @@ class LiveView:
                 known = name in configuration.context.connectors
                 yield ("topics", name), _encode(topic_view(configuration, evaluator, name)) if known else None
         names = self._dirty | self._measured if figures else self._dirty
-        self._dirty = set()
+        dirty, self._dirty = self._dirty, set()
         self._measured = set() if figures else self._measured - names
-        yield from self._components(names, configuration, self._baseline, now, minor)
+        yield from self._components(names, dirty, configuration, self._baseline, now, minor)
 
     def _components(
-        self, names: Iterable[str], configuration: Configuration, baseline: Baseline, now: float, minor: set[Part]
+        self,
+        names: Iterable[str],
+        dirty: Container[str],
+        configuration: Configuration,
+        baseline: Baseline,
+        now: float,
+        minor: set[Part],
     ) -> Iterator[tuple[Part, bytes | None]]:
+        """The entries of ``names``; of those that are not ``dirty``, nothing but figures has changed."""
+        client, steady = self._watched.client, self._watched.clock.steady()
         for name in sorted(names):
             part, shown = ("components", name), self._shown.get(name)
-            instance, latest = configuration.instances.get(name), self._watched.client.latest(name)
+            instance, latest = configuration.instances.get(name), client.latest(name)
             if latest is None or instance is None:
                 self._reported.pop(name, None)
             else:
                 self._reported[name] = latest.state
             if instance is None:
+                self._shapes.pop(name, None)
+                self._figures_of.pop(name, None)
                 self._unsound.discard(name)
                 if self._shown.pop(name, None) is not None:
                     self._modes.gone(name, now)
                     yield part, None
                 continue
-            view = component_view(self._watched, configuration, instance, baseline, now, shown)
+            shape, before = self._shapes.get(name), () if shown is None else shown.ports
+            if shape is None:
+                shape, before = self._shapes.setdefault(name, EntryShape.of(configuration, instance)), ()
+            refresh = steady - self._figures_of.get(name, -math.inf) >= FIGURES
+            if refresh:
+                self._figures_of[name] = steady
+            ports = port_views(shape, client.responsive(name), before, refresh=refresh)
+            if before and name not in dirty and all(map(operator.is_, ports, before)):
+                continue
+            view = component_view(self._watched, configuration, shape, baseline, now, shown, ports)
             self._shown[name] = view
             if shown is not None and same_but_figures(shown, view):
                 minor.add(part)
@@ -250,10 +281,12 @@ class LiveView:
     def _single(self) -> Iterator[tuple[Part, bytes]]:
         """The parts that are one value."""
         watched, system = self._watched, self._watched.system
-        silences = [
-            SilenceView(kind=each.kind, instance=each.instance, port=each.port, topic=each.topic, words=each.words)
-            for each in watched.monitor.faults(self._configuration)
-        ]
+        if self._silences is None:
+            self._silences = [
+                SilenceView(kind=each.kind, instance=each.instance, port=each.port, topic=each.topic, words=each.words)
+                for each in watched.monitor.faults(self._configuration)
+            ]
+        silences = [each for each in self._silences if each.instance in self._configuration.instances]
         crashed = [
             CrashView(
                 name=each.name,

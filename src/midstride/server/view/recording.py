@@ -12,7 +12,8 @@ from typing import Final, NamedTuple
 
 from msgspec import structs
 
-from midstride.server.view.forms import ComponentView, FunctionalityView, ModeInterval
+from midstride.runtime.mode_recorder import ModeInterval
+from midstride.server.view.forms import ComponentView, FunctionalityView
 from midstride.server.view.table import Part
 
 # How many changed entries of views are kept, and how many modes that were left. An entry has 1 kB or so.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import Final
 
 from midstride.model.configuration import SystemContext
@@ -9,6 +10,7 @@ from midstride.server.view.forms import ComponentView
 from midstride.wire.state import ComponentState, LinkState
 
 _NO_LINKS: Final[dict[str, LinkState]] = {}
+_others = attrgetter(*(name for name in ComponentView.__struct_fields__ if name != "ports"))
 
 
 def same_report(before: ComponentState | None, state: ComponentState) -> bool:
@@ -62,7 +64,7 @@ def same_but_figures(before: ComponentView, view: ComponentView) -> bool:
     if len(before.ports) != len(view.ports):
         return False
     for earlier, port in zip(before.ports, view.ports, strict=True):
-        if (earlier.name, earlier.topic, earlier.gate, earlier.declared, earlier.met) != (
+        if earlier is not port and (earlier.name, earlier.topic, earlier.gate, earlier.declared, earlier.met) != (
             port.name,
             port.topic,
             port.gate,
@@ -70,7 +72,4 @@ def same_but_figures(before: ComponentView, view: ComponentView) -> bool:
             port.met,
         ):
             return False
-    return all(getattr(before, name) == getattr(view, name) for name in _OTHERS)
-
-
-_OTHERS = [name for name in ComponentView.__struct_fields__ if name != "ports"]
+    return bool(_others(before) == _others(view))

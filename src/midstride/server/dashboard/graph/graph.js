@@ -12,7 +12,7 @@ import { neighbour } from "./focus.js";
 import { ghostsOf } from "./ghosts.js";
 import { CollapsedGroup, OpenGroup } from "./group.js";
 import { COLLAPSE_ABOVE } from "./groups.js";
-import { layOut, startWorker } from "./layout.js";
+import { layOut } from "./layout.js";
 import { LinkShape } from "./link.js";
 import { Motion } from "./motion.js";
 import { owner } from "./names.js";
@@ -35,10 +35,17 @@ import { Viewport } from "./viewport.js";
  * @typedef {{element: SVGElement, shape: ComponentShape | TopicShape | CollapsedGroup | OpenGroup, sign: string, box: Box | null}} Drawn
  */
 
+/** So many components a frame: 150 that change at once are shown within 70 ms, and no frame takes longer than the others. */
+const PER_FRAME = 40;
+
 export class Graph {
   /** @type {View | null} */ #view = null;
   /** @type {Map<string, Component>} */ #components = new Map();
   /** @type {Map<string, Component>} */ #lastSeen = new Map(); // so that a crashed one stays in its place
+  /** @type {Map<string, Component>} */ #written = new Map(); // what the shapes show
+  /** @type {Set<string>} */ #stale = new Set(); // components whose shapes do not show their entries yet
+  /** @type {View["topics"] | null} */ #topics = null;
+  #writing = 0;
   /** @type {Structure | null} */ #structure = null;
   /** @type {string | null} */ #wanted = null;
   /** @type {Map<string, Drawn>} */ #drawn = new Map();
@@ -65,7 +72,6 @@ export class Graph {
    * @param {Options} [options]
    */
   constructor(element, options = {}) {
-    startWorker();
     this.#options = options;
     this.#grouping = options.grouping ?? "namespace";
     const layer = (/** @type {string} */ name) => s("g", { class: `layer ${name}` });
@@ -258,6 +264,7 @@ export class Graph {
     for (const [id, { element }] of before) if (this.#drawn.get(id)?.element !== element) element.remove();
     this.#order(layout);
     this.#applyLinks(structure);
+    this.#topics = null;
     this.#update(true);
     this.#mark();
     this.#move(layout, first);
@@ -348,43 +355,57 @@ export class Graph {
     });
   }
 
-  /** @type {WeakMap<object, Component>} */ #written = new WeakMap();
-
-  /** @param {boolean} everything */
+  /**
+   * Writes what has changed. Of many changes, each frame writes some: the browser has to draw them as well.
+   *
+   * @param {boolean} everything
+   */
   #update(everything) {
     const view = this.#view;
     if (view === null) return;
     for (const { shape } of this.#drawn.values()) {
-      if (shape instanceof TopicShape) shape.update(view, this.#components);
-      else if (shape instanceof CollapsedGroup) shape.update(view, this.#components, everything);
-      else if (shape instanceof ComponentShape) this.#updateComponent(shape, view, everything);
+      if (shape instanceof CollapsedGroup) shape.update(view, this.#components, everything);
     }
-    if (everything) {
-      for (const link of this.#links.values()) link.update(this.#components, this.#ghosts);
-      return;
+    if (everything) this.#written.clear();
+    for (const [name, entry] of this.#components) if (this.#written.get(name) !== entry) this.#stale.add(name);
+    if (this.#topics !== view.topics) {
+      this.#topics = view.topics;
+      for (const { shape } of this.#drawn.values()) {
+        if (shape instanceof TopicShape) shape.update(view, this.#components);
+      }
     }
-    /** @type {Set<LinkShape>} */ const stale = new Set();
-    for (const [name, links] of this.#linksOf) {
-      const entry = this.#components.get(name);
-      if (entry === undefined || this.#linked.get(name) === entry) continue;
-      this.#linked.set(name, entry);
-      for (const link of links) stale.add(link);
-    }
-    for (const link of stale) link.update(this.#components, this.#ghosts);
+    this.#writeSome(everything ? Infinity : PER_FRAME);
   }
 
-  /** @type {Map<string, Component>} */ #linked = new Map();
-
-  /**
-   * @param {ComponentShape} shape
-   * @param {View} view
-   * @param {boolean} everything
-   */
-  #updateComponent(shape, view, everything) {
-    const entry = this.#components.get(shape.drawn.name);
-    if (entry === undefined || (!everything && this.#written.get(shape) === entry)) return;
-    this.#written.set(shape, entry);
-    if (signature(entry) === signature(shape.drawn.entry)) shape.update(entry, view, this.#ghosts);
+  /** @param {number} most components */
+  #writeSome(most) {
+    cancelAnimationFrame(this.#writing);
+    const view = this.#view;
+    if (view === null) return;
+    /** @type {Set<LinkShape | TopicShape>} */ const near = new Set();
+    let count = 0;
+    for (const name of this.#stale) {
+      if (count === most) break;
+      this.#stale.delete(name);
+      const entry = this.#components.get(name);
+      if (entry === undefined) continue;
+      this.#written.set(name, entry);
+      const shape = this.#drawn.get(`c:${name}`)?.shape;
+      if (shape instanceof ComponentShape && signature(entry) === signature(shape.drawn.entry)) {
+        shape.update(entry, view, this.#ghosts);
+        count += 1;
+      }
+      for (const link of this.#linksOf.get(name) ?? []) near.add(link);
+      for (const { direction, topic } of entry.ports) {
+        const drawn = direction === "out" ? this.#drawn.get(`t:${topic}`)?.shape : undefined;
+        if (drawn instanceof TopicShape) near.add(drawn);
+      }
+    }
+    for (const shape of near) {
+      if (shape instanceof TopicShape) shape.update(view, this.#components);
+      else shape.update(this.#components, this.#ghosts);
+    }
+    if (this.#stale.size > 0) this.#writing = requestAnimationFrame(() => this.#writeSome(PER_FRAME));
   }
 
   #mark() {

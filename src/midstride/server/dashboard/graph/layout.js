@@ -1,11 +1,11 @@
 /**
- * Where things are drawn: computed by elkjs (vendor/elkjs, unmodified) in a worker, and remembered by structure.
+ * Where things are drawn: computed by elkjs in a worker, and remembered by structure.
  *
  * @module
  */
 
-import "../vendor/elkjs/elk-api.js";
 import { componentSize, groupSize, topicSize, ROW } from "./measure.js";
+import { elk } from "./worker.js";
 
 /**
  * @typedef {import("./structure.js").Structure} Structure
@@ -22,14 +22,6 @@ const MANY = 250;
 /** Up to this many components and groups a chain is short enough to be seen in one row. */
 const WRAP_ABOVE = 8;
 
-/** @type {any} */ let elk = null;
-
-/** Starts the worker, which takes a while to read its program: as early as the page knows that it will draw. */
-export function startWorker() {
-  const workerUrl = new URL("../vendor/elkjs/elk-worker.min.js", import.meta.url).href;
-  elk ??= new /** @type {any} */ (globalThis).ELK({ workerUrl, algorithms: ["layered"] });
-}
-
 /**
  * @param {Structure} structure
  * @returns {Promise<Layout>}
@@ -38,7 +30,6 @@ export function startWorker() {
 export async function layOut(structure) {
   const known = recall(structure.key);
   if (known !== null) return known;
-  startWorker();
   const laidOut = await elk.layout(elkGraph(structure));
   const layout = read(laidOut);
   remember(structure.key, layout);
@@ -74,15 +65,15 @@ function elkGraph(structure) {
   const nested = structure.groups.some((each) => !each.collapsed);
   const bundled = structure.links.some((each) => each.bundle);
   const wrapped = !nested && structure.components.length + structure.groups.length > WRAP_ABOVE;
-  return { id: "root", children, edges, layoutOptions: options({ many, nested, bundled, wrapped }) };
+  return { id: "root", children, edges, layoutOptions: options({ quick: many || structure.components.length === 0, nested, bundled, wrapped }) };
 }
 
 /**
- * @param {{many: boolean, nested: boolean, bundled: boolean, wrapped: boolean}} graph `nested`: there are open groups;
- *   `bundled`: room is needed for the labels of bundles
+ * @param {{quick: boolean, nested: boolean, bundled: boolean, wrapped: boolean}} graph `quick`: it is large, or what a page
+ *   of a large system begins with; `nested`: there are open groups; `bundled`: room is needed for the labels of bundles
  * @returns {Record<string, string>}
  */
-function options({ many, nested, bundled, wrapped }) {
+function options({ quick, nested, bundled, wrapped }) {
   return {
     "elk.algorithm": "layered",
     "elk.direction": "RIGHT",
@@ -96,12 +87,13 @@ function options({ many, nested, bundled, wrapped }) {
     "elk.layered.spacing.nodeNodeBetweenLayers": bundled ? "64" : "22",
     "elk.layered.spacing.edgeNodeBetweenLayers": "14",
     "elk.layered.spacing.edgeEdgeBetweenLayers": bundled ? "18" : "9",
-    "elk.layered.nodePlacement.strategy": many ? "LINEAR_SEGMENTS" : "NETWORK_SIMPLEX",
-    "elk.layered.thoroughness": many ? "1" : "7",
+    "elk.layered.layering.strategy": quick ? "LONGEST_PATH" : "NETWORK_SIMPLEX",
+    "elk.layered.nodePlacement.strategy": quick ? "BRANDES_KOEPF" : "NETWORK_SIMPLEX",
+    "elk.layered.thoroughness": quick ? "1" : "7",
     // Things stay in their order when something is added: the eye finds them again.
-    "elk.layered.considerModelOrder.strategy": many ? "NONE" : "NODES_AND_EDGES",
+    "elk.layered.considerModelOrder.strategy": "NODES_AND_EDGES",
     "elk.separateConnectedComponents": "true",
-    "elk.aspectRatio": "1.6",
+    "elk.aspectRatio": wrapped ? "2.6" : "1.6",
     // A long chain goes on below, as text does. elkjs does not wrap what is nested.
     "elk.layered.wrapping.strategy": wrapped ? "MULTI_EDGE" : "OFF",
     "elk.layered.wrapping.additionalEdgeSpacing": "30",

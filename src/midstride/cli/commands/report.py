@@ -1,0 +1,37 @@
+"""``report``: a change of the history as one HTML file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from midstride.cli.client import READ_TIMEOUT
+from midstride.cli.files import write
+from midstride.cli.output import console, json_option, print_json, wants_json
+from midstride.cli.systems import find, system_option
+
+
+@click.command("report")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), metavar="FILE", default=Path("change.html"), show_default=True
+)
+@click.option(
+    "--change", "number", type=click.IntRange(1, 2**31 - 1), metavar="N", help="Which; by default the latest."
+)
+@system_option
+@json_option
+def report_command(output: Path, number: int | None, system: str | None) -> int:
+    """Write change N, as `midstride history` numbers them, as one HTML file.
+
+    It has the graph before and after, the plan, what happened when, and the figures of each subscriber, and needs
+    neither the manager nor a network. With --json, prints the same as data, and writes no file.
+    """
+    client, _ = find(system)
+    which = {} if number is None else {"number": number}
+    if wants_json():
+        print_json(client.get("/change", **which))
+        return 0
+    write(output, client.text("/report", timeout=3 * READ_TIMEOUT, **which))
+    console().print(f"The report is in {output}.", markup=False, soft_wrap=True)
+    return 0

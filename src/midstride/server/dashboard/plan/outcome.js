@@ -1,0 +1,109 @@
+/**
+ * How a change ended, in the words of the command line (cli/render.py), and its figures.
+ *
+ * @module
+ */
+
+import { duration, listed } from "./words.js";
+
+const COUNTS = ["missed", "lost", "duplicates"];
+
+/** @param {any} outcome @returns {{kind: "good" | "warn" | "bad", words: string}} */
+export function headline(outcome) {
+  const took = duration(outcome.seconds);
+  const words = {
+    done: `Done in ${took}`,
+    refused: "Refused, nothing was changed",
+    rolled_back: `Rolled back in ${took}, every step undone`,
+    failed: `Failed in ${took}`,
+  }[/** @type {"done"} */ (outcome.outcome)];
+  const worse = (outcome.lowered ?? []).some((/** @type {any} */ each) => !each.planned);
+  const kind = outcome.outcome === "done" ? (worse ? "warn" : "good") : "bad";
+  return { kind, words: outcome.because ? `${words}: ${outcome.because}` : `${words}.` };
+}
+
+/**
+ * What happened besides, one sentence a line.
+ *
+ * @param {any} outcome
+ * @param {any} plan null where none is known
+ * @returns {string[]}
+ */
+export function details(outcome, plan) {
+  if (outcome.outcome === "refused") return [];
+  const swaps = outcome.swaps ?? [];
+  const fell = [
+    ...Object.entries(outcome.fallen ?? {}).sort().map(([name, spent]) => `${name} was below its level for ${duration(spent)}.`),
+    ...(outcome.lowered ?? []).map((/** @type {any} */ each) => `Afterwards: ${lowered(each)}.`),
+    ...(outcome.ended?.length ? [`Exited unexpectedly meanwhile: ${outcome.ended.join(", ")}; see \`midstride log\`.`] : []),
+    ...(outcome.degraded?.length
+      ? [`Degraded unexpectedly meanwhile: ${outcome.degraded.join(", ")}; see \`midstride why ${outcome.degraded[0]}\`.`]
+      : []),
+    ...(outcome.fenced ?? []).map((/** @type {any} */ each) => `Fenced: ${each.words}.`),
+    ...(outcome.silences ?? []).map(silence),
+    ...swaps.flatMap(faults),
+  ];
+  return [
+    ...times(outcome, plan),
+    ...(outcome.skews ?? []).map(skew),
+    ...(fell.length ? fell : [nothingFell(swaps)]),
+    ...(outcome.parameters ?? []).map((/** @type {any} */ each) => each.words),
+    ...Object.values(outcome.own_state ?? {}).map((words) => `${words}.`),
+    ...Object.entries(outcome.late ?? {}).sort().map(
+      ([name, spent]) => `The first slot of ${name} was ${duration(/** @type {number} */ (spent))} late; its state moved before.`,
+    ),
+  ];
+}
+
+/** @param {any} each */
+function lowered(each) {
+  const words =
+    each.to === null
+      ? `no instance serves ${each.functionality}`
+      : `${each.functionality} is in mode ${each.to} instead of ${each.from}`;
+  return each.because ? `${words}: ${each.because.split("\n")[0]}` : words;
+}
+
+/** @param {any} fault */
+function silence(fault) {
+  return fault.seconds === null ? fault.words : `${fault.words} (for ${duration(fault.seconds)})`;
+}
+
+/** @param {any} skew */
+function skew(skew) {
+  const kind = skew.kind[0].toUpperCase() + skew.kind.slice(1);
+  return `${kind} of ${listed(skew.functionalities)}: within ${(skew.seconds * 1000).toFixed(1)} ms.`;
+}
+
+/** The planned duration beside the measured one, where steps may overlap. @param {any} outcome @param {any} plan */
+function times(outcome, plan) {
+  if (outcome.outcome !== "done" || !plan || !outcome.steps?.length || plan.makespan === plan.seconds) return [];
+  const ended = Math.max(...outcome.steps.map((/** @type {any} */ each) => each.begun + each.seconds));
+  const together = outcome.steps.reduce((/** @type {number} */ sum, /** @type {any} */ each) => sum + each.seconds, 0);
+  const planned = `${duration(plan.seconds)} one step after another, ${duration(plan.makespan)} on the critical path`;
+  return [`Planned: ${planned}. Measured: ${duration(ended)}, for steps of ${duration(together)} in all.`];
+}
+
+/** @param {any} swap @returns {string[]} what was missed, lost or received twice at one subscriber */
+function faults(swap) {
+  const found = COUNTS.filter((name) => swap[name]).map(
+    (name) => `${swap[name]} ${swap[name] === 1 ? name.replace(/s$/, "") : name}`,
+  );
+  return found.length ? [`Messages on ${swap.topic} at ${swap.subscriber}: ${listed(found)}.`] : [];
+}
+
+/** @param {any[]} swaps */
+function nothingFell(swaps) {
+  const unknown = swaps
+    .map((swap) => [swap, COUNTS.filter((name) => swap[name] === null)])
+    .filter(([, names]) => names.length)
+    .map(([swap, names]) => `${listed(names)} at ${swap.subscriber} on ${swap.topic}`);
+  if (!unknown.length) return "Nothing fell below its level.";
+  return `Nothing is known to have fallen below its level. Not known: ${unknown.join("; ")}.`;
+}
+
+/** The figures of one subscriber, in the order of the table's columns. @param {any} swap @returns {string[]} */
+export function figures(swap) {
+  const periods = swap.gap_periods === null ? "unknown" : swap.gap_periods.toFixed(2);
+  return [duration(swap.gap), periods, ...COUNTS.map((name) => (swap[name] === null ? "unknown" : String(swap[name])))];
+}

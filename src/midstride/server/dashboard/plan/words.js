@@ -1,0 +1,150 @@
+/**
+ * Plans and outcomes in words: the sentences of the command line (cli/render.py), so that both say the same.
+ *
+ * @module
+ */
+
+/** A duration with three significant digits or so. @param {number | null | undefined} value in seconds */
+export function duration(value) {
+  if (value === null || value === undefined) return "unknown";
+  if (value >= 10) return `${value.toFixed(1)} s`;
+  if (value >= 1) return `${value.toFixed(2)} s`;
+  return `${Math.round(value * 1000)} ms`;
+}
+
+/** @param {number} value @returns {string} three significant digits */
+export function figure(value) {
+  return String(Number(value.toPrecision(3)));
+}
+
+/** @param {string[]} words @returns {string} as "a, b and c" */
+export function listed(words) {
+  return [words.slice(0, -1).join(", "), words.at(-1)].filter(Boolean).join(" and ");
+}
+
+/** @param {any} value of a parameter */
+function written(value) {
+  if (typeof value === "string") return `'${value}'`;
+  if (typeof value === "boolean") return value ? "True" : "False";
+  if (Array.isArray(value)) return `[${value.map(written).join(", ")}]`;
+  return String(value);
+}
+
+/** @param {any} step of a plan @returns {string} what it does */
+export function stepText(step) {
+  switch (step.action) {
+    case "create":
+    case "remove":
+      return step.of ? `${step.action} ${step.component} (${step.of})` : `${step.action} ${step.component}`;
+    case "attach":
+      return `attach ${step.port} to ${step.connector}`;
+    case "detach":
+      return `detach ${step.port} from ${step.connector}`;
+    case "degrade":
+    case "upgrade": {
+      const modes = Object.entries(step.modes).map(([name, each]) => `${name} from ${each.from} to ${each.to}`);
+      return `${step.action} ${modes.join(", ") || "nothing"}`;
+    }
+    case "handover": {
+      const swaps = step.swaps.map((/** @type {any} */ each) => `${each.connector} from ${each.old} to ${each.new}`);
+      return `hand over ${swaps.join(", ") || "nothing"}`;
+    }
+    case "set": {
+      const values = Object.entries(step.parameters ?? {}).sort(([a], [b]) => (a < b ? -1 : 1));
+      return `set ${values.map(([name, value]) => `${name} = ${written(value)}`).join(", ")} on ${step.component}`;
+    }
+    default:
+      return String(step.action);
+  }
+}
+
+/** How long a step or a plan takes, with the range that was measured where it is wide. @param {any} document */
+export function about(document) {
+  const [shortest, longest] = document.between ?? [0, 0];
+  const expected = duration(document.seconds);
+  return longest - shortest < 0.1 ? expected : `${expected} (${duration(shortest)} to ${duration(longest)})`;
+}
+
+/** @param {any} shift */
+function lowered(shift) {
+  const { functionality, from, to } = shift;
+  return to === null ? `no instance serves ${functionality}` : `${functionality} is in mode ${to} instead of ${from}`;
+}
+
+/** The mode that a role's functionality enters in a step. @param {any} step @param {string} functionality */
+function modeEntered(step, functionality) {
+  const dot = functionality.lastIndexOf(".");
+  const [role, name] = [functionality.slice(0, dot), functionality.slice(dot + 1)];
+  for (const [ref, modes] of Object.entries(step?.modes ?? {})) {
+    const end = ref.lastIndexOf(".");
+    const instance = ref.slice(0, end);
+    const suffix = instance.startsWith(`${role}_`) ? instance.slice(role.length + 1) : "";
+    if (ref.slice(end + 1) === name && (instance === role || /^\d+$/.test(suffix))) return modes.to;
+  }
+  return null;
+}
+
+/**
+ * What degrades on the way, how far, for how long and why.
+ *
+ * @param {any} plan
+ * @returns {{functionality: string, head: string, because: string[]}[]}
+ */
+export function falls(plan) {
+  return (plan.falls ?? []).map((/** @type {any} */ fall) => {
+    const name = fall.functionality;
+    const where = fall.to_step === null ? `from step ${fall.from_step} on` : `steps ${fall.from_step} to ${fall.to_step}`;
+    const mode = fall.from_step ? modeEntered(plan.steps[fall.from_step - 1], name) : null;
+    let depth = mode ? ` to ${mode}` : "";
+    if (mode && fall.unserved_from_step !== null) depth += `, unserved from step ${fall.unserved_from_step} on,`;
+    const others = (plan.alternatives ?? []).filter((/** @type {any} */ each) => each.functionality === name);
+    return {
+      functionality: name,
+      head: `${name}${depth} for about ${duration(fall.seconds)} (${where})`,
+      because: [fall.because, ...(fall.forced_by ?? []), ...others.map(alternative)],
+    };
+  });
+}
+
+/** What it would cost to keep a functionality. @param {any} each */
+function alternative(each) {
+  if (each.impossible !== null) return `It cannot be kept at ${each.kept_at}: ${each.impossible}`;
+  const instead = each.fallen.length ? listed(each.fallen) : "nothing";
+  const cost = `the disruption would be ${figure(each.disruption)}`;
+  return `To keep it at ${each.kept_at}, ${cost}: ${instead} would degrade instead`;
+}
+
+/**
+ * What is in another mode afterwards, for good.
+ *
+ * @param {any} plan
+ * @returns {{worse: string[], better: string[]}}
+ */
+export function afterwards(plan) {
+  const shifts = plan.afterwards ?? [];
+  const [was, will] = ["from", "to"];
+  return {
+    worse: shifts.filter((/** @type {any} */ each) => each.levels > 0).map(lowered),
+    better: shifts
+      .filter((/** @type {any} */ each) => each.levels <= 0)
+      .map((/** @type {any} */ each) => `${each.functionality}, from ${each[was] ?? "unserved"} to ${each[will] ?? "unserved"}`),
+  };
+}
+
+/** The cost of a plan, and whether its disruption is proved minimal. @param {any} plan */
+export function cost(plan) {
+  let bound = plan.proved_minimal ? "proved minimal" : `at least ${figure(plan.lower_bound ?? 0)}`;
+  if (plan.proof_space === "detours") bound += ", with detours";
+  const { worse } = afterwards(plan);
+  let disruption = `Disruption ${figure(plan.disruption)} weighted functionality-seconds`;
+  disruption += worse.length ? ` on the way (${bound}), and afterwards ${worse.join(", ")}` : ` (${bound})`;
+  const [total, critical] = [duration(plan.seconds), duration(plan.makespan)];
+  const takes = about(plan) + (total === critical ? "" : ` (critical path ${critical})`);
+  return `${disruption}; takes about ${takes}; strategy ${plan.strategy}.`;
+}
+
+/** What a plan does besides its steps, and to values that were set at run time. @param {any} plan @returns {string[]} */
+export function remarks(plan) {
+  const own = Object.entries(plan.own_state ?? {}).map(([name, because]) => `${name} starts with its own state: ${because}.`);
+  return [...(plan.remarks ?? []), ...(plan.parameters ?? []).map((/** @type {any} */ each) => each.words), ...own];
+}

@@ -1,0 +1,45 @@
+/**
+ * The timeline of a report: that of the page, over the time of one change, which it takes from the file.
+ *
+ * @module
+ */
+
+import { h } from "../dom.js";
+import { mountTimeline } from "../timeline/timeline.js";
+
+/** How much is shown before and after the change, of its length. */
+const MARGIN = 0.03;
+
+/**
+ * @param {any} found the change
+ * @param {import("../store.js").View} view
+ * @param {{graph: any, at: (time: number | null) => void}} drawn
+ * @returns {HTMLElement}
+ */
+export function reportTimeline(found, view, drawn) {
+  const { timeline, change } = found;
+  const room = Math.max((timeline.until - timeline.since) * MARGIN, 0.05);
+  const fixed = /** @type {[number, number]} */ ([timeline.since - room, timeline.until + room]);
+  const past = { command: change.command, began: timeline.since, ended: timeline.until, outcome: change.outcome };
+  const document = { ...timeline, oldest: timeline.since, changes: [past] };
+  /** @type {Set<() => void>} */ const listeners = new Set();
+  const store = {
+    view,
+    live: view,
+    connection: { state: "live" },
+    /** @type {{at: number | null, loading: boolean}} */ time: { at: null, loading: false },
+    now: () => fixed[1],
+    subscribe: (/** @type {string[]} */ keys, /** @type {() => void} */ callback) => {
+      if (keys.includes("time")) listeners.add(callback);
+    },
+    scrub: async (/** @type {number | null} */ at) => {
+      store.time = { at, loading: false };
+      drawn.at(at);
+      for (const each of listeners) each();
+    },
+  };
+  const element = h("div", { class: "report-timeline" });
+  const say = () => undefined;
+  mountTimeline(element, { store, ask: async () => document, graph: drawn.graph, say, fixed });
+  return element;
+}

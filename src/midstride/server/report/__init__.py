@@ -1,0 +1,1 @@
+"""One HTML file of a change, or of a plan before it: self-contained, to be attached to a bug report or a paper."""

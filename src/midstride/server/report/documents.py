@@ -1,0 +1,97 @@
+"""What a report shows, as data: a change of the history, a plan, or the plans of several strategies."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Annotated, Any, Final
+
+from msgspec import Meta
+
+from midstride import __version__
+from midstride.codec.form import encode
+from midstride.errors import MidstrideError
+from midstride.plan.forms import decode_plan
+from midstride.runtime.change_report import ChangeReport
+from midstride.runtime.reports import Report
+from midstride.server.report.file import report_file
+from midstride.server.report.views import modelled_view
+from midstride.server.view.forms import SystemView
+
+# The version of this form. A later one may add fields; what is there keeps its meaning.
+VERSION: Final = 1
+
+
+class ReportDocument(Report, frozen=True, kw_only=True):
+    """The data in a report file. Either `change` or `plans` is given; a plan is as POST /plan answers."""
+
+    version: int
+    midstride: Annotated[str, Meta(description="the version of Midstride that has written it")]
+    written: Annotated[float, Meta(description="unix seconds")]
+    system: str
+    backend: str | None
+    title: str
+    change: dict[str, Any] | None
+    plans: Annotated[dict[str, dict[str, Any]] | None, Meta(description="by strategy; `refused`: why there is none")]
+    before: Annotated[SystemView | None, Meta(description="the system as modelled when the plan began")]
+    after: Annotated[SystemView | None, Meta(description="and when all its steps are done")]
+
+
+def change_file(found: ChangeReport, system: str, backend: str) -> str:
+    """The file of a change of the history."""
+    change = encode(found)
+    whole = None if found.plan is None else {**change["plan"], "start": change["before"], "target": change["after"]}
+    before, after = _views(whole, system, backend, found.change.at)
+    title = found.change.by or found.change.command
+    return _file(
+        ReportDocument(
+            version=VERSION,
+            midstride=__version__,
+            written=time.time(),
+            system=system,
+            backend=backend,
+            title=title,
+            change=change,
+            plans=None,
+            before=before,
+            after=after,
+        )
+    )
+
+
+def plan_file(plans: Mapping[str, dict[str, Any]], system: str, title: str) -> str:
+    """The file of plans by strategy: documents as POST /plan answers, or with ``refused``."""
+    first = next((plan for plan in plans.values() if "refused" not in plan), None)
+    before, after = _views(first, system, "", time.time())
+    return _file(
+        ReportDocument(
+            version=VERSION,
+            midstride=__version__,
+            written=time.time(),
+            system=system,
+            backend=None,
+            title=title,
+            change=None,
+            plans=dict(plans),
+            before=before,
+            after=after,
+        )
+    )
+
+
+def _file(document: ReportDocument) -> str:
+    return report_file(document, f"{document.title} - {document.system}")
+
+
+def _views(
+    plan: dict[str, Any] | None, system: str, backend: str, at: float
+) -> tuple[SystemView | None, SystemView | None]:
+    """The system before and after a plan, where both of its specifications are known."""
+    if plan is None or plan.get("start") is None or plan.get("target") is None:
+        return None, None
+    try:
+        change = decode_plan(plan).change
+    except MidstrideError:  # the plan of a version that planned otherwise: it is shown in words
+        return None, None
+    start, final = change.start, change.final
+    return modelled_view(start, system, backend, at), modelled_view(final, system, backend, at)

@@ -1,0 +1,95 @@
+"""A configuration of the model in the form of the live view, so that the page's graph draws what nothing reports."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.configuration import Configuration, Instance
+from midstride.model.rules import Evaluator, violations
+from midstride.server.view.forms import VERSION, ComponentView, FunctionalityView, PortView, SystemView
+from midstride.server.view.topics import topic_view
+
+
+def modelled_view(configuration: Configuration, system: str, backend: str, at: float) -> SystemView:
+    """What ``configuration`` would look like if every component did as modelled; nothing is measured."""
+    evaluator, found = Evaluator(configuration), [str(violation) for violation in violations(configuration)]
+    return SystemView(
+        version=VERSION,
+        manager="",
+        n=0,
+        at=at,
+        system=system,
+        backend=backend,
+        phase="up",
+        revision=0,
+        running=None,
+        valid=not found,
+        violations=found,
+        components=[_component(configuration, each) for _, each in sorted(configuration.instances.items())],
+        topics=[topic_view(configuration, evaluator, name) for name in sorted(configuration.context.connectors)],
+        crashed=[],
+        silences=[],
+        change=None,
+    )
+
+
+def _component(configuration: Configuration, instance: Instance) -> ComponentView:
+    modes = {
+        each.name: each.modes[configuration.modes[FunctionalityRef(instance.name, each.name)]].name
+        for each in instance.component
+    }
+    return ComponentView(
+        name=instance.name,
+        role=instance.role,
+        component=instance.component.name,
+        namespace=f"/{instance.role.rpartition('/')[0]}",
+        host=None,
+        node=None,
+        pid=None,
+        answers=True,
+        ending=False,
+        waiting=None,
+        as_modelled=True,
+        differences=[],
+        undeclared=[],
+        deviation=None,
+        functionalities=[
+            FunctionalityView(
+                name=each.name,
+                mode=modes[each.name],
+                modes=[mode.name for mode in each.modes],
+                modelled=modes[each.name],
+                normal=modes[each.name] == each.modes[0].name,
+                because=None,
+                reflex=False,
+                restoring=None,
+                since=None,
+            )
+            for each in instance.component
+        ],
+        ports=list(_ports(configuration, instance, modes)),
+        parameters=[],
+    )
+
+
+def _ports(configuration: Configuration, instance: Instance, modes: dict[str, str]) -> Iterator[PortView]:
+    component = instance.component
+    for name in component.ports():
+        owner = component.find_owner(name)
+        topics: list[str | None] = [*configuration.attached_to(PortRef(instance.name, name))]
+        for topic in topics or [None]:
+            yield PortView(
+                name=name,
+                direction="in" if owner is None else "out",
+                functionalities=[each.name for each in (component.users(name) if owner is None else [owner])],
+                topic=topic,
+                type=component.type_of(name),
+                gate=None,
+                declared=component.stated_rate(name, modes),
+                rate=None,
+                met=None,
+                age=None,
+                jitter=None,
+                longest=None,
+            )
