@@ -1,7 +1,8 @@
 """``midstride demo patrol``: two minutes of patrol, in which everything happens that the README lists.
 
 The robot and its hall run on ROS 2, or on the simulator. What the table at the end counts is measured by the hall,
-which knows nothing of Midstride, except for the modes and for the messages that were missed.
+which knows nothing of Midstride, except for the modes and for the messages that were missed. On ROS 2, a bag of it is
+checked besides, by a program that knows nothing of Midstride either.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import json
 import os
 import signal
 import sys
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,6 +24,7 @@ from rich.live import Live
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import bag
 import picture
 
 from midstride.backends.simulator import Simulator
@@ -30,7 +33,9 @@ from midstride.cli.demo_runner import cancelled_by_signals
 from midstride.cli.example import Demo
 from midstride.errors import MidstrideError
 from midstride.plan.request import PlanRequest
+from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Outcome, Status
+from midstride.simulation.lives import Life
 
 # How long each event is watched at least, and the robot before the first (s); how often it is looked at.
 WATCHED, RUN_IN, LOOK = 9.0, 6.0, 0.25
@@ -47,22 +52,32 @@ async def run(example: Demo, backend: str, out: Console) -> list[dict[str, Any]]
     Raises CancelledError on SIGINT and SIGTERM.
     """
     world = example.specification.nodes["world"]
+    kept = bag.kept()
     with cancelled_by_signals() as interrupted:
         async with demo_environment(example, backend) as environment:
             trace = environment.workspace.path / "trace.jsonl"
             traced = replace(world, parameters=world.parameters.set("trace", str(trace)))
             environment.use(example.specification.with_node(traced))
-            show = Show(environment, trace, out)
+            recorded = bag.Bag(kept or environment.workspace.path / "bag") if backend == "ros2" else None
+            show = Show(environment, trace, out, recorded)
             out.print(f"[bold]{example.title}[/bold]  [dim](examples/patrol, on {backend})[/dim]")
-            async with show.shown():
-                show.words = "coming up"
-                await environment.manager.up()
-                await asyncio.sleep(RUN_IN)
-                for name, (event, expected) in EVENTS.items():
-                    await show.event(name, event, expected)
-                    if interrupted.is_set():  # while a change was measured, which completes it
-                        raise asyncio.CancelledError
+            try:
+                async with show.shown():
+                    show.words = "coming up"
+                    if recorded is not None:
+                        await recorded.open()
+                    await environment.manager.up()
+                    await asyncio.sleep(RUN_IN)
+                    for name, (event, expected) in EVENTS.items():
+                        await show.event(name, event, expected)
+                        if interrupted.is_set():  # while a change was measured, which completes it
+                            raise asyncio.CancelledError
+                checked = "" if recorded is None else await show.check(recorded)
+            finally:
+                if recorded is not None:
+                    await recorded.end()
             out.print(picture.result(show.rows))
+            out.print(checked)
     return show.rows
 
 
@@ -73,6 +88,7 @@ class Show:
     environment: DemoEnvironment
     trace: Path
     out: Console
+    recorded: bag.Bag | None = None
     words: str = ""
     state: dict[str, Any] | None = None
     modes: dict[str, str] = field(default_factory=dict)  # what is not in its normal mode
@@ -103,25 +119,38 @@ class Show:
     async def event(self, name: str, act: Act, expected: str) -> None:
         """Carry out ``act``, and watch the robot until it is as good as before, for ``WATCHED`` seconds at least."""
         clock = self.environment.backend.clock
-        self.words, begun = name, clock.steady()
+        self.words, begun, at = name, clock.steady(), time.time()
         self._row = {"name": name, "slowest": "full", "degraded": 0.0, "uncommanded": 0.0, "near_misses": 0}
         self._row |= {"collisions": 0, "missed": None}
         try:
             came_to = await act(self.environment)
         except MidstrideError as error:
             came_to = f"failed: {error}"
+        seen = came_to
         if isinstance(came_to, Outcome):
             missed = [swap.missed for swap in came_to.swaps if swap.missed is not None]
             self._row["missed"] = sum(missed) if missed else None
             came_to = came_to.outcome
         while clock.steady() < begun + WATCHED or (self.modes and clock.steady() < begun + 3 * WATCHED):
             await asyncio.sleep(LOOK)
+        if self.recorded is not None:
+            self.recorded.event(name, at, seen)
         self._row["came_to"] = came_to
         self._row["outcome"] = "done" if came_to == expected and not self._row["collisions"] else "failed"
         self.rows.append(self._row)
         if not self.out.is_terminal:
             self.out.print(f"{name}: {came_to}")
         self._row = {}
+
+    async def check(self, recorded: bag.Bag) -> str:
+        """Put what the bag says into the rows. An event during which something does not hold has failed."""
+        found, whole = await recorded.check()
+        for row in self.rows:
+            row["bag"] = found[row["name"]]
+            counts = any(row["bag"][kind] for kind in ("lost", "interleaved", "silence"))
+            if counts or row["bag"]["moved_blind"] > bag.REACTION:
+                row["outcome"] = "failed"
+        return bag.verdict(whole)
 
     def _follow(self) -> None:
         """Read what the hall has written since."""
@@ -195,9 +224,34 @@ async def hung(environment: DemoEnvironment) -> Outcome:
 
 
 async def without_a_manager(environment: DemoEnvironment) -> str:
+    """The manager of the demonstration hands over to one that can be killed, which is what happens to it."""
     await environment.manager.close()  # its components go on
+    if isinstance(environment.backend, Simulator):
+        life = Life(environment.backend)
+        doomed = Manager(environment.manager.specification, life.backend, environment.workspace, environment.folder)
+        await doomed.up()
+        life.kill()
+    else:
+        await killed_manager(environment)
     await asyncio.sleep(ABSENT)
     return f"taken over, {(await environment.new_manager()).outcome}"
+
+
+async def killed_manager(environment: DemoEnvironment) -> None:
+    """A manager in its own process takes over, and dies by SIGKILL."""
+    arguments = str(environment.workspace.path), environment.backend.name
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, str(bag.FOLDER / "successor.py"), *arguments, stdout=asyncio.subprocess.PIPE
+    )
+    try:
+        assert process.stdout is not None
+        said = (await process.stdout.readline()).decode().strip()
+    finally:
+        if process.returncode is None:
+            process.kill()
+        await process.wait()
+    if said != "done":
+        raise MidstrideError(f"the manager that was to be killed did not take over: {said or 'it ended'}")
 
 
 async def fault(environment: DemoEnvironment, role: str, number: signal.Signals) -> None:

@@ -57,6 +57,8 @@ def panel(state: Mapping[str, Any] | None, modes: Mapping[str, str], words: str)
 def result(rows: Sequence[Mapping[str, Any]]) -> Table:
     """What was seen during each event."""
     table = Table(box=None, header_style="bold")
+    with_bag = any("bag" in row for row in rows)
+    from_bag = ("commands missed", "interleaved", "moved blind") if with_bag else ()
     for column in (
         "event",
         "came to",
@@ -66,6 +68,7 @@ def result(rows: Sequence[Mapping[str, Any]]) -> Table:
         "no commands",
         "near misses",
         "collisions",
+        *from_bag,
     ):
         table.add_column(column)
     for row in rows:
@@ -79,8 +82,16 @@ def result(rows: Sequence[Mapping[str, Any]]) -> Table:
             f"{row['uncommanded']:.1f} s",
             str(row["near_misses"]),
             str(row["collisions"]),
+            *_from_bag(row, with_bag),
         )
     return table
+
+
+def _from_bag(row: Mapping[str, Any], shown: bool) -> Sequence[str]:
+    if not shown:
+        return ()
+    found = row["bag"]
+    return str(found["lost"]), str(found["interleaved"]), f"{found['moved_blind']:.1f} s"
 
 
 def _at(metres: float, scale: float, most: int) -> int:

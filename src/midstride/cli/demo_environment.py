@@ -47,7 +47,7 @@ class DemoEnvironment:
         self.manager = Manager(specification, self.backend, self.workspace, self.folder)
 
     async def new_manager(self) -> UpReport:
-        """Another manager takes over, once the one before was closed."""
+        """Another manager takes over, once the one before was closed or has died."""
         self.use(self.manager.specification)
         return await self.manager.up()
 
