@@ -18,7 +18,8 @@ from midstride.backends.naming import full
 from midstride.backends.ros2.foreign_nodes import ForeignNodes
 from midstride.backends.simulator import Simulator
 from midstride.foreign.graph_check import GraphEndpoint
-from midstride.foreign.relay import RelayComponent, RelayOrder, RelayPlatform
+from midstride.foreign.relay import RelayComponent, RelayPlatform
+from midstride.foreign.relayed_program import RelayOrder
 from midstride.lang.load import load
 from midstride.model.contract import QoS
 from midstride.node.host import Host

@@ -13,7 +13,8 @@ import pytest
 
 from midstride.codec.component import NamedComponentForm
 from midstride.errors import MidstrideError, NodeError
-from midstride.foreign.relay import RelayedProgram, RelayOrder, differing, patient, private_topics
+from midstride.foreign.relay import patient
+from midstride.foreign.relayed_program import RelayedProgram, RelayOrder, differing, private_topics
 from midstride.lang.load import load
 from midstride.model.contract import QoS
 from midstride.plan.request import PlanRequest
@@ -175,7 +176,7 @@ def in_a_process(folder: Path, body: str) -> subprocess.Popen[str]:
     """Run ``body``, which has the ``program`` of the order in ``folder``, in a process."""
     text = (
         "import os, signal, sys, threading\nfrom pathlib import Path\n"
-        "from midstride.foreign.relay import RelayedProgram, RelayOrder\n"
+        "from midstride.foreign.relayed_program import RelayedProgram, RelayOrder\n"
         f"program = RelayedProgram(RelayOrder.read(Path({str(folder / 'relays' / 'talker.json')!r})))\n"
         f"print(program.pid, flush=True)\n{body}\n"
     )

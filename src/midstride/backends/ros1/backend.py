@@ -21,7 +21,7 @@ from midstride.backends.ros1 import launching, master_process, names
 from midstride.backends.ros1.master import Master
 from midstride.codec.component import NamedComponentForm
 from midstride.errors import BackendError, StartFailed, Unreachable
-from midstride.foreign.relay import RelayOrder, order_file, private_topics
+from midstride.foreign.relayed_program import RelayOrder, order_file, private_topics
 from midstride.model.component import ComponentSpec
 from midstride.runtime.backend import RELAY_SUFFIX, Endpoints, Exited, Handle, Launch, Middleware
 from midstride.runtime.process import Process
@@ -93,8 +93,13 @@ class Ros1Backend(processes.ProcessBackend):
         arguments += [f"__name:={names.split(node)[0]}"]
         values = {**launch.parameters, **launch.set_parameters}
         arguments += [f"_{name}:={json.dumps(value)}" for name, value in values.items()]
-        declaration = NamedComponentForm.of(component)
-        order = RelayOrder(command=[*command, *arguments], node=node, declaration=declaration, topics=topics)
+        order = RelayOrder(
+            command=[*command, *arguments],
+            node=node,
+            declaration=NamedComponentForm.of(component),
+            topics=topics,
+            real={port: topic for port, topic in launch.topics.items() if component.has_output(port)},
+        )
         order.write(path := self._order_file(launch.instance))
         return self._python(), "-m", _RELAY, str(path)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import xmlrpc.client
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,7 +13,8 @@ from midstride.backends.common_messages import message_class
 from midstride.backends.ros1 import names
 from midstride.backends.ros1.host import Ros1Host
 from midstride.foreign.graph_check import GraphEndpoint
-from midstride.foreign.relay import RelayOrder, RelayPlatform, run_relay
+from midstride.foreign.relay import RelayPlatform, run_relay
+from midstride.foreign.relayed_program import RelayOrder
 from midstride.model.contract import QoS
 from midstride.node.host import Host
 from midstride.node.process_context import ProcessContext
@@ -52,11 +54,20 @@ def join(context: ProcessContext) -> Host:
     return host  # type: ignore[no-any-return]
 
 
-def endpoints(host: Host, order: RelayOrder) -> Sequence[GraphEndpoint]:
-    """Those of the program, as the master lists them. One that takes any type has the type that is declared."""
+def endpoints(host: Host, order: RelayOrder) -> Sequence[GraphEndpoint] | None:
+    """Those of the program, as the master lists them; None if it does not know the program's node, or does not answer.
+
+    One that takes any type has the type that is declared.
+    """
     master = rosgraph.Master(host.node_name)
-    publishers, subscribers, _ = master.getSystemState()
-    types, component = dict(master.getTopicTypes()), order.declaration.declared()
+    try:
+        state = publishers, subscribers, _ = master.getSystemState()
+        if not any(order.node in nodes for kind in state for _, nodes in kind):
+            return None
+        listed_types = master.getTopicTypes()
+    except (OSError, rosgraph.MasterException, xmlrpc.client.Error):
+        return None
+    types, component = dict(listed_types), order.declaration.declared()
     declared = {topic: port for port, topic in order.topics.items()}
     found = []
     for output, listed, qos in ((True, publishers, _OFFERED), (False, subscribers, _REQUESTED)):

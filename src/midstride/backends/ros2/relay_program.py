@@ -11,7 +11,7 @@ from midstride.foreign.relay import RelayPlatform, run_relay
 PLATFORM = RelayPlatform(
     host=lambda context: Ros2Host(context.instance or "", context.namespace),
     type_of=lambda name: serialized(message_class(name)),
-    graph=lambda host, order: Graph(host.ros_node).of_process(order.node),
+    graph=lambda host, order: Graph(host.ros_node).of_process(order.node) or None,
 )
 
 if __name__ == "__main__":
