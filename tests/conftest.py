@@ -3,7 +3,8 @@
 A test that needs ROS is marked ``ros2`` or ``ros1`` and imports it inside the test (or a fixture), so that it can be
 collected without ROS. There it is skipped, with the reason. If ``MIDSTRIDE_NEEDS_ROS2`` is set, ROS 2 is part of the
 environment: the test runs, and fails without it. The same holds for the markers ``alloy`` (the Alloy Analyzer and
-Java), ``graphviz`` and ``rust`` (what tools/rust builds). tools/test sets these variables for everything that it was able to install.
+Java), ``graphviz`` and ``rust`` (what tools/rust builds). tools/test sets these variables for everything that it was
+able to install.
 """
 
 from __future__ import annotations

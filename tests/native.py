@@ -1,4 +1,4 @@
-"""Programs in C on rcl, compiled against the ROS 2 that the tests run with, the wheels or a sourced one; and in Rust."""
+"""Programs in C on rcl, compiled against the ROS 2 that the tests run with (wheels, or a sourced one); and in Rust."""
 
 from __future__ import annotations
 

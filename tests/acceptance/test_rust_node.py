@@ -1,4 +1,4 @@
-"""A node in Rust that uses nothing of ROS's libraries, but DDS written in Rust: behind a relay, and refused elsewhere."""
+"""A node in Rust that uses nothing of ROS's libraries, but a DDS in Rust: behind a relay, and refused elsewhere."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_node_in_rust_is_replaced_by_one_in_rclpy_and_the_other_way_round(tmp_
 
 def test_a_node_in_rust_with_a_preloaded_gate_does_not_start(tmp_path: Path) -> None:
     async def scenario() -> None:
-        with pytest.raises(MidstrideError, match="does so without rcl, .* declare Seen with `gate relay`"):
+        with pytest.raises(MidstrideError, match=r"does so without rcl, .* declare Seen with `gate relay`"):
             async with robot(load(written(tmp_path, "Seen")).require(), tmp_path):
                 pass
 

@@ -152,6 +152,10 @@ component Relay like Throttle {
   run "/usr/lib/topic_tools/relay source out" gate relay
 }
 
+component Mux like Throttle {
+  run "/usr/lib/topic_tools/mux out source" gate relay
+}
+
 node throttle : Throttle {
   in <- /chat
   out -> /slow
@@ -167,7 +171,7 @@ def test_nodes_of_topic_tools_replace_each_other_and_are_killed_with_their_relay
     async def body(manager: Manager) -> None:
         with program("recorder", "/slow", str(heard)):
             await asyncio.to_thread(wait_for, heard, 10)
-            for component in ("Faster", "Relay", "Throttle"):
+            for component in ("Faster", "Relay", "Mux", "Throttle"):
                 outcome = await manager.change(PlanRequest(replace=(("throttle", component),)))
                 assert (outcome.outcome, outcome.because) == ("done", None)
                 lines = len(heard.read_text().splitlines())

@@ -49,11 +49,13 @@ class RelayPlatform:
 
     ``host``: joins as the relay of an instance. ``type_of``: the class of a port of a message type, whose messages stay
     serialised. ``graph``: what the graph shows of the program's node; None if it shows no such node.
+    ``decoder``: reads such messages of a type, of which only some are, and only where the contract constrains fields.
     ``advertises_late``: a program may create a publisher only when it has something to publish, so none is waited for.
     """
 
     host: Callable[[ProcessContext], Host]
     type_of: Callable[[str], type]
+    decoder: Callable[[str], Callable[[Any], Any]]
     graph: Callable[[Host, RelayOrder], Sequence[GraphEndpoint] | None]
     advertises_late: bool = False
 
@@ -127,9 +129,9 @@ class RelayComponent:
         self.relays: dict[str, Relay] = {}
         for name in component.input_order:
             assumed = component.inputs[name]
-            # What is in a message is not known here, so its fields are not checked.
-            required = Predicate(assumed.type, assumed.rate, assumed.qos)
-            self.parts.inputs[name] = Input(name, type_of(assumed.type), required, component.tolerates.get(name))
+            received = Input(name, type_of(assumed.type), assumed, component.tolerates.get(name))
+            received.decode = self._platform.decoder(assumed.type)
+            self.parts.inputs[name] = received
         for name in component.outputs:
             self.relays[name] = self._relay(name)
             self.parts.outputs[name] = self.relays[name].output
@@ -147,6 +149,7 @@ class RelayComponent:
         # Late joiners get as many messages of a transient-local output as are declared.
         output = Output(name, type_, qos if qos.is_transient_local else deeper)
         output.relayed = True
+        output.fields.decode = self._platform.decoder(endpoint[0])
         source = Input(name, type_, Predicate(endpoint[0], None, deeper))
         return Relay(source, output, self.order.topics[name], deeper, rate is not None)
 
@@ -165,7 +168,7 @@ class RelayComponent:
             for assumption in mode.assumptions
         )
         guarantees = {
-            relay.output: Guarantee(guarantee.rate, ())
+            relay.output: Guarantee(guarantee.rate, guarantee.fields)
             for relay in relays
             if isinstance(guarantee := mode.guarantee(relay.output.name), Predicate)
         }

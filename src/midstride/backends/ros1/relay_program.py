@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import xmlrpc.client
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import genpy
@@ -49,6 +49,12 @@ def serialized(type_name: str) -> type:
     return type(f"Serialized{type_.__name__}", (genpy.Message,), fields)
 
 
+def decoder(type_name: str) -> Callable[[Any], Any]:
+    """Reads what :func:`serialized` has left as it was."""
+    type_: Any = message_class(type_name)
+    return lambda message: type_().deserialize(message.data)
+
+
 def join(context: ProcessContext) -> Host:
     host: Any = Ros1Host(context.instance or "", context.namespace, context.node or "")
     return host  # type: ignore[no-any-return]
@@ -80,4 +86,4 @@ def endpoints(host: Host, order: RelayOrder) -> Sequence[GraphEndpoint] | None:
 
 
 if __name__ == "__main__":
-    run_relay(RelayPlatform(join, serialized, endpoints, advertises_late=True))
+    run_relay(RelayPlatform(join, serialized, decoder, endpoints, advertises_late=True))

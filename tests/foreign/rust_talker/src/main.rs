@@ -37,7 +37,7 @@ fn main() {
     std::thread::spawn(move || block_on(spinner.spin()));
     let topic = node
         .create_topic(
-            &Name::parse(topic.as_deref().unwrap_or("chatter")).expect("the name of a topic"),
+            &Name::parse(topic.as_deref().unwrap_or("/chatter")).expect("the name of a topic"),
             MessageTypeName::new("std_msgs", "String"),
             &QosProfile::publisher_default(),
         )
