@@ -200,23 +200,32 @@ def table(runs: Runs) -> list[dict[str, Any]]:
     return rows
 
 
-async def healthy(system: System, falls: Falls, seconds: float, nice: int) -> list[dict[str, Any]]:
-    """Every processor busy, and no fault. ``nice``: the niceness of the busy processes."""
+def processor_time() -> tuple[float, float]:
+    """How long the processors have been idle, and all together, since the machine was started."""
+    ticks = [float(each) for each in Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:9]]
+    return ticks[3] + ticks[4], sum(ticks)
+
+
+async def healthy(system: System, falls: Falls, seconds: float, nice: int, count: int) -> list[dict[str, Any]]:
+    """Every processor busy, and no fault. ``nice``: the niceness of the ``count`` busy processes."""
     await system.restored()
     names = {**{name: name for name in CHAIN[1:]}, **REMEDIES}
     before = {words: falls.count(name) for words, name in names.items()}
     burn = ["nice", "-n", str(nice), sys.executable, "-c", "while True: pass"]
-    burners = [subprocess.Popen(burn) for _ in range(2 * (os.cpu_count() or 2))]
+    burners = [subprocess.Popen(burn) for _ in range(count)]
+    idle, total = processor_time()
     try:
         await asyncio.sleep(seconds)
+        idle, total = (after - before for after, before in zip(processor_time(), (idle, total), strict=True))
     finally:
         for burner in burners:
             burner.kill()
             burner.wait()
     rows = []
+    print(f"{seconds:g} s without a fault, {count} busy processes, processors idle for {idle / total:.1%} of it")
     for words, name in names.items():
         rows.append({"who": words, "seconds": seconds, "false": falls.count(name) - before[words]})
-        print(f"{words:<20}{rows[-1]['false']:>4} false alarms in {seconds:g} s with {len(burners)} busy processes")
+        print(f"{words:<20}{rows[-1]['false']:>4} false alarms")
     for component in (await system.manager.status()).components:
         for each in component.functionalities:
             if not each.normal:
@@ -225,7 +234,7 @@ async def healthy(system: System, falls: Falls, seconds: float, nice: int) -> li
 
 
 async def measure(
-    folder: Path, count: int, faults: list[str], managers: list[str], seconds: float, nice: int = 0
+    folder: Path, count: int, faults: list[str], managers: list[str], seconds: float, nice: int = 0, busy: int = 4
 ) -> Any:
     falls, runs, bare, system = Falls(folder), Runs(), Bare(folder), System(folder)
     bare.start("speaker", "reader")
@@ -236,7 +245,7 @@ async def measure(
                 for manager in managers:
                     await one_run(system, bare, falls, runs, fault, manager)
         rows = table(runs)
-        return rows + (await healthy(system, falls, seconds, nice) if seconds else [])
+        return rows + (await healthy(system, falls, seconds, nice, busy) if seconds else [])
     finally:
         bare.close()
         for flag in ("hung", "slow"):
@@ -254,6 +263,7 @@ def main() -> None:
     parser.add_argument("--managers", nargs="+", choices=("alive", "dead"), default=["alive", "dead"])
     parser.add_argument("--healthy", type=float, default=60.0, metavar="SECONDS")
     parser.add_argument("--nice", type=int, default=0, help="the niceness of the busy processes of --healthy")
+    parser.add_argument("--busy", type=int, default=2 * (os.cpu_count() or 2), help="how many busy processes")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "reflex.json")
     options = parser.parse_args()
     from midstride.backends.ros2.dds_profiles import tuned_environment
@@ -263,7 +273,7 @@ def main() -> None:
     os.environ.update(tuned_environment(dict(os.environ)))
     print(f"silence is tolerated for {TOLERATED:g} s, a missing heartbeat for {BOND_TIMEOUT:g} s\n")
     with tempfile.TemporaryDirectory() as folder:
-        wanted = (options.runs, options.faults, options.managers, options.healthy, options.nice)
+        wanted = (options.runs, options.faults, options.managers, options.healthy, options.nice, options.busy)
         rows = asyncio.run(measure(Path(folder), *wanted))
     options.out.parent.mkdir(exist_ok=True)
     options.out.write_text(json.dumps(rows, indent=1))

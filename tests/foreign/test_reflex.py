@@ -124,21 +124,21 @@ def test_what_relies_on_a_silent_publisher_is_broken_after_the_stated_window(rob
 
 
 def test_a_node_that_takes_no_messages_is_not_judged_while_they_are_written(robot: Robot) -> None:
-    robot.received(3600)
+    robot.received(30)
     assert broken_assumptions(robot.driver) == {}
 
 
 def test_silence_counts_from_the_entry_to_the_mode(robot: Robot) -> None:
-    robot.wrote(3600)
-    robot.received(3600)
+    robot.wrote(30)
+    robot.received(30)
     robot.driver.enter_modes({"drive": "normal"}, "a test")
     assert broken_assumptions(robot.driver) == {}
 
 
 def test_one_that_may_not_publish_is_not_judged(robot: Robot) -> None:
     """What relies on it is up to the change that has closed its gate, or has given its baton to another one."""
-    robot.wrote(3600)
-    robot.received(3600)
+    robot.wrote(30)
+    robot.received(30)
     lidar = robot.gates["Lidar"]
     lidar.set_gate("scan", False)
     assert broken_assumptions(robot.driver) == {}
@@ -149,8 +149,8 @@ def test_one_that_may_not_publish_is_not_judged(robot: Robot) -> None:
 
 
 def test_on_simulated_time_nothing_is_judged(robot: Robot) -> None:
-    robot.wrote(3600)
-    robot.received(3600)
+    robot.wrote(30)
+    robot.received(30)
     robot.driver.change_record(stated={"use_sim_time": True})
     assert broken_assumptions(robot.driver) == {}
 

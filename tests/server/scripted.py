@@ -6,15 +6,32 @@ import asyncio
 import json
 from collections.abc import AsyncIterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 from midstride.codec.specification import decode_specification
+from midstride.model.specification import Specification, initial
 from midstride.plan.request import PlanRequest
+from midstride.runtime.clock import SystemClock
+from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Event, UpReport
+from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.silence import SilenceMonitor
+from midstride.runtime.watched import WatchedSystem
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def watched_system(specification: Specification, events: EventLog) -> WatchedSystem:
+    """What the manager of a system knows before any of its components has reported."""
+    system, clock = RunningSystem(specification, initial(specification)), SystemClock()
+    client = ComponentClient(cast(Any, None), clock, "token")
+    nothing = SimpleNamespace(handles={}, ending=(), status=lambda _: None)
+    monitor = SilenceMonitor(client, clock, events, ())
+    parts = cast(Any, nothing)
+    return WatchedSystem(system, client, monitor, parts, parts, parts, events, clock, lambda: None)
 
 
 class ScriptedManager:
@@ -25,6 +42,7 @@ class ScriptedManager:
         self.specification = decode_specification(json.loads(text))
         self.revision = 7
         self.events = EventLog()
+        self.watched = watched_system(self.specification, self.events)
         self.answers: dict[str, Any] = {
             "up": UpReport(outcome="done", components=["listener", "talker"]),
             "down": None,

@@ -29,6 +29,7 @@ from midstride.server.app import create_app
 from midstride.server.lifecycle import Lifecycle
 from midstride.server.openapi import FORMS
 from midstride.server.requests import LARGEST_BODY
+from midstride.server.view.live import LiveView
 from tests.plan.cases import replacing
 from tests.runtime.systems import managed, replace
 from tests.server.scripted import ScriptedManager
@@ -42,7 +43,7 @@ def served(test: Test, *, up: bool = True) -> None:
     async def run() -> None:
         manager = ScriptedManager()
         lifecycle = Lifecycle(manager.as_manager)
-        app = create_app(lifecycle, backend="scripted")
+        app = create_app(LiveView(lifecycle, backend="scripted"))
         transport = httpx.ASGITransport(app, raise_app_exceptions=False)
         async with httpx.AsyncClient(transport=transport, base_url="http://manager/api/v1") as client:
             if up:
@@ -74,7 +75,8 @@ def test_the_openapi_document_has_every_operation() -> None:
             path for path, operations in document["paths"].items() if "post" in operations
         }
         reading = ("", "/up", "/status", "/programs", "/configuration", "/specification", "/why", "/log", "/events")
-        assert {f"/api/v1{path}" for path in (*reading, "/history", "/specification/earlier")} == {
+        viewing = ("/view", "/view/stream", "/view/timeline", "/view/at")
+        assert {f"/api/v1{path}" for path in (*reading, *viewing, "/history", "/specification/earlier")} == {
             path for path, operations in document["paths"].items() if "get" in operations
         }
         strategies = document["components"]["schemas"]["ChangeRequest"]["properties"]["strategy"]["enum"]
@@ -101,8 +103,11 @@ def test_the_openapi_document_describes_every_body_and_refers_to_nothing_else() 
         for path, operations in document["paths"].items():
             for method, operation in operations.items():
                 (media,) = operation["responses"]["200"]["content"]
-                assert path.endswith("/events") or list(references(operation["responses"]["200"])), (method, path)
-                assert media == ("text/event-stream" if path.endswith("/events") else "application/json")
+                assert path.endswith(("/events", "/stream")) or list(references(operation["responses"]["200"])), (
+                    method,
+                    path,
+                )
+                assert media == ("text/event-stream" if path.endswith(("/events", "/stream")) else "application/json")
                 assert {"401", "409", "422", "500", "502", "504"} <= set(operation["responses"])
                 for status, response in operation["responses"].items():
                     assert status == "200" or list(references(response)) == ["#/components/schemas/Failure"]
@@ -142,7 +147,7 @@ def test_what_the_manager_reports_is_what_the_openapi_document_describes(tmp_pat
             "SpecificationForm": [msgspec.json.encode(SpecificationForm.of(manager.specification))],
         }
 
-    app = create_app(Lifecycle(ScriptedManager().as_manager), backend="scripted")
+    app = create_app(LiveView(Lifecycle(ScriptedManager().as_manager), backend="scripted"))
     components = app.openapi()["components"]
     for name, bodies in managed("talker", tmp_path, body).items():
         schema = {"$ref": f"#/components/schemas/{name}", "components": components}
@@ -311,7 +316,7 @@ def test_a_plan_is_written_in_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_client_that_leaves_before_its_body_has_arrived_is_no_error() -> None:
     async def test() -> None:
-        app = create_app(Lifecycle(ScriptedManager().as_manager), backend="scripted")
+        app = create_app(LiveView(Lifecycle(ScriptedManager().as_manager), backend="scripted"))
         messages = iter([{"type": "http.request", "body": b"{", "more_body": True}, {"type": "http.disconnect"}])
 
         async def receive() -> Any:

@@ -41,6 +41,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
         "log": ("running", "show the latest events"),
         "history": ("history", "show the changes of a system, with their figures"),
         "watch": ("running", "watch the system live"),
+        "dashboard": ("dashboard", "show the system and its changes on a live page"),
         "down": ("running", "stop all components and the manager"),
     },
     "Changes to the running system": {

@@ -62,6 +62,7 @@ from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.runtime_verification import Verifier
 from midstride.runtime.silence import SilenceMonitor
 from midstride.runtime.state_store import StateStore
+from midstride.runtime.watched import WatchedSystem
 from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import SetParametersCommand
 from midstride.wire.state import ComponentState
@@ -147,6 +148,17 @@ class Manager:
             lambda: self._current is not None,
         )
         self._monitor.undiscovering = self._watch.stopped
+        self.watched = WatchedSystem(
+            self.system,
+            self._client,
+            self._monitor,
+            self._launcher,
+            self._respawner,
+            self._restorer,
+            self.events,
+            backend.clock,
+            lambda: self._current,
+        )
 
     async def _recover(self, request: PlanRequest, by: str | None) -> Outcome:
         return await self._session.change(request, brief=True, by=by)
@@ -161,6 +173,7 @@ class Manager:
         self._reconciler.on_component_event(event)
         if isinstance(event, ComponentState):
             self._restorer.on_report(event)
+        self.watched.on_report(event)
 
     def _executor(self) -> Executor:
         driver = ActionDriver(self._client, self._launcher, self._backend, self.system, self.events)

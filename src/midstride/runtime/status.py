@@ -49,18 +49,7 @@ def status(
         and all(each.as_modelled and each.waiting is None and not each.differences for each in components),
         violations=[str(violation) for violation in found],
         components=components,
-        crashed=[
-            reports.CrashedInstance(
-                name,
-                exited.status,
-                exited.log_tail,
-                _remedy(system, name),
-                respawner.status(system.role_of_missing(name)),
-                system.role_of_missing(name),
-            )
-            for name, exited in sorted({**system.missing, **system.crashed}.items())
-            if name not in configuration.instances
-        ],
+        crashed=crashed(system, respawner),
         silences=silences,
         topics=[
             reports.TopicStatus(
@@ -87,6 +76,22 @@ def status(
             else [],
         ),
     )
+
+
+def crashed(system: RunningSystem, respawner: Respawner) -> list[reports.CrashedInstance]:
+    """The instances that have exited unexpectedly, and what to do about each."""
+    return [
+        reports.CrashedInstance(
+            name,
+            exited.status,
+            exited.log_tail,
+            _remedy(system, name),
+            respawner.status(system.role_of_missing(name)),
+            system.role_of_missing(name),
+        )
+        for name, exited in sorted({**system.missing, **system.crashed}.items())
+        if name not in system.configuration.instances
+    ]
 
 
 def _remedy(system: RunningSystem, name: str) -> str | None:

@@ -40,13 +40,17 @@ from midstride.server.errors import Failure, answer, in_one_line, status_of
 from midstride.server.lifecycle import Lifecycle
 from midstride.server.openapi import answers, document_forms, failures, request_body
 from midstride.server.requests import ParameterSetting, SubmittedChange, read_change, read_request, read_setting
+from midstride.server.static import dashboard
+from midstride.server.view.live import LiveView
+from midstride.server.view.routes import viewing
 
 # No table of the journal has more rows.
 _LARGEST: Final = 2**31 - 1
 
 
-def create_app(lifecycle: Lifecycle, *, backend: str) -> FastAPI:
-    """The application of one manager. It keeps no state of its own."""
+def create_app(live: LiveView) -> FastAPI:
+    """The application of the manager that ``live`` shows. It keeps no state of its own."""
+    lifecycle = live.lifecycle
     app = FastAPI(
         title="Midstride",
         version=__version__,
@@ -55,8 +59,10 @@ def create_app(lifecycle: Lifecycle, *, backend: str) -> FastAPI:
         docs_url=None,  # the page would load its scripts from elsewhere
         redoc_url=None,
     )
-    app.include_router(_reading(lifecycle, backend), prefix="/api/v1", tags=["reading"])
+    app.include_router(_reading(lifecycle, live.backend), prefix="/api/v1", tags=["reading"])
+    app.include_router(viewing(live), prefix="/api/v1", tags=["viewing"])
     app.include_router(_changing(lifecycle), prefix="/api/v1", tags=["changing"])
+    app.include_router(dashboard())
     app.add_exception_handler(MidstrideError, _refused)
     app.add_exception_handler(SpecificationError, _faulty)
     app.add_exception_handler(RequestValidationError, _invalid)

@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from typing import Any, Final, TypeVar
 
 from midstride.errors import ManagerError, MidstrideError
@@ -33,12 +33,14 @@ _ROLLING_BACK: Final = (
 class Lifecycle:
     """Owns the tasks that outlive the request that began them. Used on the manager's loop alone.
 
-    ``settled`` is set once it is known whether the system came up, ``ended`` once the manager shall exit.
+    ``on_phase`` is called when ``phase`` has changed. ``settled`` is set once it is known whether the system came up,
+    ``ended`` once the manager shall exit.
     """
 
     def __init__(self, manager: Manager) -> None:
         self.manager = manager
         self.phase: Phase = "starting"
+        self.on_phase: Callable[[], object] = lambda: None
         self.settled = asyncio.Event()
         self.ended = asyncio.Event()
         self.failure: MidstrideError | None = None
@@ -59,6 +61,7 @@ class Lifecycle:
             log.exception("bringing the system up failed")
             self.failure = ManagerError(f"internal error while bringing the system up: {error!r}")
         self.phase = "up" if self.failure is None else "failed"
+        self.on_phase()
         self.settled.set()
 
     async def outcome_of_up(self) -> UpReport:
@@ -107,6 +110,7 @@ class Lifecycle:
         """Stop the system and then the manager. Raises ManagerError if a component would not exit."""
         await self.manager.down()
         self.phase = "down"
+        self.on_phase()
         self.ended.set()
 
     async def until_over(self) -> None:

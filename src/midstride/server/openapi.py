@@ -14,6 +14,7 @@ from midstride.runtime import reports
 from midstride.runtime.history import History, SpecificationVersion
 from midstride.server.errors import Failure
 from midstride.server.requests import LARGEST_BODY, ParameterSetting, SubmittedChange
+from midstride.server.view import forms
 
 Responses: TypeAlias = dict[int | str, dict[str, Any]]
 
@@ -36,6 +37,9 @@ FORMS: Final = (
     reports.Status,
     reports.UpReport,
     reports.Why,
+    forms.Patch,
+    forms.Timeline,
+    forms.SystemView,
 )
 _TEMPLATE: Final = "#/components/schemas/{name}"
 
@@ -52,6 +56,7 @@ def answers(form: Any, *, body: bool = False) -> Responses:
 def failures() -> Responses:
     return {
         401: _described(Failure, "over TCP: the token is missing or wrong"),
+        403: _described(Failure, "over TCP, from a browser: another host name, or a change from another origin"),
         409: _described(Failure, "refused; nothing was changed, and the message says why"),
         422: _described(Failure, "not JSON, or an invalid request or specification; every fault is listed"),
         500: _described(Failure, "the system could not be brought up, or an internal error"),

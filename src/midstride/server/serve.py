@@ -14,16 +14,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from starlette.datastructures import Headers
-from starlette.types import ASGIApp, Receive, Scope, Send
-
 from midstride.errors import ManagerError
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from midstride.server.app import create_app
+from midstride.server.auth import TokenAuth
 from midstride.server.connections import Server, connection_limit
-from midstride.server.errors import Failure, answer
 from midstride.server.lifecycle import Lifecycle
+from midstride.server.view.live import LiveView
 
 log = logging.getLogger(__name__)
 
@@ -32,8 +30,6 @@ LOOPBACK: Final = "127.0.0.1"
 _UNIX_LIMIT: Final = (256, 1 / 4)
 _TCP_LIMIT: Final = (64, 1 / 8)
 _BACKLOG: Final = 128
-# A client without the token may not keep its connection.
-_UNAUTHORIZED: Final = {"WWW-Authenticate": "Bearer", "Connection": "close"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,16 +48,18 @@ async def serve(manager: Manager, workspace: Workspace, *, backend: str, tcp: Tc
     opened; nothing has been started then.
     """
     lifecycle = Lifecycle(manager)
-    app = create_app(lifecycle, backend=backend)
+    live = LiveView(lifecycle, backend=backend)
+    app = create_app(live)
     token_file = workspace.path / "token"
     with contextlib.ExitStack() as stack:
         servers = [Server(app, stack.enter_context(_unix(workspace.socket)), connection_limit(*_UNIX_LIMIT))]
         if tcp is not None:
             listening = stack.enter_context(_tcp(tcp))
             stack.callback(token_file.unlink, missing_ok=True)
-            protected = _BearerAuth(app, _new_token(token_file))
+            protected = TokenAuth(app, _new_token(token_file), host=tcp.host, port=tcp.port)
             servers.append(Server(protected, listening, connection_limit(*_TCP_LIMIT)))
         with _on_signals(lifecycle.ended.set):
+            live.start()
             serving = [asyncio.ensure_future(server.serve()) for server in servers]
             up = asyncio.ensure_future(lifecycle.bring_up())
             over = asyncio.ensure_future(lifecycle.until_over())
@@ -73,6 +71,7 @@ async def serve(manager: Manager, workspace: Workspace, *, backend: str, tcp: Tc
             for server in servers:
                 server.should_exit = True
             ends = await asyncio.gather(*serving, return_exceptions=True)
+            live.close()
             await asyncio.gather(up, over, interrupting, return_exceptions=True)
             await manager.close()
     failures = [end for end in ends if isinstance(end, Exception)]
@@ -125,23 +124,6 @@ def _on_signals(leave: Callable[[], None]) -> Iterator[None]:
     finally:
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.remove_signal_handler(number)
-
-
-class _BearerAuth:
-    """Requires a bearer token. The Unix socket needs none: the file system protects it."""
-
-    def __init__(self, app: ASGIApp, token: str) -> None:
-        self._app = app
-        self._expected = f"Bearer {token}".encode()
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        app = self._app
-        if scope["type"] == "http":
-            authorization = Headers(scope=scope).get("authorization", "").encode()
-            if not secrets.compare_digest(authorization, self._expected):
-                failure = Failure.named("Unauthorized", "send the header `Authorization: Bearer <token>`")
-                app = answer(failure, 401, _UNAUTHORIZED)
-        await app(scope, receive, send)
 
 
 def _new_token(path: Path) -> str:

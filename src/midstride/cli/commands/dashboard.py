@@ -1,0 +1,79 @@
+"""``dashboard``: the live page of a running system, on loopback."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import webbrowser
+from contextlib import suppress
+from pathlib import Path
+from threading import Thread
+
+import click
+
+from midstride.cli import completion
+from midstride.cli.output import json_option, print_json, wants_json
+from midstride.cli.staying import ended_by_signals
+from midstride.cli.systems import find
+from midstride.runtime.workspace import Workspace
+
+
+@click.command("dashboard")
+@click.argument("system", required=False, shell_complete=completion.systems)
+@click.option(
+    "--port",
+    type=click.IntRange(1, 65535),
+    metavar="N",
+    help="Listen on this port of the loopback address; by default on 7420, or any free one if that is taken.",
+)
+@click.option("--no-browser", is_flag=True, help="Print the address, and open no browser.")
+@json_option
+def dashboard_command(system: str | None, port: int | None, no_browser: bool) -> int:
+    """Show the running SYSTEM on a live page in the browser, until Ctrl-C.
+
+    The page shows the graph, its rates and modes, and every change as it happens, and does what the commands do. Only a
+    browser that is given the printed address can use it. The name is needed only if several systems are running.
+    """
+    from midstride.server.gateway import listen, new_token, run_gateway
+
+    _, workspace = find(system)
+    token = new_token()
+    with ended_by_signals(), listen(port) as listening:
+        url = f"http://{listening.getsockname()[0]}:{listening.getsockname()[1]}/?token={token}"
+        opened = None if no_browser or not _graphical() else _open(workspace, url)
+        if wants_json():
+            print_json({"system": workspace.name, "url": url, "port": listening.getsockname()[1]})
+        else:
+            click.echo(f"The dashboard of {workspace.name}: {url}\nCtrl-C closes it; the system keeps running.")
+        try:
+            asyncio.run(run_gateway(listening, workspace.socket, workspace.name, token))
+        except KeyboardInterrupt:
+            return 0
+        finally:
+            if opened is not None:
+                opened.unlink(missing_ok=True)
+    return 0
+
+
+def _graphical() -> bool:
+    """Whether a browser would have a window: one in this terminal would take it."""
+    return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"))
+
+
+def _open(workspace: Workspace, url: str) -> Path:
+    """Open ``url`` in a browser, by way of a file that leads there.
+
+    The arguments of a browser's process are no secret on this machine; the file is, as the workspace is.
+    """
+    path = workspace.path / "dashboard.html"
+    path.unlink(missing_ok=True)
+    handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(f'<!doctype html><meta http-equiv="refresh" content="0;url={url}"><title>Midstride</title>\n')
+
+    def open_browser() -> None:
+        with suppress(webbrowser.Error, OSError):
+            webbrowser.open(path.as_uri())
+
+    Thread(target=open_browser, daemon=True).start()
+    return path

@@ -1,0 +1,162 @@
+/**
+ * A plan on the graph: what it creates and removes, and which functionalities fall.
+ *
+ * @module
+ */
+
+import { owner } from "./names.js";
+
+/**
+ * @typedef {import("../store.js").Component} Component
+ * @typedef {import("../store.js").Port} Port
+ * @typedef {import("../store.js").View} View
+ * @typedef {"created" | "removed"} Fate
+ * @typedef {Object} Ghosts
+ * @property {Component[]} planned components that do not run yet, as the plan's steps describe them
+ * @property {Map<string, Fate>} components
+ * @property {Map<string, Fate>} links by `linkKey`
+ * @property {Map<string, string>} falls what becomes of a functionality (as "listener.listen", by role), in words
+ * @property {Set<string>} current the components that the step in progress is about
+ */
+
+/**
+ * @param {string} component
+ * @param {string} port
+ * @param {string} topic
+ * @returns {string}
+ */
+export function linkKey(component, port, topic) {
+  return `${component}.${port} ${topic}`;
+}
+
+/**
+ * @param {any} plan as POST /plan answers, or the `plan` of a change
+ * @param {View} view
+ * @param {{step?: number | null}} [options] the step in progress, from 0
+ * @returns {Ghosts}
+ */
+export function ghostsOf(plan, view, { step = null } = {}) {
+  /** @type {Ghosts} */
+  const ghosts = { planned: [], components: new Map(), links: new Map(), falls: falls(plan), current: new Set() };
+  /** @type {Map<string, Component>} */ const planned = new Map();
+  const link = (/** @type {string} */ ref, /** @type {string} */ topic, /** @type {Fate} */ fate) => {
+    const component = owner(ref);
+    const port = ref.slice(component.length + 1);
+    ghosts.links.set(linkKey(component, port, topic), fate);
+    const entry = planned.get(component);
+    if (fate === "created" && entry !== undefined) addPort(entry, port, topic, view);
+  };
+  (plan.steps ?? []).forEach((/** @type {any} */ each, /** @type {number} */ index) => {
+    if (index === step) for (const name of subjects(each)) ghosts.current.add(name);
+    if (each.action === "create") {
+      ghosts.components.set(each.component, "created");
+      if (!(each.component in view.components)) planned.set(each.component, newComponent(each, view));
+    } else if (each.action === "remove") ghosts.components.set(each.component, "removed");
+    else if (each.action === "attach") link(each.port, each.connector, "created");
+    else if (each.action === "detach") link(each.port, each.connector, "removed");
+    else if (each.action === "handover") {
+      for (const swap of each.swaps) {
+        link(swap.old, swap.connector, "removed");
+        link(swap.new, swap.connector, "created");
+      }
+    } else if (each.action === "upgrade" || each.action === "degrade") addModes(planned, each.modes);
+  });
+  ghosts.planned = [...planned.values()];
+  return ghosts;
+}
+
+/**
+ * @param {any} plan
+ * @returns {Map<string, string>}
+ */
+function falls(plan) {
+  /** @type {Map<string, string>} */ const found = new Map();
+  for (const name of plan.fallen ?? []) found.set(name, "falls");
+  for (const each of plan.falls ?? []) {
+    const to = each.to ?? each.mode;
+    if (typeof each.functionality === "string") found.set(each.functionality, to ? `falls to ${to}` : "falls");
+  }
+  return found;
+}
+
+/**
+ * @param {any} step
+ * @returns {string[]} the components that a step is about
+ */
+function subjects(step) {
+  if (step.component) return [step.component];
+  if (step.port) return [owner(step.port)];
+  if (step.swaps) return step.swaps.flatMap((/** @type {any} */ swap) => [owner(swap.old), owner(swap.new)]);
+  return Object.keys(step.modes ?? {}).map(owner);
+}
+
+/**
+ * @param {any} create
+ * @param {View} view
+ * @returns {Component}
+ */
+function newComponent(create, view) {
+  const before = Object.values(view.components).find((each) => each.role === create.role);
+  const slash = create.role.lastIndexOf("/");
+  return {
+    name: create.component,
+    role: create.role,
+    component: create.of,
+    namespace: before?.namespace ?? `/${slash < 0 ? "" : create.role.slice(0, slash)}`,
+    host: before?.host ?? null,
+    node: null,
+    pid: null,
+    answers: true,
+    ending: false,
+    waiting: null,
+    as_modelled: true,
+    differences: [],
+    undeclared: [],
+    deviation: null,
+    functionalities: [],
+    ports: [],
+    parameters: [],
+  };
+}
+
+/**
+ * @param {Component} entry
+ * @param {string} port
+ * @param {string} topic
+ * @param {View} view
+ */
+function addPort(entry, port, topic, view) {
+  const like = Object.values(view.components)
+    .filter((each) => each.role === entry.role || each.component === entry.component)
+    .flatMap((each) => each.ports)
+    .find((each) => each.name === port);
+  const published = (view.topics[topic]?.publishers.length ?? 0) > 0;
+  entry.ports.push({
+    name: port,
+    direction: like?.direction ?? (published ? "in" : "out"),
+    functionalities: [],
+    topic,
+    type: view.topics[topic]?.type ?? null,
+    gate: null,
+    declared: null,
+    rate: null,
+    met: null,
+    age: null,
+    jitter: null,
+    longest: null,
+  });
+}
+
+/**
+ * @param {Map<string, Component>} planned
+ * @param {Record<string, {from: string, to: string}>} modes
+ */
+function addModes(planned, modes) {
+  for (const [ref, { from, to }] of Object.entries(modes)) {
+    const entry = planned.get(owner(ref));
+    const name = ref.slice(owner(ref).length + 1);
+    if (entry === undefined || entry.functionalities.some((each) => each.name === name)) continue;
+    const known = { modelled: to, because: null, reflex: false, restoring: null, since: null };
+    entry.functionalities.push({ name, mode: to, modes: [to, from], normal: true, ...known });
+  }
+}

@@ -1,0 +1,253 @@
+/**
+ * What the page knows: the live view, kept by the stream; a view of the past while scrubbing; events; the selection.
+ *
+ * Who shows something subscribes to its keys, and is called at most once per animation frame.
+ *
+ * @module
+ */
+
+import { follow } from "./stream.js";
+
+/**
+ * The forms are those of docs/http.md; rates are in Hz, times in seconds, moments in unix seconds.
+ *
+ * @typedef {{name: string, mode: string, modes: string[], modelled: string, normal: boolean, because: string | null,
+ *   reflex: boolean, restoring: string | null, since: number | null}} Functionality
+ * @typedef {{name: string, direction: "in" | "out", functionalities: string[], topic: string | null, type: string | null,
+ *   gate: "open" | "closed" | null, declared: number | null, rate: number | null, met: boolean | null,
+ *   age: number | null, jitter: number | null, longest: number | null}} Port
+ * @typedef {{name: string, value: unknown, declared: unknown, set_at_run_time: boolean}} Parameter
+ * @typedef {{name: string, role: string, component: string, namespace: string, host: string | null, node: string | null,
+ *   pid: number | null, answers: boolean, ending: boolean, waiting: string | null, as_modelled: boolean,
+ *   differences: string[], undeclared: string[], deviation: string | null, functionalities: Functionality[],
+ *   ports: Port[], parameters: Parameter[]}} Component
+ * @typedef {{name: string, topic: string, type: string, rate: number | null, satisfied: boolean, publishers: string[],
+ *   subscribers: string[], outside: string[]}} Topic
+ * @typedef {{name: string, role: string | null, status: number | null, log: string, remedy: string | null,
+ *   respawn: string | null}} Crash
+ * @typedef {{kind: string, instance: string, port: string | null, topic: string | null, words: string}} Silence
+ * @typedef {{manager: string, n: number, at: number, system: string, backend: string, phase: string, revision: number,
+ *   running: string | null, valid: boolean, violations: string[], components: Record<string, Component>,
+ *   topics: Record<string, Topic>, crashed: Crash[], silences: Silence[], change: any}} View
+ * @typedef {{n: number, at: number, kind: string, words: string, [more: string]: any}} Event
+ * @typedef {{state: "connecting" | "live" | "lost" | "refused" | "ended", since: number, because: string | null,
+ *   retryAt: number | null}} Connection
+ * @typedef {{at: number | null, loading: boolean}} Time
+ * @typedef {(method: string, path: string, document?: unknown, options?: {signal?: AbortSignal}) => Promise<any>} Ask
+ */
+
+const EVENTS_KEPT = 1000;
+
+/**
+ * A view with components and topics by name. Without a prototype, so that no name means anything to the language.
+ *
+ * @param {any} document as GET /view sends it
+ * @returns {View}
+ */
+export function byName(document) {
+  const view = { ...document, components: Object.create(null), topics: Object.create(null) };
+  for (const each of document.components) view.components[each.name] = each;
+  for (const each of document.topics) view.topics[each.name] = each;
+  return view;
+}
+
+/**
+ * The view after a patch. The one before stays as it was.
+ *
+ * @param {View} view
+ * @param {any} patch
+ * @returns {{view: View, changed: Set<string>}} the keys that changed, as for `subscribe`
+ */
+export function patched(view, patch) {
+  const changed = new Set(Object.keys(patch));
+  const next = { ...view, ...patch, components: view.components, topics: view.topics };
+  for (const [plural, one] of /** @type {const} */ ([["components", "component"], ["topics", "topic"]])) {
+    if (!patch[plural]) continue;
+    const entries = Object.assign(Object.create(null), view[plural]);
+    for (const [name, entry] of Object.entries(patch[plural])) {
+      changed.add(`${one}:${name}`);
+      if (entry === null) delete entries[name];
+      else entries[name] = entry;
+    }
+    next[plural] = entries;
+  }
+  return { view: next, changed };
+}
+
+export class Store {
+  /** @type {View | null} */ live = null;
+  /** @type {Event[]} */ events = [];
+  /** @type {Connection} */ connection;
+  /** @type {Time} */ time = { at: null, loading: false };
+  /** @type {string | null} */ selected = null;
+
+  /** @type {View | null} */ #past = null;
+  /** @type {Set<{keys: Set<string>, callback: (changed: Set<string>) => void}>} */ #subscribers = new Set();
+  /** @type {Set<string>} */ #changed = new Set();
+  #frame = 0;
+  #offset = 0; // the manager's clock less this machine's, in seconds
+  /** @type {AbortController | null} */ #scrubbing = null;
+  /** @type {Ask} */ #ask;
+
+  /** @param {Ask} ask */
+  constructor(ask) {
+    this.#ask = ask;
+    this.connection = { state: "connecting", since: Date.now() / 1000, because: null, retryAt: null };
+  }
+
+  /** Begins to follow the manager. */
+  connect() {
+    follow({
+      view: (document) => this.#onView(byName(document)),
+      patch: (patch) => this.#onPatch(patch),
+      event: (event) => this.#onEvent(event),
+      connection: (connection) => {
+        const since = connection.state === this.connection.state ? this.connection.since : Date.now() / 1000;
+        this.connection = { ...connection, since };
+        this.#notify(["connection"]);
+      },
+    });
+  }
+
+  /** The view that is shown: live, or of the past while scrubbing. */
+  get view() {
+    return this.time.at === null ? this.live : (this.#past ?? this.live);
+  }
+
+  /** The manager's clock, in unix seconds. */
+  now() {
+    return Date.now() / 1000 + this.#offset;
+  }
+
+  /**
+   * Calls back once per animation frame in which one of the keys has changed: "components", "component:NAME", "topics",
+   * "topic:NAME", a scalar of the view, "events", "connection", "time", "selection". It is not called at once.
+   *
+   * @param {Iterable<string>} keys
+   * @param {(changed: Set<string>) => void} callback
+   * @returns {() => void} ends it
+   */
+  subscribe(keys, callback) {
+    const subscriber = { keys: new Set(keys), callback };
+    this.#subscribers.add(subscriber);
+    return () => void this.#subscribers.delete(subscriber);
+  }
+
+  /** @param {string | null} name a component, "topic:/name", or null */
+  select(name) {
+    if (name === this.selected) return;
+    this.selected = name;
+    this.#notify(["selection"]);
+  }
+
+  /**
+   * Shows the view of a past time; null goes back to the present. The latest call wins.
+   *
+   * @param {number | null} at unix seconds
+   * @throws {import("./api.js").ApiError}
+   */
+  async scrub(at) {
+    this.#scrubbing?.abort();
+    const mine = (this.#scrubbing = new AbortController());
+    this.time = { at, loading: at !== null };
+    if (at === null) {
+      this.#past = null;
+      this.#notifyAll(["time"]);
+      return;
+    }
+    this.#notify(["time"]);
+    try {
+      const document = await this.#ask("GET", `/view/at?at=${at}`, undefined, { signal: mine.signal });
+      if (mine.signal.aborted) return;
+      this.#past = byName(document);
+      this.time = { at, loading: false };
+      this.#notifyAll(["time"]);
+    } catch (error) {
+      if (mine.signal.aborted) return;
+      this.time = { at: null, loading: false };
+      this.#past = null;
+      this.#notifyAll(["time"]);
+      throw error;
+    }
+  }
+
+  /** @param {View} view */
+  #onView(view) {
+    const another = this.live?.manager !== view.manager;
+    if (another) this.events = []; // it numbers from the beginning
+    this.live = view;
+    if (another) void this.#recall(view.manager);
+    this.#tick(view.at);
+    if (this.time.at === null) this.#notifyAll(["events"]);
+  }
+
+  /** @param {any} patch */
+  #onPatch(patch) {
+    if (this.live === null) return;
+    const { view, changed } = patched(this.live, patch);
+    this.live = view;
+    this.#tick(patch.at);
+    if (this.time.at === null) this.#notify(changed);
+  }
+
+  /**
+   * Asks for the events before the stream began.
+   *
+   * @param {string} manager
+   */
+  async #recall(manager) {
+    try {
+      const events = await this.#ask("GET", "/log");
+      if (this.live?.manager === manager) this.#addEvents(events);
+    } catch {
+      // the stream has new ones, and says itself if the manager is gone
+    }
+  }
+
+  /** @param {Event} event */
+  #onEvent(event) {
+    this.#addEvents([event]);
+  }
+
+  /** @param {Event[]} events in order; those that are known already are left out */
+  #addEvents(events) {
+    const [first, last] = [this.events[0]?.n ?? Infinity, this.events.at(-1)?.n ?? 0];
+    const before = events.filter(({ n }) => n < first);
+    const after = events.filter(({ n }) => n > last && n >= first);
+    this.events = [...before, ...this.events, ...(first === Infinity ? [] : after)].slice(-EVENTS_KEPT);
+    this.#notify(["events"]);
+  }
+
+  /** @param {number} at */
+  #tick(at) {
+    this.#offset = at - Date.now() / 1000;
+  }
+
+  /** @param {string[]} more */
+  #notifyAll(more) {
+    this.#notify(["*", ...more]);
+  }
+
+  /** @param {Iterable<string>} keys */
+  #notify(keys) {
+    for (const key of keys) this.#changed.add(key);
+    if (this.#frame === 0) this.#frame = requestAnimationFrame(() => this.#deliver());
+  }
+
+  #deliver() {
+    this.#frame = 0;
+    const changed = this.#changed;
+    this.#changed = new Set();
+    for (const { keys, callback } of [...this.#subscribers]) {
+      if (changed.has("*") || keys.has("*") || [...keys].some((key) => changed.has(key))) callback(changed);
+    }
+  }
+}
+
+/**
+ * @param {Ask} ask
+ * @returns {Store}
+ */
+export function createStore(ask) {
+  return new Store(ask);
+}

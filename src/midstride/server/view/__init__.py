@@ -1,0 +1,1 @@
+"""The live view: the running system as one document, kept up to date from what components push to the manager."""

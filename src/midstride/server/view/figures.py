@@ -1,0 +1,54 @@
+"""Measured figures as they are shown: rounded, and the same as before until they have changed noticeably.
+
+So a system in which nothing happens sends next to nothing, although no two measurements are equal.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+from midstride.wire.state import LinkState
+
+# By which share of the shown value, and by how much, a figure must differ from it to be refreshed.
+_RATE: Final = (0.01, 0.0)
+_AGE: Final = (0.5, 1.0)
+_TIMES: Final = (0.25, 0.002)
+
+
+class Figures(NamedTuple):
+    """Of one attachment: the rate in Hz, times in seconds; None where nothing is known."""
+
+    rate: float | None = None
+    age: float | None = None
+    jitter: float | None = None
+    longest: float | None = None
+
+
+NO_FIGURES: Final = Figures()
+
+
+def figures(link: LinkState, shown: Figures = NO_FIGURES) -> Figures:
+    """What to show of a measured attachment, where ``shown`` is shown of it."""
+    measured = link.measured
+    if measured is None:
+        return NO_FIGURES
+    return Figures(
+        _refreshed(shown.rate, measured.rate, *_RATE),
+        _refreshed(shown.age, measured.age, *_AGE),
+        _refreshed(shown.jitter, measured.jitter, *_TIMES),
+        _refreshed(shown.longest, measured.longest, *_TIMES),
+    )
+
+
+def _refreshed(shown: float | None, value: float | None, share: float, least: float) -> float | None:
+    if value is None:
+        return None
+    # A zero is not rounded up to what was there before: it may mean that nothing comes any more.
+    if shown is not None and abs(value - shown) <= max(share * shown, least) and (value > 0) == (shown > 0):
+        return shown
+    return _three_digits(value)
+
+
+def _three_digits(value: float) -> float:
+    return value if value == 0 or not math.isfinite(value) else round(value, 2 - math.floor(math.log10(abs(value))))

@@ -1,0 +1,274 @@
+"""The live view of one manager: built from what components push, and only where something has changed.
+
+A report only marks its component. What is marked is built a moment later, all at once, for all clients together. While
+there is no client, measured figures are left as they are: only what the timeline needs is built.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import secrets
+import time
+from collections.abc import Callable, Iterable, Iterator
+from typing import Final
+
+import msgspec
+
+from midstride.model.configuration import Configuration
+from midstride.model.rules import Evaluator, violations
+from midstride.model.specification import initial
+from midstride.runtime import status
+from midstride.runtime.component_client import ComponentEvent
+from midstride.runtime.events import EventLog
+from midstride.runtime.reports import Event
+from midstride.server.lifecycle import Lifecycle
+from midstride.server.view.changes import ChangeTracker
+from midstride.server.view.components import Baseline, component_view
+from midstride.server.view.forms import VERSION, ComponentView, CrashView, SilenceView, Timeline
+from midstride.server.view.recording import ModeHistory, ViewRecording
+from midstride.server.view.same import same_but_figures, same_report
+from midstride.server.view.table import Part, ViewTable, encode_view
+from midstride.server.view.topics import changed_parts, topic_view
+from midstride.wire.state import ComponentState
+
+# How long after a difference the view is built, with all that has changed by then (s).
+SOON: Final = 0.05
+# How often measured figures are refreshed while there are clients (s).
+FIGURES: Final = 0.5
+# How often it is looked for what no report shows: components and ports that are silent (s).
+LOOK: Final = 1.0
+_encode: Final = msgspec.json.Encoder().encode
+
+
+class LiveView:
+    """Kept up to date from :meth:`start` to :meth:`close`. Used on the manager's loop alone.
+
+    ``manager`` identifies this run of the manager, ``now`` gives the UNIX time.
+    """
+
+    def __init__(self, lifecycle: Lifecycle, *, backend: str, now: Callable[[], float] = time.time) -> None:
+        self.manager = secrets.token_hex(8)
+        self.table = ViewTable()
+        self.lifecycle = lifecycle
+        self._watched = watched = lifecycle.manager.watched
+        self.backend = backend
+        self.now = now
+        self._changes = ChangeTracker()
+        self._recording = ViewRecording()
+        self._modes = ModeHistory()
+        self._wakers: set[asyncio.Event] = set()
+        self._shown: dict[str, ComponentView] = {}
+        self._reported: dict[str, ComponentState] = {}  # what the entries were built from
+        self._unsound: set[str] = set()  # the components that are not as modelled
+        self._dirty: set[str] = set()  # to be built
+        self._measured: set[str] = set()  # those of which only figures may have changed
+        self._configuration = Configuration()
+        self._baseline: Baseline | None = None
+        self._violations: list[str] = []
+        self._tick: asyncio.TimerHandle | None = None
+        self._looking: asyncio.TimerHandle | None = None
+        self._figures_at = 0.0
+        self._started = False
+        watched.on_report = self._on_report
+        watched.events.listeners.append(self._on_event)
+        lifecycle.on_phase = self._soon
+
+    # -- what happens --------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """From now on the view is kept up to date. Needs a running loop."""
+        if not self._started:
+            self._started = True
+            self.refresh(figures=True)
+            self._look()
+
+    def close(self) -> None:
+        self._started = False
+        for timer in (self._tick, self._looking):
+            if timer is not None:
+                timer.cancel()
+        for waker in self._wakers:
+            waker.set()
+
+    def _on_report(self, event: ComponentEvent) -> None:
+        name = event.instance
+        if isinstance(event, ComponentState) and same_report(self._reported.get(name), event):
+            self._measured.add(name)
+            if self._wakers:
+                self._at(self._figures_at + FIGURES)
+        else:
+            self._dirty.add(name)
+            self._soon()
+
+    def _on_event(self, event: Event) -> None:
+        self._changes.on_event(event)
+        self._soon()
+
+    def _soon(self) -> None:
+        self._at(self._watched.clock.steady() + SOON)
+
+    def _at(self, due: float) -> None:
+        """Refresh at ``due`` (steady s), or earlier."""
+        if not self._started:
+            return
+        loop, delay = asyncio.get_running_loop(), max(SOON, due - self._watched.clock.steady())
+        if self._tick is not None:
+            if self._tick.when() <= loop.time() + delay:
+                return
+            self._tick.cancel()
+        self._tick = loop.call_later(delay, self._on_tick)
+
+    def _on_tick(self) -> None:
+        self._tick = None
+        self.refresh(figures=bool(self._wakers))
+
+    def _look(self) -> None:
+        """Find what no report shows."""
+        client = self._watched.client
+        silent = {name for name, each in self._shown.items() if each.answers != (client.responsive(name) is not None)}
+        if silent or self._wakers:
+            self._dirty |= silent
+            self.refresh(figures=bool(self._wakers))
+        self._looking = asyncio.get_running_loop().call_later(LOOK, self._look)
+
+    # -- the view ------------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def client(self) -> Iterator[asyncio.Event]:
+        """One more client while the context is open: its event is set whenever the view or the log has changed."""
+        waker = asyncio.Event()
+        self.refresh(figures=True)  # they were left as they are while there was none
+        self._wakers.add(waker)
+        try:
+            yield waker
+        finally:
+            self._wakers.discard(waker)
+
+    def document(self) -> bytes:
+        """The whole view as it is now, as JSON."""
+        return encode_view(VERSION, self.manager, self.table.n, self.table.at, self.table.parts())
+
+    def document_at(self, at: float) -> bytes | None:
+        """The view as it was at ``at`` (UNIX time); None for a time before the oldest that is known."""
+        past = self._recording.view_at(at)
+        return None if past is None else encode_view(VERSION, self.manager, past.n, past.at, past.parts)
+
+    def timeline(self, since: float, until: float) -> Timeline:
+        """What happened between two times (UNIX time), as far as it is remembered."""
+        events = self._watched.events.since()
+        return Timeline(
+            manager=self.manager,
+            since=since,
+            until=until,
+            oldest=self.oldest,
+            modes=self._modes.between(since, until),
+            changes=list(self._changes.between(since, until)),
+            events=[event for event in events if since <= event.at <= until],
+        )
+
+    @property
+    def events(self) -> EventLog:
+        """The manager's."""
+        return self._watched.events
+
+    @property
+    def oldest(self) -> float:
+        """The earliest time of which the view is known (UNIX time)."""
+        return self.now() if self._recording.oldest is None else self._recording.oldest
+
+    def refresh(self, *, figures: bool) -> None:
+        """Build what has changed, also ``figures`` if that is all that has; then clients are woken."""
+        now, clock = self.now(), self._watched.clock
+        due = figures and clock.steady() - self._figures_at >= FIGURES
+        if due:
+            self._figures_at = clock.steady()
+        minor: set[Part] = set()
+        changes: dict[Part, bytes | None] = dict(self._built(now, due, minor))
+        changes.update(self._single())
+        changed = self.table.update(changes, now)
+        lasting = {part: json for part, json in changed.items() if part not in minor}
+        if lasting:
+            self._recording.record(self.table.n, now, lasting)
+        for waker in self._wakers:
+            waker.set()
+
+    def _built(self, now: float, figures: bool, minor: set[Part]) -> Iterator[tuple[Part, bytes | None]]:
+        """The entries that may have changed; ``minor`` are those of which nothing but figures has."""
+        system = self._watched.system
+        configuration, before = system.configuration, self._configuration
+        if self._baseline is None or self._baseline.specification is not system.specification:
+            self._baseline = Baseline(system.specification, initial(system.specification))
+            self._dirty.update(configuration.instances)
+        if configuration is not before:
+            instances, connectors = changed_parts(before, configuration)
+            self._dirty |= instances
+            self._configuration = configuration
+            self._violations = [str(violation) for violation in violations(configuration)]
+            evaluator = Evaluator(configuration)
+            for name in sorted(connectors):
+                known = name in configuration.context.connectors
+                yield ("topics", name), _encode(topic_view(configuration, evaluator, name)) if known else None
+        names = self._dirty | self._measured if figures else self._dirty
+        self._dirty = set()
+        self._measured = set() if figures else self._measured - names
+        yield from self._components(names, configuration, self._baseline, now, minor)
+
+    def _components(
+        self, names: Iterable[str], configuration: Configuration, baseline: Baseline, now: float, minor: set[Part]
+    ) -> Iterator[tuple[Part, bytes | None]]:
+        for name in sorted(names):
+            part, shown = ("components", name), self._shown.get(name)
+            instance, latest = configuration.instances.get(name), self._watched.client.latest(name)
+            if latest is None or instance is None:
+                self._reported.pop(name, None)
+            else:
+                self._reported[name] = latest.state
+            if instance is None:
+                self._unsound.discard(name)
+                if self._shown.pop(name, None) is not None:
+                    self._modes.gone(name, now)
+                    yield part, None
+                continue
+            view = component_view(self._watched, configuration, instance, baseline, now, shown)
+            self._shown[name] = view
+            if shown is not None and same_but_figures(shown, view):
+                minor.add(part)
+            else:
+                self._modes.shown(view, now)
+                sound = view.as_modelled and view.waiting is None and not view.differences
+                (self._unsound.discard if sound else self._unsound.add)(name)
+            yield part, _encode(view)
+
+    def _single(self) -> Iterator[tuple[Part, bytes]]:
+        """The parts that are one value."""
+        watched, system = self._watched, self._watched.system
+        silences = [
+            SilenceView(kind=each.kind, instance=each.instance, port=each.port, topic=each.topic, words=each.words)
+            for each in watched.monitor.faults(self._configuration)
+        ]
+        crashed = [
+            CrashView(
+                name=each.name,
+                role=each.role,
+                status=each.status,
+                log=each.log,
+                remedy=each.remedy,
+                respawn=None if each.respawn is None else each.respawn.words,
+            )
+            for each in status.crashed(system, watched.respawner)
+        ]
+        values = {
+            "system": system.specification.name,
+            "backend": self.backend,
+            "phase": self.lifecycle.phase,
+            "revision": system.revision,
+            "running": watched.running(),
+            "valid": not (self._violations or silences or self._unsound),
+            "violations": self._violations,
+            "crashed": crashed,
+            "silences": silences,
+            "change": self._changes.current,
+        }
+        for field, value in values.items():
+            yield (field, ""), _encode(value)
