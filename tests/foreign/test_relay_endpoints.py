@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import queue
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -143,16 +144,15 @@ def test_a_program_that_has_exited_is_not_waited_for(tmp_path: Path, time: Time)
 def test_where_programs_advertise_late_an_output_is_waited_for_shortly_and_then_watched(
     tmp_path: Path, time: Time
 ) -> None:
-    past: list[str] = []
-    program = endpoints(
-        tmp_path, time, lambda now: [subscribed("/chat"), *([published("/out")] if now > 60 else [])], late=True
-    )
+    def graph(now: float) -> Sequence[GraphEndpoint]:
+        return [subscribed("/chat"), published("/out")] if now > 60 else [subscribed("/chat")]
+
+    program = endpoints(tmp_path, time, graph, late=True)
     program.wait()
     assert ADVERTISES <= time.now < ADVERTISES + 0.2
-    seen = threading.Event()
-    program.watch(lambda fault: (past.append(fault), seen.set())[1])
-    assert seen.wait(60)
-    assert "publishes on /out itself" in past[0]
+    past: queue.Queue[str] = queue.Queue()
+    program.watch(past.put)
+    assert "publishes on /out itself" in past.get(timeout=60)
 
 
 def test_it_is_watched_until_it_has_published_behind_its_relay(tmp_path: Path, time: Time) -> None:
