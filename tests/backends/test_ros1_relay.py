@@ -176,13 +176,13 @@ def test_nodes_of_topic_tools_replace_each_other_and_are_killed_with_their_relay
                 assert (outcome.outcome, outcome.because) == ("done", None)
                 lines = len(heard.read_text().splitlines())
                 await asyncio.to_thread(wait_for, heard, lines + 10)
-            state = await manager.peek("throttle_2")
+            state = await manager.peek("throttle_3")
             measured = state.ports["out"]["/slow"].measured
             assert measured is not None and (measured.rate or 0.0) > 0
             (program_,) = psutil.Process(state.pid).children()
             assert program_.name() == "throttle"
             program_.kill()  # the relay ends as well, and the manager knows at once
-            await until(lambda: "throttle_2" not in manager.configuration.instances)
+            await until(lambda: "throttle_3" not in manager.configuration.instances)
             assert not psutil.pid_exists(state.pid)
 
     system(tmp_path, TEXT + THROTTLES, body)

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use futures::executor::block_on;
 use ros2_client::{
-    Context, ContextOptions, MessageTypeName, Name, NodeName, NodeOptions, QosProfile,
+    qos::History, Context, ContextOptions, MessageTypeName, Name, NodeName, NodeOptions, QosProfile,
 };
 
 fn remapped(arguments: &[String], from: &str) -> Option<String> {
@@ -39,7 +39,8 @@ fn main() {
         .create_topic(
             &Name::parse(topic.as_deref().unwrap_or("/chatter")).expect("the name of a topic"),
             MessageTypeName::new("std_msgs", "String"),
-            &QosProfile::publisher_default(),
+            // As other nodes have it. By default the crate keeps one message, and what is lost is not sent again then.
+            &QosProfile::publisher_default().history(History::KeepLast { depth: 10 }),
         )
         .expect("the topic cannot be created");
     let publisher = node.create_publisher::<String>(&topic, None).expect("no publisher");
