@@ -1,4 +1,4 @@
-"""Programs in C on rcl, compiled against the ROS 2 that the tests run with: the wheels, or one that is sourced."""
+"""Programs in C on rcl, compiled against the ROS 2 that the tests run with (wheels, or a sourced one); and in Rust."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ import pytest
 
 from midstride.foreign import build
 
+# What tools/rust builds.
+RUST_TALKER = Path(__file__).parents[1] / ".cache" / "rust" / "debug" / "rust_talker"
 SOURCE = Path(__file__).parent / "foreign" / "talker.c"
 _LIBRARIES = (
     "rcl",

@@ -122,7 +122,7 @@ class Robot:
 
     async def replaced(self, component: str) -> None:
         report = await self.change(component)
-        assert (report.outcome, report.because) == ("done", None)
+        assert (report.outcome, report.because) == ("done", None), report
         await self.hears()
 
     async def another_manager(self) -> None:

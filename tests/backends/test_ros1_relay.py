@@ -152,6 +152,10 @@ component Relay like Throttle {
   run "/usr/lib/topic_tools/relay source out" gate relay
 }
 
+component Mux like Throttle {
+  run "/usr/lib/topic_tools/mux out source" gate relay
+}
+
 node throttle : Throttle {
   in <- /chat
   out -> /slow
@@ -167,18 +171,18 @@ def test_nodes_of_topic_tools_replace_each_other_and_are_killed_with_their_relay
     async def body(manager: Manager) -> None:
         with program("recorder", "/slow", str(heard)):
             await asyncio.to_thread(wait_for, heard, 10)
-            for component in ("Faster", "Relay", "Throttle"):
+            for component in ("Faster", "Relay", "Mux", "Throttle"):
                 outcome = await manager.change(PlanRequest(replace=(("throttle", component),)))
                 assert (outcome.outcome, outcome.because) == ("done", None)
                 lines = len(heard.read_text().splitlines())
                 await asyncio.to_thread(wait_for, heard, lines + 10)
-            state = await manager.peek("throttle_2")
+            state = await manager.peek("throttle_3")
             measured = state.ports["out"]["/slow"].measured
             assert measured is not None and (measured.rate or 0.0) > 0
             (program_,) = psutil.Process(state.pid).children()
             assert program_.name() == "throttle"
             program_.kill()  # the relay ends as well, and the manager knows at once
-            await until(lambda: "throttle_2" not in manager.configuration.instances)
+            await until(lambda: "throttle_3" not in manager.configuration.instances)
             assert not psutil.pid_exists(state.pid)
 
     system(tmp_path, TEXT + THROTTLES, body)

@@ -18,7 +18,8 @@ from midstride.backends.naming import full
 from midstride.backends.ros2.foreign_nodes import ForeignNodes
 from midstride.backends.simulator import Simulator
 from midstride.foreign.graph_check import GraphEndpoint
-from midstride.foreign.relay import RelayComponent, RelayOrder, RelayPlatform
+from midstride.foreign.relay import RelayComponent, RelayPlatform
+from midstride.foreign.relayed_program import RelayOrder
 from midstride.lang.load import load
 from midstride.model.contract import QoS
 from midstride.node.host import Host
@@ -36,6 +37,14 @@ class Text:
 
     __msgtype__: ClassVar[str] = "std_msgs/msg/String"
     data: str = ""
+
+
+class Read(Text):
+    """What is read of a message where its fields are checked: nothing else has the field ``number``."""
+
+    def __init__(self, message: Text) -> None:
+        super().__init__(message.data)
+        self.number = int(message.data.split()[1])
 
 
 @dataclass
@@ -89,7 +98,8 @@ class SimulatedRelay(RelayComponent):
         lab, program = SimulatedRelays.current, SimulatedRelays.current.programs[order.declaration.name]
         self.instance = find().instance or ""
         running: Any = SimpleNamespace(status=lambda: None, watch=partial(lab.exits.__setitem__, self.instance))
-        super().__init__(order, running, RelayPlatform(joined, lambda _: Text, lambda *_: self._endpoints(program)))
+        graph = partial(self._endpoints, program)
+        super().__init__(order, running, RelayPlatform(joined, lambda _: Text, lambda _: Read, lambda *_: graph()))
         heard = lab.heard.setdefault(self.instance, [])
         for port in self.parts.inputs.values():
             port.listeners = (lambda message, _: heard.append((lab.time.ros_now(), message.data)),)

@@ -139,7 +139,7 @@ class Services:
 
     def __init__(self, answers: bool) -> None:
         self.answers = answers
-        self.asked = 0
+        self.asked: int = 0
 
     async def parameters(self, timeout: float) -> dict[str, Any]:
         self.asked += 1
@@ -156,9 +156,33 @@ def test_a_wrong_topic_is_refused_as_soon_as_the_node_has_settled(
     tmp_path: Path, gate_library: Path, monkeypatch: pytest.MonkeyPatch, answers: bool
 ) -> None:
     """One that does not answer may still be creating publishers: it is waited for."""
+    refused = "did you mean `output out … as chatter`"
+    asked = refuses(tmp_path, gate_library, monkeypatch, replace(OUT, topic="/chatter"), answers, refused)
+    assert asked == 1 if answers else asked > 1
+
+
+def test_a_node_that_publishes_without_rcl_is_refused_as_soon_as_it_has_settled(
+    tmp_path: Path, gate_library: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The gate sees nothing of it, and the graph does. Such a node need not answer requests."""
+    monkeypatch.setattr(agent_module, "GRAPH_TIMEOUT", 0.0)
+    refused = "^node /node publishes on /chat, and the library of `gate preload` does not see it.* with `gate relay`$"
+    assert refuses(tmp_path, gate_library, monkeypatch, OUT, False, refused, patience=1e9) == 0
+
+
+def refuses(
+    tmp_path: Path,
+    gate_library: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    found: GraphEndpoint,
+    answers: bool,
+    words: str,
+    patience: float = 0.5,
+) -> int:
+    """A node that the gate sees nothing of, and the graph ``found``, is refused; how often it was asked meanwhile."""
     monkeypatch.setattr(agent_module, "SETTLED", 0.0)
     monkeypatch.setattr(agent_module, "HEARTBEAT", 0.01)
-    monkeypatch.setattr(agent_module, "ENDPOINTS_TIMEOUT", 1e9 if answers else 0.5)
+    monkeypatch.setattr(agent_module, "ENDPOINTS_TIMEOUT", 1e9 if answers else patience)
     page = Page(tmp_path / "page", gate_library)
     gates = Gates(page, page.allocate("node"), TALKER)
     gates.prepare({"out": "/chat"})
@@ -178,19 +202,20 @@ def test_a_wrong_topic_is_refused_as_soon_as_the_node_has_settled(
 
     async def scenario() -> None:
         transport = SocketFolder(tmp_path / "components")
-        agent = ForeignAgent(record, tmp_path, gates, services, graph=lambda: [replace(OUT, topic="/chatter")])
+        agent = ForeignAgent(record, tmp_path, gates, services, graph=lambda: [found])
         client = ComponentClient(transport, SystemClock(), TOKEN)
         try:
             await agent.open(transport)
             await client.registered("node")
-            with pytest.raises(CommandRefused, match="did you mean `output out … as chatter`"):
+            with pytest.raises(CommandRefused, match=words):
                 await client.change("node", commands.WelcomeCommand(manager="a test"))
         finally:
             client.close()
             await agent.close()
 
     asyncio.run(scenario())
-    assert services.asked == 1 if answers else services.asked > 1
+    asked: int = services.asked
+    return asked
 
 
 def test_a_node_that_differs_is_not_accepted(tmp_path: Path, programs: Path, gate_library: Path) -> None:

@@ -13,7 +13,8 @@ import pytest
 
 from midstride.codec.component import NamedComponentForm
 from midstride.errors import MidstrideError, NodeError
-from midstride.foreign.relay import RelayedProgram, RelayOrder, differing, patient, private_topics
+from midstride.foreign.relay import patient
+from midstride.foreign.relayed_program import RelayedProgram, RelayOrder, differing, private_topics
 from midstride.lang.load import load
 from midstride.model.contract import QoS
 from midstride.plan.request import PlanRequest
@@ -129,6 +130,23 @@ def test_what_is_written_once_is_published_when_the_gate_opens(tmp_path: Path) -
     managed(tmp_path, ONCE, programs(most=1), body)
 
 
+def test_the_fields_of_relayed_messages_are_checked(tmp_path: Path) -> None:
+    """Of what a program publishes, and of what it receives; only then are messages read."""
+
+    async def body(manager: Manager, simulator: SimulatedRelays) -> None:
+        await asyncio.sleep(3)
+        written = (await manager.peek("talker")).ports["out"]["/chat"].fields["number"]
+        received = (await manager.peek("listener")).ports["in"]["/chat"].fields["number"]
+        for found in (written, received):
+            assert found.checked > 100
+            # It was not attached from the first message on.
+            assert found.violations == found.run and 40 <= found.checked - found.violations <= 50
+        assert (await manager.peek("listener")).functionalities["listen"].mode == "degraded"
+
+    text = TEXT.replace("std_msgs/msg/String @ 50 Hz", "std_msgs/msg/String @ 50 Hz where number <= 50")
+    managed(tmp_path, text, programs(), body)
+
+
 def test_a_relay_ends_in_order_when_its_program_has_exited(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: SimulatedRelays) -> None:
         await asyncio.sleep(1)
@@ -175,7 +193,7 @@ def in_a_process(folder: Path, body: str) -> subprocess.Popen[str]:
     """Run ``body``, which has the ``program`` of the order in ``folder``, in a process."""
     text = (
         "import os, signal, sys, threading\nfrom pathlib import Path\n"
-        "from midstride.foreign.relay import RelayedProgram, RelayOrder\n"
+        "from midstride.foreign.relayed_program import RelayedProgram, RelayOrder\n"
         f"program = RelayedProgram(RelayOrder.read(Path({str(folder / 'relays' / 'talker.json')!r})))\n"
         f"print(program.pid, flush=True)\n{body}\n"
     )

@@ -16,7 +16,7 @@ from midstride.backends.ros2.foreign_nodes import ForeignNodes, ros_arguments
 from midstride.codec.specification import decode_specification, encode_specification
 from midstride.errors import StepFailed
 from midstride.foreign.page import Page
-from midstride.foreign.relay import RelayOrder
+from midstride.foreign.relayed_program import RelayOrder
 from midstride.generate.project import project
 from midstride.lang.load import load
 from midstride.model.action import Swap

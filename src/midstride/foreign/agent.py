@@ -24,6 +24,8 @@ from midstride.foreign.graph_check import (
     misnamed,
     shown,
     undeclared,
+    unseen,
+    unseen_in_words,
 )
 from midstride.foreign.lifecycle_cuts import LifecycleCuts, LifecyclePeers
 from midstride.foreign.lifecycle_node import LifecycleNode
@@ -142,8 +144,9 @@ class ForeignAgent:
     async def _missing(self, gates: Gates) -> list[str]:
         """The ports for which the node creates no endpoint within ENDPOINTS_TIMEOUT.
 
-        It is not waited for any longer if it has what is probably meant under other names, answers requests, so its
-        initialization is over, and the graph has shown nothing new of it for SETTLED.
+        It is not waited for any longer if the graph has shown nothing new of it for SETTLED, and shows endpoints that
+        the gate does not see; or the node answers requests, so its initialization is over, and has what is probably
+        meant under other names.
         """
         record, component, loop = self.node.record, self.node.component, asyncio.get_running_loop()
         begun = since = loop.time()
@@ -156,11 +159,11 @@ class ForeignAgent:
             missing = gates.missing()
             if now - begun >= ENDPOINTS_TIMEOUT:
                 break
-            if (
-                now - since >= SETTLED
-                and all(misnamed(component, record.topics, list(found), port) for port in missing)
-                and await self._answers()
-            ):
+            if now - since < SETTLED:
+                continue
+            if unseen(component, record.topics, list(found), missing):
+                break
+            if all(misnamed(component, record.topics, list(found), port) for port in missing) and await self._answers():
                 break
         return gates.missing()
 
@@ -184,7 +187,10 @@ class ForeignAgent:
         if not missing:
             await self.node.comes_true(lambda: shown(component, topics, graph()), GRAPH_TIMEOUT, every=WATCH)
         found = graph()
-        faults = lacking(component, topics, node, found, missing) + differences(component, topics, node, found)
+        past = unseen(component, topics, found, missing)
+        faults = unseen_in_words(component, topics, node, past)
+        faults += lacking(component, topics, node, found, [port for port in missing if port not in past])
+        faults += differences(component, topics, node, found)
         self._failed = "; ".join(faults) or None
         return []
 

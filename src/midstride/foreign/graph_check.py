@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 from midstride.model.component import ComponentSpec
 from midstride.model.contract import NOTHING, Predicate, QoS, canonical_type
-from midstride.model.graph_names import is_infrastructure
+from midstride.model.graph_names import is_infrastructure, resolved
 from midstride.model.near_miss import nearest
 
 
@@ -85,6 +85,53 @@ def lacking(
         words.append(
             f"node {node} has no {kind} {topics[port]}, the topic of {port_kind} {port} of {component.name}{instead}"
         )
+    return words
+
+
+def unseen(
+    component: ComponentSpec, topics: Mapping[str, str], found: Sequence[GraphEndpoint], missing: Sequence[str]
+) -> list[str]:
+    """The ports that are ``missing`` for the gate in the process, although the graph shows an endpoint of the node."""
+    there = {(endpoint.output, endpoint.topic) for endpoint in found}
+    return [port for port in missing if (component.has_output(port), topics[port]) in there]
+
+
+def unseen_in_words(component: ComponentSpec, topics: Mapping[str, str], node: str, ports: Sequence[str]) -> list[str]:
+    """For each of these ports, why `gate preload` is of no use, and what is."""
+    return [
+        f"node {node} {'publishes on' if component.has_output(port) else 'subscribes to'} {topics[port]}, and the "
+        "library of `gate preload` does not see it: the program does so without rcl, or it could not load the library "
+        f"(it is statically linked, for example); declare {component.name} with `gate relay`"
+        for port in ports
+    ]
+
+
+def past_relay(
+    component: ComponentSpec,
+    topics: Mapping[str, str],
+    real: Mapping[str, str],
+    node: str,
+    found: Sequence[GraphEndpoint],
+) -> list[str]:
+    """For each endpoint that the node can only have because it takes no notice of the names it was given, in words.
+
+    It publishes on the ``real`` topic of an output, past its relay; or it uses the own name of a port although another
+    was given for it.
+    """
+    given = {(component.has_output(port), topics[port]) for port in component.ports()}
+    own = {(component.has_output(port), resolved(component.topic_of(port), node)): port for port in component.ports()}
+    attached = {(True, topic): port for port, topic in real.items()}
+    words = []
+    for endpoint in found:
+        key = endpoint.output, endpoint.topic
+        if key in given or (port := own.get(key) or attached.get(key)) is None:
+            continue
+        kind, does = ("output", "publishes on") if endpoint.output else ("input", "subscribes to")
+        name = component.topic_of(port)
+        why = f"it takes no notice of the remapping `{name}:={topics[port]}`"
+        if key not in own:
+            why = f"{name} is remapped to {topics[port]}: did you mean `{kind} {port} as {endpoint.topic}`?"
+        words.append(f"node {node} {does} {endpoint.topic} itself, for {kind} {port} of {component.name}; {why}")
     return words
 
 

@@ -6,7 +6,7 @@ Every message is checked up to 60 Hz or so, and of more, about 100 a second: a c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from operator import attrgetter
 from typing import Any, Final
 
@@ -56,12 +56,16 @@ class _Constraint:
 class FieldChecks:
     """The constraints that are in force for one port or attachment. Samples on the data thread; read on any.
 
-    ``active``: there are any. ``violated``: the last message that was checked did not meet them all.
+    ``active``: there are any. ``violated``: the last message that was checked did not meet them all. ``decode``: of
+    messages that come as bytes, those that are checked are read by it.
     """
 
-    __slots__ = ("_constraints", "_due", "active", "violated")
+    __slots__ = ("_constraints", "_due", "active", "decode", "violated")
 
-    def __init__(self, required: Sequence[tuple[str, ValueSet]] = ()) -> None:
+    def __init__(
+        self, required: Sequence[tuple[str, ValueSet]] = (), decode: Callable[[Any], Any] | None = None
+    ) -> None:
+        self.decode = decode
         self._constraints: tuple[_Constraint, ...] = ()
         self._due = 0
         self.require(required)
@@ -82,6 +86,8 @@ class FieldChecks:
 
     def check(self, message: Any) -> None:
         """Check ``message``, however short it came after the one before."""
+        if self.decode is not None:
+            message = self.decode(message)
         met = [constraint.check(message) for constraint in self._constraints]
         self.violated = not all(met)
 

@@ -210,7 +210,7 @@ class InputLink:
         self.input = input
         self.topic = topic
         self.times = times
-        self.fields = FieldChecks(input.assumption.fields)
+        self.fields = FieldChecks(input.assumption.fields, input.decode)
         self.count = self.violating = 0
 
     def destroy(self) -> None:
@@ -358,6 +358,8 @@ class Input(_Port[InputLink]):
         self.rate = 1 / deadline if assumption.rate is None and deadline else assumption.rate
         self.tolerates = tolerates
         self.condition = condition
+        # Reads messages that stay serialised, where their fields are checked.
+        self.decode: Callable[[Any], Any] | None = None
         # Called on the data thread when a message of a condition decides otherwise than the one before.
         self.turned: Callable[[], object] = lambda: None
         #: The newest message since the input was attached; None if there is none.

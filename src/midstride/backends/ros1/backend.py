@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import os
 import socket
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
@@ -21,7 +20,7 @@ from midstride.backends.ros1 import launching, master_process, names
 from midstride.backends.ros1.master import Master
 from midstride.codec.component import NamedComponentForm
 from midstride.errors import BackendError, StartFailed, Unreachable
-from midstride.foreign.relay import RelayOrder, order_file, private_topics
+from midstride.foreign.relayed_program import RelayOrder, order_file, private_topics
 from midstride.model.component import ComponentSpec
 from midstride.runtime.backend import RELAY_SUFFIX, Endpoints, Exited, Handle, Launch, Middleware
 from midstride.runtime.process import Process
@@ -81,7 +80,10 @@ class Ros1Backend(processes.ProcessBackend):
             )
         if launch.foreign is not None:
             command = self._relay(launch, launch.foreign, node, command)
-            launch = replace(launch, parameters={}, set_parameters={})  # they are the program's
+            # They are the program's. On its command line, roscpp would take the quotes of a string for a part of it.
+            for name, value in {**launch.parameters, **launch.set_parameters}.items():
+                await master.set_parameter(f"{node}/{name}", value)
+            launch = replace(launch, parameters={}, set_parameters={})
         handle = await self._spawn(launch, node, command, self._environment(launch))
         self._dead.discard(node)
         return handle
@@ -91,10 +93,13 @@ class Ros1Backend(processes.ProcessBackend):
         topics = naming.topics_of(component, node, launch.topics) | private_topics(component, launch.instance)
         arguments = [f"{component.topic_of(port)}:={topic}" for port, topic in topics.items()]
         arguments += [f"__name:={names.split(node)[0]}"]
-        values = {**launch.parameters, **launch.set_parameters}
-        arguments += [f"_{name}:={json.dumps(value)}" for name, value in values.items()]
-        declaration = NamedComponentForm.of(component)
-        order = RelayOrder(command=[*command, *arguments], node=node, declaration=declaration, topics=topics)
+        order = RelayOrder(
+            command=[*command, *arguments],
+            node=node,
+            declaration=NamedComponentForm.of(component),
+            topics=topics,
+            real={port: topic for port, topic in launch.topics.items() if component.has_output(port)},
+        )
         order.write(path := self._order_file(launch.instance))
         return self._python(), "-m", _RELAY, str(path)
 

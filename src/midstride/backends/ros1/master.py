@@ -73,6 +73,13 @@ class Master:
         except BackendError:
             return None
 
+    async def set_parameter(self, name: str, value: Any) -> None:
+        """``name``: in full. Raises BackendError, also where XML-RPC has no such value."""
+        try:
+            await self.call("setParam", self.caller, name, value)
+        except (OverflowError, TypeError) as error:
+            raise BackendError(f"the ROS master cannot have {value!r} as the parameter {name}: {error}") from None
+
     async def forget(self, node: str) -> None:
         """Take back every registration of a node that has ended. Raises BackendError where that cannot be done."""
         for _ in range(_ROUNDS):

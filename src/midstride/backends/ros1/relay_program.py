@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import xmlrpc.client
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import genpy
@@ -12,7 +13,8 @@ from midstride.backends.common_messages import message_class
 from midstride.backends.ros1 import names
 from midstride.backends.ros1.host import Ros1Host
 from midstride.foreign.graph_check import GraphEndpoint
-from midstride.foreign.relay import RelayOrder, RelayPlatform, run_relay
+from midstride.foreign.relay import RelayPlatform, run_relay
+from midstride.foreign.relayed_program import RelayOrder
 from midstride.model.contract import QoS
 from midstride.node.host import Host
 from midstride.node.process_context import ProcessContext
@@ -47,16 +49,31 @@ def serialized(type_name: str) -> type:
     return type(f"Serialized{type_.__name__}", (genpy.Message,), fields)
 
 
+def decoder(type_name: str) -> Callable[[Any], Any]:
+    """Reads what :func:`serialized` has left as it was."""
+    type_: Any = message_class(type_name)
+    return lambda message: type_().deserialize(message.data)
+
+
 def join(context: ProcessContext) -> Host:
     host: Any = Ros1Host(context.instance or "", context.namespace, context.node or "")
     return host  # type: ignore[no-any-return]
 
 
-def endpoints(host: Host, order: RelayOrder) -> Sequence[GraphEndpoint]:
-    """Those of the program, as the master lists them. One that takes any type has the type that is declared."""
+def endpoints(host: Host, order: RelayOrder) -> Sequence[GraphEndpoint] | None:
+    """Those of the program, as the master lists them; None if it does not know the program's node, or does not answer.
+
+    One that takes any type has the type that is declared.
+    """
     master = rosgraph.Master(host.node_name)
-    publishers, subscribers, _ = master.getSystemState()
-    types, component = dict(master.getTopicTypes()), order.declaration.declared()
+    try:
+        state = publishers, subscribers, _ = master.getSystemState()
+        if not any(order.node in nodes for kind in state for _, nodes in kind):
+            return None
+        listed_types = master.getTopicTypes()
+    except (OSError, rosgraph.MasterException, xmlrpc.client.Error):
+        return None
+    types, component = dict(listed_types), order.declaration.declared()
     declared = {topic: port for port, topic in order.topics.items()}
     found = []
     for output, listed, qos in ((True, publishers, _OFFERED), (False, subscribers, _REQUESTED)):
@@ -69,4 +86,4 @@ def endpoints(host: Host, order: RelayOrder) -> Sequence[GraphEndpoint]:
 
 
 if __name__ == "__main__":
-    run_relay(RelayPlatform(join, serialized, endpoints, advertises_late=True))
+    run_relay(RelayPlatform(join, serialized, decoder, endpoints, advertises_late=True))

@@ -35,7 +35,7 @@ from midstride.backends.ros2.node_services import RosNodeServices
 from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.page import GATES
-from midstride.foreign.relay import differing
+from midstride.foreign.relayed_program import differing
 from midstride.model.component import ComponentSpec
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middleware
 from midstride.runtime.process import Process

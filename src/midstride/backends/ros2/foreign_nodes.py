@@ -27,7 +27,7 @@ from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.lifecycle_cuts import LifecyclePeers
 from midstride.foreign.page import PAGE, Page
 from midstride.foreign.record import ForeignRecord
-from midstride.foreign.relay import RelayOrder, order_file, private_topics
+from midstride.foreign.relayed_program import RelayOrder, order_file, private_topics
 from midstride.foreign.services import NodeServices
 from midstride.model.component import ComponentSpec
 from midstride.runtime.backend import Handle, Launch
@@ -113,6 +113,7 @@ class ForeignNodes:
             declaration=NamedComponentForm.of(component),
             topics=topics,
             environment=dict(environment),
+            real={port: topic for port, topic in launch.topics.items() if component.has_output(port)},
         )
         path = order_file(self._folder, launch.instance)
         order.write(path)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from functools import partial
+
+from rclpy.serialization import deserialize_message
+
 from midstride.backends.common_messages import message_class
 from midstride.backends.ros2.endpoints import serialized
 from midstride.backends.ros2.graph import Graph
@@ -11,7 +15,8 @@ from midstride.foreign.relay import RelayPlatform, run_relay
 PLATFORM = RelayPlatform(
     host=lambda context: Ros2Host(context.instance or "", context.namespace),
     type_of=lambda name: serialized(message_class(name)),
-    graph=lambda host, order: Graph(host.ros_node).of_process(order.node),
+    decoder=lambda name: partial(deserialize_message, message_type=message_class(name)),
+    graph=lambda host, order: Graph(host.ros_node).of_process(order.node) or None,
 )
 
 if __name__ == "__main__":

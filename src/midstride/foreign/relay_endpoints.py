@@ -1,0 +1,104 @@
+"""What the program behind a relay has in the graph: waited for when it starts, and compared with what is declared."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from midstride.errors import NodeError
+from midstride.foreign.graph_check import GraphEndpoint, differences, lacking, past_relay
+from midstride.foreign.relayed_program import RelayedProgram, RelayOrder
+from midstride.model.component import ComponentSpec
+
+# How long the program may take to create the publishers and subscriptions that are declared (s).
+ENDPOINTS_TIMEOUT: Final = 20.0
+# How long a node that may advertise later is given to do so at once (s); then it is watched.
+ADVERTISES: Final = 1.0
+_LOOK: Final = 0.05
+_WATCH: Final = 1.0
+
+
+@dataclass(frozen=True)
+class ProgramEndpoints:
+    """Those of the ``program`` of ``order``, as ``graph`` shows them; None while it shows no node of that name.
+
+    ``matched``: by output, whether its relay is connected with a publisher of the program. ``late``: the program may
+    create a publisher only when it has something to publish, so none is waited for.
+    """
+
+    order: RelayOrder
+    component: ComponentSpec
+    program: RelayedProgram
+    graph: Callable[[], Sequence[GraphEndpoint] | None]
+    matched: Mapping[str, Callable[[], bool]]
+    late: bool
+
+    def wait(self) -> None:
+        """Return once the program has what is declared. Raises NodeError, at once where it cannot come true."""
+        begun = time.monotonic()
+        appeared: float | None = None
+        while True:
+            found, now = self.graph(), time.monotonic()
+            self._require_running()
+            if fault := self._past(found or ()):
+                raise NodeError(fault)
+            if found is not None and appeared is None:
+                appeared = now
+            missing = self._missing(found or ())
+            if not missing and not self.late:
+                break
+            if not missing and appeared is not None and (now - appeared >= ADVERTISES or self._remapped(found or ())):
+                break
+            if now - begun >= ENDPOINTS_TIMEOUT:
+                break
+            time.sleep(_LOOK)
+        if faults := self._faults(missing):
+            raise NodeError("; ".join(faults))
+
+    def watch(self, past: Callable[[str], None]) -> None:
+        """Have ``past`` called, in a thread, when a program that advertises late does so past its relay."""
+        if self.late:
+            threading.Thread(target=self._watch, args=(past,), daemon=True).start()
+
+    def _watch(self, past: Callable[[str], None]) -> None:
+        while not self._remapped(found := self.graph() or ()):
+            if fault := self._past(found):
+                past(fault)
+                return
+            time.sleep(_WATCH)
+
+    def _past(self, found: Sequence[GraphEndpoint]) -> str:
+        order = self.order
+        return "; ".join(past_relay(self.component, order.topics, order.real, order.node, found))
+
+    def _remapped(self, found: Sequence[GraphEndpoint]) -> bool:
+        """Whether every output is published on its private topic, so the program has taken notice of remappings."""
+        published = {endpoint.topic for endpoint in found if endpoint.output}
+        return all(self.order.topics[port] in published for port in self.component.outputs)
+
+    def _require_running(self) -> None:
+        if (status := self.program.status()) is not None:
+            raise NodeError(f"`{self.program.words}` has exited with status {status}")
+
+    def _missing(self, found: Sequence[GraphEndpoint]) -> list[str]:
+        """The ports for which the program has no endpoint."""
+        received = {endpoint.topic for endpoint in found if not endpoint.output}
+        missing = [] if self.late else [name for name, matched in self.matched.items() if not matched()]
+        return missing + [name for name in self.component.input_order if self.order.topics[name] not in received]
+
+    def _faults(self, missing: Sequence[str]) -> list[str]:
+        """Why the program is not what is declared; ``missing``: the ports that it still lacks."""
+        node, topics, found = self.order.node, self.order.topics, self.graph()
+        if found is None and (missing or self.late):
+            words = f"there is no node {node} {ENDPOINTS_TIMEOUT:g} s after `{self.order.command[0]}` was started"
+            return [f"{words}: a program behind a relay must accept ROS's arguments, its name among them"]
+        there = {(endpoint.output, endpoint.topic) for endpoint in found or ()}
+        absent = [port for port in missing if (self.component.has_output(port), topics[port]) not in there]
+        faults = lacking(self.component, topics, node, found or (), absent)
+        faults += differences(self.component, topics, node, found or ())
+        if missing and not faults:
+            faults = [f"the messages of {', '.join(missing)} cannot be received"]
+        return faults

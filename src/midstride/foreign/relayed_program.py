@@ -1,0 +1,121 @@
+"""The program behind a relay (:mod:`midstride.foreign.relay`): what it is started with, and its process."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+import subprocess
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from midstride.codec.component import NamedComponentForm
+from midstride.errors import BackendError, NodeError
+from midstride.model.component import ComponentSpec
+from midstride.wire.state import WireValue
+
+# How long it may take to end unasked, and once it is asked to (s).
+_ENDS: Final = 0.5
+_GRACE: Final = 2.0
+_LIBC: Final = ctypes.CDLL(None)
+_PR_SET_PDEATHSIG: Final = 1
+
+
+class RelayOrder(WireValue, frozen=True, kw_only=True):
+    """What a relay runs: ``command``, whose node has the full name ``node``.
+
+    ``topics``: by port, the full name of the topic that the program uses, which for an output is private.
+    ``real``: by output that is attached, the topic on which the relay publishes. ``environment``: the variables that
+    are others for the program than for the relay; None: it has none.
+    """
+
+    command: list[str]
+    node: str
+    declaration: NamedComponentForm
+    topics: dict[str, str]
+    environment: dict[str, str | None] = {}
+    real: dict[str, str] = {}
+
+    def write(self, path: Path) -> None:
+        """Raises BackendError."""
+        try:
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            path.write_bytes(msgspec.json.encode(self))
+        except OSError as error:
+            raise BackendError(f"{path} cannot be written: {error.strerror or error}") from None
+
+    @classmethod
+    def read(cls, path: Path) -> RelayOrder:
+        """Raises BackendError."""
+        try:
+            return msgspec.json.decode(path.read_bytes(), type=cls)
+        except (OSError, msgspec.DecodeError) as error:
+            raise BackendError(f"{path} cannot be read: {error}") from None
+
+
+def order_file(folder: Path, instance: str) -> Path:
+    """The file of the order for the relay of ``instance``."""
+    return folder / "relays" / f"{instance.strip('/').replace('/', '.')}.json"
+
+
+def differing(program: Mapping[str, str], relay: Mapping[str, str]) -> dict[str, str | None]:
+    """The variables that are others in the environment of a program than in that of its relay."""
+    return {name: program.get(name) for name in {*program, *relay} if program.get(name) != relay.get(name)}
+
+
+def private_topics(component: ComponentSpec, instance: str) -> dict[str, str]:
+    """Where the program publishes instead, by output: hidden from ROS 2's tools by the first character."""
+    return {port: f"/_midstride/relay/{instance.strip('/')}/{port}" for port in component.outputs}
+
+
+class RelayedProgram:
+    """The program, from its start to its end."""
+
+    def __init__(self, order: RelayOrder) -> None:
+        """Start it, on the main thread and before there are others. Raises NodeError."""
+        environment = {name: value for name, value in os.environ.items() if name not in order.environment}
+        environment |= {name: value for name, value in order.environment.items() if value is not None}
+        self.words = " ".join(order.command)
+        parent = os.getpid()
+
+        def end_with_relay() -> None:
+            _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+            if os.getppid() != parent:
+                os._exit(1)
+
+        try:
+            self._process = subprocess.Popen(order.command, env=environment, preexec_fn=end_with_relay)
+        except OSError as error:
+            raise NodeError(f"cannot start `{self.words}`: {error.strerror or error}") from None
+        self.pid = self._process.pid
+
+    def status(self) -> int | None:
+        """What it has exited with, 128 and the number for a signal, as in a shell; None while it runs."""
+        status = self._process.poll()
+        return status if status is None or status >= 0 else 128 - status
+
+    def watch(self, ended: Callable[[], None]) -> None:
+        """Have ``ended`` called, in a thread, when it has exited."""
+
+        def wait() -> None:
+            self._process.wait()
+            ended()
+
+        threading.Thread(target=wait, daemon=True).start()
+
+    def end(self) -> int:
+        """End it, in bounded time; the status for the relay to exit with: that of a program that has exited."""
+        status = self.status()
+        # A signal to the relay's group has reached it already.
+        for ask, patience in ((None, _ENDS), (self._process.terminate, _GRACE), (self._process.kill, None)):
+            if ask is not None:
+                ask()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(patience)
+                break
+        return status or 0

@@ -1,0 +1,167 @@
+"""What the program behind a relay has in the graph: waited for, and refused where it takes no notice of its names."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from midstride.codec.component import NamedComponentForm
+from midstride.errors import NodeError
+from midstride.foreign import relay_endpoints
+from midstride.foreign.graph_check import GraphEndpoint
+from midstride.foreign.relay_endpoints import ADVERTISES, ENDPOINTS_TIMEOUT, ProgramEndpoints
+from midstride.foreign.relayed_program import RelayOrder, private_topics
+from midstride.lang.load import load
+from midstride.model.contract import QoS
+
+TEXT = """system thinning
+topic /chat : std_msgs/msg/String
+topic /slow : std_msgs/msg/String
+component Throttle {
+  run "throttle" gate relay
+  input in : std_msgs/msg/String as source
+  output out
+  functionality thin {
+    uses in
+    produces out
+    mode normal { assume in  guarantee out : std_msgs/msg/String }
+    mode degraded { }
+  }
+}
+node throttle : Throttle { in <- /chat  out -> /slow }
+"""
+PRIVATE = "/_midstride/relay/throttle/out"
+Graph = Callable[[float], "Sequence[GraphEndpoint] | None"]
+
+
+class Time:
+    """In the place of the module `time`: nothing passes but what is slept."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+
+@pytest.fixture
+def time(monkeypatch: pytest.MonkeyPatch) -> Time:
+    made = Time()
+    monkeypatch.setattr(relay_endpoints, "time", made)
+    return made
+
+
+def published(topic: str) -> GraphEndpoint:
+    return GraphEndpoint(True, topic, "std_msgs/msg/String", QoS())
+
+
+def subscribed(topic: str) -> GraphEndpoint:
+    return GraphEndpoint(False, topic, "std_msgs/msg/String", QoS())
+
+
+def endpoints(
+    folder: Path, time: Time, graph: Graph, *, late: bool = False, status: int | None = None
+) -> ProgramEndpoints:
+    """Of a program that has exited with ``status``; ``graph``: what is shown of it at a time (s)."""
+    path = folder / "thinning.stride"
+    path.write_text(TEXT, encoding="utf-8")
+    component = load(path).require().components["Throttle"]
+    order = RelayOrder(
+        command=["throttle"],
+        node="/throttle",
+        declaration=NamedComponentForm.of(component),
+        topics={"in": "/chat"} | private_topics(component, "throttle"),
+        real={"out": "/slow"},
+    )
+    program: Any = SimpleNamespace(status=lambda: status, words="throttle")
+
+    def matched() -> bool:
+        return published(PRIVATE) in (graph(time.now) or ())
+
+    return ProgramEndpoints(order, component, program, lambda: graph(time.now), {"out": matched}, late)
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_it_is_waited_for_no_longer_than_until_it_has_everything(tmp_path: Path, time: Time, late: bool) -> None:
+    def graph(now: float) -> Sequence[GraphEndpoint] | None:
+        return None if now < 1 else [published(PRIVATE)] if now < 3 else [published(PRIVATE), subscribed("/chat")]
+
+    endpoints(tmp_path, time, graph, late=late).wait()
+    assert 3 <= time.now < 3.2
+
+
+@pytest.mark.parametrize("late", [False, True])
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        (
+            published("/out"),
+            "publishes on /out itself, for output out of Throttle; it takes no notice of .* `out:=",
+        ),
+        (published("/slow"), "publishes on /slow itself, .*: did you mean `output out as /slow`"),
+        (subscribed("/source"), "subscribes to /source itself, for input in .* no notice of .* `source:=/chat`"),
+    ],
+    ids=["its own name", "the real topic", "an input"],
+)
+def test_one_that_takes_no_notice_of_its_names_is_refused_as_soon_as_it_is_seen(
+    tmp_path: Path, time: Time, late: bool, found: GraphEndpoint, words: str
+) -> None:
+    program = endpoints(tmp_path, time, lambda now: [] if now < 2 else [found], late=late)
+    with pytest.raises(NodeError, match=f"^node /throttle {words}"):
+        program.wait()
+    assert 2 <= time.now < 2.2
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_one_that_takes_no_notice_of_its_name_is_refused(tmp_path: Path, time: Time, late: bool) -> None:
+    with pytest.raises(
+        NodeError, match="there is no node /throttle 20 s after `throttle` was started: a program behind"
+    ):
+        endpoints(tmp_path, time, lambda _: None, late=late).wait()
+    assert ENDPOINTS_TIMEOUT <= time.now < ENDPOINTS_TIMEOUT + 0.2
+
+
+def test_an_endpoint_that_never_comes_is_named(tmp_path: Path, time: Time) -> None:
+    with pytest.raises(NodeError, match=f"has no publisher on {PRIVATE}, the topic of output out of Throttle; it publ"):
+        endpoints(tmp_path, time, lambda _: [subscribed("/chat"), published("/other")]).wait()
+
+
+def test_a_program_that_has_exited_is_not_waited_for(tmp_path: Path, time: Time) -> None:
+    with pytest.raises(NodeError, match="`throttle` has exited with status 3"):
+        endpoints(tmp_path, time, lambda _: None, status=3).wait()
+    assert time.now == 0
+
+
+def test_where_programs_advertise_late_an_output_is_waited_for_shortly_and_then_watched(
+    tmp_path: Path, time: Time
+) -> None:
+    def graph(now: float) -> Sequence[GraphEndpoint]:
+        return [subscribed("/chat"), published("/out")] if now > 60 else [subscribed("/chat")]
+
+    program = endpoints(tmp_path, time, graph, late=True)
+    program.wait()
+    assert ADVERTISES <= time.now < ADVERTISES + 0.2
+    past: queue.Queue[str] = queue.Queue()
+    program.watch(past.put)
+    assert "publishes on /out itself" in past.get(timeout=60)
+
+
+def test_it_is_watched_until_it_has_published_behind_its_relay(tmp_path: Path, time: Time) -> None:
+    program = endpoints(
+        tmp_path, time, lambda now: None if now < 5 else [published(PRIVATE)] if now > 60 else [], late=True
+    )
+    before = set(threading.enumerate())
+    program.watch(lambda fault: pytest.fail(fault))
+    for thread in set(threading.enumerate()) - before:
+        thread.join(60)
+        assert not thread.is_alive()
+    assert time.now > 60
