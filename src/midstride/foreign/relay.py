@@ -214,6 +214,7 @@ class RelayComponent:
 
         def went_past(fault: str) -> None:
             self._fault = fault
+            print(f"the relay of {self.order.node} ends: {fault}", file=sys.stderr, flush=True)
             agent.stop()
 
         self._program_endpoints().watch(went_past)
