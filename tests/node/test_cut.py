@@ -156,6 +156,17 @@ def test_only_what_has_not_written_since_the_moment_is_latched() -> None:
     assert second == ["before"] and side.first().keys() == {"out /a", "out /b"}
 
 
+def test_what_was_written_once_is_published_at_the_end_where_another_output_ended_the_cut() -> None:
+    owner = Owner(slots=(T - 20_000_000, T - 20_000_000))
+    (moving, _), (fixed, published) = link_of(owner, "/tf"), link_of(owner, "/tf_static")
+    side = incoming(moving, fixed, latches=(fixed,))
+    write(fixed, "once")
+    owner.slots = (T, T)
+    write(moving, "at the moment")
+    side.conclude()
+    assert published == ["once"] and (moving.gate, fixed.gate) == ("open", "open")
+
+
 def test_the_end_of_a_cut_leaves_the_gates_of_links_that_were_taken_out_of_it() -> None:
     (kept, _), (taken_out, published) = link_of(Owner(), "/a"), link_of(Owner(), "/b")
     side = incoming(kept, taken_out)

@@ -266,6 +266,7 @@ class IncomingCut(_Side):
                 self.wrote(link)
 
     def conclude(self) -> None:
+        self.latch()  # another output has written: that ended the cut before it was the turn of these
         self._set_gates(True)
 
     def close(self) -> None:
