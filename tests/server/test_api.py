@@ -472,3 +472,13 @@ def test_the_log_from_a_number_on() -> None:
         assert [(event["n"], event["words"]) for event in told] == [(3, "note 1"), (4, "note 2")]
 
     served(test)
+
+
+def test_a_method_that_a_path_does_not_have_is_answered_with_those_that_it_has() -> None:
+    async def test(client: httpx.AsyncClient, _: ScriptedManager, __: Lifecycle) -> None:
+        for path, allowed in (("/change", {"GET", "POST"}), ("/plan", {"POST"}), ("/status", {"GET"})):
+            refused = await client.put(path)
+            assert refused.status_code == 405
+            assert set(refused.headers["allow"].split(", ")) == allowed
+
+    served(test)

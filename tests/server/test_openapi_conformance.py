@@ -47,7 +47,7 @@ def test_every_answer_is_a_documented_one(api: httpx.Client, tmp_path: Path) -> 
         command += ["--exclude-path", path]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=580, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "20 selected / 23 total" in done.stdout
+    assert "19 selected / 23 total" in done.stdout
 
 
 def conforms(response: httpx.Response, document: dict[str, Any], path: str, method: str) -> None:
@@ -57,6 +57,24 @@ def conforms(response: httpx.Response, document: dict[str, Any], path: str, meth
     schema = {**described[media_type].get("schema", {}), "components": document["components"]}
     if media_type == "application/json":
         jsonschema.Draft202012Validator(schema).validate(response.json())
+
+
+@pytest.mark.full
+def test_a_rehearsal_is_as_documented(api: httpx.Client) -> None:
+    document = api.get("/openapi.json").json()
+    swap = {"replace": [["talker", "NewTalker"]]}
+    rehearsals: list[tuple[int, object]] = [
+        (200, {"request": swap, "seeds": 1}),
+        (409, {"request": {"remove": ["nobody"]}, "seeds": 1}),
+        (422, {"request": swap, "seeds": 0}),
+        (422, {"request": swap, "seconds": 1e9}),
+        (422, {"seeds": 1}),
+        (422, []),
+    ]
+    for status, rehearsal in rehearsals:
+        response = api.post("/rehearsal", json=rehearsal)
+        assert response.status_code == status, response.text
+        conforms(response, document, "/rehearsal", "post")
 
 
 @pytest.mark.full

@@ -103,11 +103,19 @@ async def _invalid(_: Request, error: Exception) -> Response:
 
 async def _http_error(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
-    kind, message = "TooLarge", error.detail
+    kind, message, headers = "TooLarge", error.detail, error.headers
+    if error.status_code == 405:  # the first route of the path knows nothing of the others
+        headers = {"Allow": ", ".join(sorted(_methods(request)))}
     if error.status_code != 413:
         kind = "NoOperation"
         message = f"{request.method} {request.url.path}: {message}; /api/v1/openapi.json lists every operation"
-    return answer(Failure.named(kind, message), error.status_code, error.headers)
+    return answer(Failure.named(kind, message), error.status_code, headers)
+
+
+def _methods(request: Request) -> set[str]:
+    """The methods of all operations of the request's path, in capitals."""
+    operations = request.app.openapi()["paths"].get(request.url.path, {})
+    return {method.upper() for method in operations} or {"GET", "HEAD"}  # the dashboard's files are not documented
 
 
 async def _disconnected(_: Request, __: Exception) -> Response:

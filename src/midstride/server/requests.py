@@ -10,7 +10,7 @@ import msgspec
 from fastapi import HTTPException
 from fastapi import Request as HttpRequest
 
-from midstride.codec.form import Form, Name, SecondsOrZero, field
+from midstride.codec.form import Check, Form, Name, SecondsOrZero, field
 from midstride.codec.parameter import Value, values_of
 from midstride.codec.reading import decode, parse_json, under
 from midstride.errors import SpecificationError
@@ -29,6 +29,11 @@ LARGEST_BODY: Final = 1_048_576
 # How many seeds at most, and how long they may take at most (s).
 MOST_SEEDS: Final = 1_000
 LONGEST_REHEARSAL: Final = 120.0
+
+
+def _at_most(limit: float) -> Check:
+    """The check of a number that has an upper bound."""
+    return lambda value: f"it is more than {limit:g}" if value > limit else None
 
 
 class SubmittedChange(Form, frozen=True):
@@ -81,9 +86,11 @@ class SubmittedRehearsal(Form, frozen=True, kw_only=True):
     what: ClassVar[str] = "a rehearsal"
 
     request: ChangeRequest
-    seeds: Annotated[int, field("a number of seeds", ge=1, le=MOST_SEEDS)] = 20
-    first: Annotated[int, field("the first seed", ge=0, le=2**31)] = 0
-    seconds: Annotated[float, field("a number of seconds", gt=0, le=LONGEST_REHEARSAL)] = 30.0
+    seeds: Annotated[int, field("a number of seeds", check=_at_most(MOST_SEEDS), ge=1, le=MOST_SEEDS)] = 20
+    first: Annotated[int, field("the first seed", check=_at_most(2**31), ge=0, le=2**31)] = 0
+    seconds: Annotated[
+        float, field("a number of seconds", check=_at_most(LONGEST_REHEARSAL), gt=0, le=LONGEST_REHEARSAL)
+    ] = 30.0
 
 
 async def read_setting(http: HttpRequest) -> tuple[str, Mapping[str, ParameterValue]]:
