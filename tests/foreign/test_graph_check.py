@@ -166,7 +166,7 @@ def test_a_node_that_publishes_without_rcl_is_refused_as_soon_as_it_has_settled(
 ) -> None:
     """The gate sees nothing of it, and the graph does. Such a node need not answer requests."""
     monkeypatch.setattr(agent_module, "GRAPH_TIMEOUT", 0.0)
-    refused = "^node /node publishes on /chat, and the library of `gate preload` does not see it.* with `gate relay`$"
+    refused = "node /node publishes on /chat, and the library of `gate preload` does not see it.* with `gate relay`$"
     assert refuses(tmp_path, gate_library, monkeypatch, OUT, False, refused, patience=1e9) == 0
 
 
