@@ -130,7 +130,7 @@ def scrubbed(page: Page) -> None:
     expect(page.locator('.component[data-name="talker_2"]')).to_have_count(0)
     expect(page.locator("#timeline .cursor")).to_be_visible()
     assert re.fullmatch(r"\d\d:\d\d:\d\d\.\d", slider.get_attribute("aria-valuetext") or "")
-    page.keyboard.press("l")
+    page.keyboard.press("n")
     expect(slider).to_have_attribute("aria-valuetext", "live")
     expect(page.locator('.component[data-name="talker_2"]')).to_be_visible()
 

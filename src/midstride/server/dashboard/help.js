@@ -13,6 +13,7 @@ const KEYS = [
   ["Esc", "clears the selection, and what is highlighted"],
   ["+ −", "zoom"],
   ["0", "shows the whole graph"],
+  ["N", "back to the present, where the timeline shows an earlier time"],
   ["L", "large text, for a screen across the room"],
   ["D", "dark or light"],
   ["?", "this help"],

@@ -52,7 +52,7 @@ class Timeline {
     this.#why = new Why(context);
     this.choices = h("span", { class: "timeline-windows", role: "group", "aria-label": "How far back" });
     this.more = h("button", { class: "button quiet", type: "button", onclick: () => ((this.#all = !this.#all), this.#draw()) });
-    this.live = h("button", { class: "button", type: "button", title: "Key: Escape or l", onclick: () => this.#scrub(null) }, "Live");
+    this.live = h("button", { class: "button", type: "button", title: "Key: Escape, or N for now", onclick: () => this.#scrub(null) }, "Live");
     this.words = h("span", { class: "timeline-words", role: "status" });
     this.picture = h("div", { class: "timeline-picture" });
     // Beside the picture, not around it: what is inside of a slider is not there for a screen reader.
@@ -69,7 +69,7 @@ class Timeline {
     for (const kind of ["pointerup", "pointercancel"]) this.slider.addEventListener(kind, () => (this.#drag = false));
     document.addEventListener("keydown", (event) => {
       const typing = /** @type {HTMLElement} */ (event.target).closest?.("input, select, textarea, dialog");
-      if (event.key === "l" && !typing && !event.ctrlKey && !event.metaKey && !event.altKey) this.#scrub(null);
+      if (event.key.toLowerCase() === "n" && !typing && !event.ctrlKey && !event.metaKey && !event.altKey) this.#scrub(null);
     });
     new ResizeObserver(() => this.#draw()).observe(this.slider);
     const { store } = context;
