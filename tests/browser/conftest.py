@@ -23,8 +23,9 @@ PATIENCE = 30_000
 expect.set_options(timeout=PATIENCE)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
+    """Until the end of the module: while it lives, this thread has an event loop, and other tests need theirs."""
     with sync_playwright() as playwright:
         # As root, Chromium has no sandbox; the pages are ours.
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])

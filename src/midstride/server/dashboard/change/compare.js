@@ -6,7 +6,7 @@
 
 import { h } from "../dom.js";
 import { axis, fallRows } from "../plan/axis.js";
-import { duration, figure } from "../plan/words.js";
+import { duration, figure, plannedSeconds } from "../plan/words.js";
 import { STRATEGIES, request } from "./request.js";
 
 /**
@@ -39,7 +39,7 @@ export function comparison(plans, width, onPick) {
   const rows = Object.entries(plans).map(([name, plan]) => {
     if (plan.refused) return h("tr", {}, h("th", { scope: "row" }, name), h("td", { colspan: 5, class: "refused" }, `refused: ${plan.refused}`));
     const disruption = `${figure(plan.disruption)}${plan.proved_minimal ? " (minimal)" : ""}`;
-    const cells = [disruption, plan.fallen.length, duration(plan.seconds), duration(plan.makespan), plan.steps.length];
+    const cells = [disruption, plan.fallen.length, duration(plannedSeconds(plan)), duration(plan.makespan), plan.steps.length];
     const head = onPick ? h("button", { class: "button quiet", type: "button", onclick: () => onPick(name) }, name) : name;
     return h("tr", {}, h("th", { scope: "row" }, head), ...cells.map((each) => h("td", { class: "number" }, each)));
   });
@@ -50,7 +50,7 @@ export function comparison(plans, width, onPick) {
       const falls = fallRows(plan);
       const nothing = h("p", { class: "muted" }, "✓ nothing degrades");
       return [
-        h("h3", { class: "panel-title" }, `${name}: ${duration(plan.seconds)}`),
+        h("h3", { class: "panel-title" }, `${name}: ${duration(plannedSeconds(plan))}`),
         falls.length ? axis(falls, { width, span, labels: 4, title: `What degrades with ${name}` }) : nothing,
       ];
     }),

@@ -4,7 +4,7 @@
  * @module
  */
 
-import { duration, listed } from "./words.js";
+import { aboutPlan, duration, listed } from "./words.js";
 
 const COUNTS = ["missed", "lost", "duplicates"];
 
@@ -75,13 +75,18 @@ function skew(skew) {
   return `${kind} of ${listed(skew.functionalities)}: within ${(skew.seconds * 1000).toFixed(1)} ms.`;
 }
 
-/** The planned duration beside the measured one, where steps may overlap. @param {any} outcome @param {any} plan */
+/**
+ * The planned duration beside the measured one. A plan that is verified is carried out without overlap.
+ *
+ * @param {any} outcome
+ * @param {any} plan
+ */
 function times(outcome, plan) {
-  if (outcome.outcome !== "done" || !plan || !outcome.steps?.length || plan.makespan === plan.seconds) return [];
+  if (outcome.outcome !== "done" || !plan || !outcome.steps?.length || outcome.verdict) return [];
   const ended = Math.max(...outcome.steps.map((/** @type {any} */ each) => each.begun + each.seconds));
   const together = outcome.steps.reduce((/** @type {number} */ sum, /** @type {any} */ each) => sum + each.seconds, 0);
-  const planned = `${duration(plan.seconds)} one step after another, ${duration(plan.makespan)} on the critical path`;
-  return [`Planned: ${planned}. Measured: ${duration(ended)}, for steps of ${duration(together)} in all.`];
+  const inAll = duration(ended) === duration(together) ? "" : `, for steps of ${duration(together)} in all`;
+  return [`Planned: ${aboutPlan(plan)}. Measured: ${duration(ended)}${inAll}.`];
 }
 
 /** @param {any} swap @returns {string[]} what was missed, lost or received twice at one subscriber */

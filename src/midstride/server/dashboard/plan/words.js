@@ -58,11 +58,32 @@ export function stepText(step) {
   }
 }
 
-/** How long a step or a plan takes, with the range that was measured where it is wide. @param {any} document */
-export function about(document) {
+/** How long a step takes, with the range that was measured where it is wide. @param {any} step */
+export function about(step) {
+  return withRemarks(step.seconds, spread(step));
+}
+
+/** @param {any} document @returns {string[]} */
+function spread(document) {
   const [shortest, longest] = document.between ?? [0, 0];
-  const expected = duration(document.seconds);
-  return longest - shortest < 0.1 ? expected : `${expected} (${duration(shortest)} to ${duration(longest)})`;
+  return longest - shortest < 0.1 ? [] : [`${duration(shortest)} to ${duration(longest)}`];
+}
+
+/** @param {number} taken in seconds @param {string[]} remarks */
+function withRemarks(taken, remarks) {
+  return duration(taken) + (remarks.length ? ` (${remarks.join("; ")})` : "");
+}
+
+/** How long a plan takes as it is carried out (s). Earlier reports only have the sum of its steps. @param {any} plan */
+export function plannedSeconds(plan) {
+  return plan.duration ?? plan.seconds;
+}
+
+/** The same in words, with its range; beside it the sum of its steps where they overlap. @param {any} plan */
+export function aboutPlan(plan) {
+  const taken = plannedSeconds(plan);
+  const inTurn = duration(taken) === duration(plan.seconds) ? [] : [`${duration(plan.seconds)} one step after another`];
+  return withRemarks(taken, [...spread(plan), ...inTurn]);
 }
 
 /** @param {any} shift */
@@ -138,9 +159,7 @@ export function cost(plan) {
   const { worse } = afterwards(plan);
   let disruption = `Disruption ${figure(plan.disruption)} weighted functionality-seconds`;
   disruption += worse.length ? ` on the way (${bound}), and afterwards ${worse.join(", ")}` : ` (${bound})`;
-  const [total, critical] = [duration(plan.seconds), duration(plan.makespan)];
-  const takes = about(plan) + (total === critical ? "" : ` (critical path ${critical})`);
-  return `${disruption}; takes about ${takes}; strategy ${plan.strategy}.`;
+  return `${disruption}; takes about ${aboutPlan(plan)}; strategy ${plan.strategy}.`;
 }
 
 /** What a plan does besides its steps, and to values that were set at run time. @param {any} plan @returns {string[]} */
