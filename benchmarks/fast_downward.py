@@ -24,19 +24,16 @@ import statistics
 import sys
 import time
 from collections import defaultdict
-from math import inf
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 from _conflict_core_systems import instance
+from conflict_cores import planned
 
 from midstride.model.specification import initial
 from midstride.plan.change import Change
 from midstride.plan.change_builder import change_between
-from midstride.plan.core_plan import Budget
-from midstride.plan.minimal import minimal
-from midstride.plan.validate import replay
 
 TIED, FUNCTIONALITIES = 20, 10
 
@@ -48,14 +45,6 @@ def small(seed: int) -> Change | None:
     except ValueError:
         return None
     return change_between(initial(start), start, target)
-
-
-def planned(change: Change, seconds: float) -> dict[str, Any]:
-    begin = time.process_time()
-    plan = minimal(change, Budget(inf, seconds, time.process_time))
-    taken = time.process_time() - begin
-    assert replay(plan).holds
-    return {"proved": plan.proved_minimal, "seconds": taken, "disruption": plan.disruption}
 
 
 def _children() -> float:

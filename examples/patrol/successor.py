@@ -1,4 +1,4 @@
-"""A manager in a process of its own, which the demonstration kills: ``python3 successor.py WORKSPACE BACKEND``.
+"""A manager in a separate process, which the demonstration kills: ``python3 successor.py WORKSPACE BACKEND``.
 
 It takes over the running robot, says what that came to, and manages it until it is killed.
 """

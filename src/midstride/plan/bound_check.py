@@ -2,7 +2,7 @@
 
 Every order of the structural differences is searched, cheapest first, up to the claimed bound
 (:mod:`midstride.plan.bound_search`). Where the plan has a certificate, its parts are searched one by one. Each is a
-bound by itself, whatever the planner took for a part, so their sum is one; nothing else in the certificate is believed.
+bound, whatever the planner took for a part, so their sum is one; nothing else in the certificate is believed.
 A bound on plans with detours is checked for every set of detours there is (:mod:`midstride.plan.detour_space`).
 """
 

@@ -101,7 +101,7 @@ class ModeChanges:
             return await self.client.change(instance, command)  # whatever mode it has fallen to
 
     async def _has_degraded(self, instance: str) -> bool:
-        """Whether it has degraded by itself since the change began."""
+        """Whether its own reflex or code has degraded it since the change began."""
         return bool(own_degradations_in(self.configuration, await self.client.peek(instance)))
 
     async def lower(self, instance: str, modes: Mapping[FunctionalityRef, int], because: str) -> None:

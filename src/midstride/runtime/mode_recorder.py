@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Final
 
@@ -30,6 +30,16 @@ class ModeInterval(Report, frozen=True, kw_only=True):
     reflex: Annotated[bool, Meta(description="the component's local reflex has led to this mode")]
     began: float
     ended: Annotated[float | None, Meta(description="null: it was in this mode to the end")]
+
+
+def mode_level(modes: Sequence[str], mode: str) -> int:
+    """The ``level`` of a mode: its place among ``modes``, the best first; that of an unknown one is the last."""
+    return modes.index(mode) if mode in modes else max(len(modes) - 1, 0)
+
+
+def in_order(intervals: Iterable[ModeInterval]) -> list[ModeInterval]:
+    """By their beginning."""
+    return sorted(intervals, key=lambda each: (each.began, each.instance, each.functionality))
 
 
 @dataclass
@@ -83,8 +93,7 @@ class ModeRecorder:
         found = [each for each in self._closed if each.ended is None or each.ended >= since]
         found += self._open.values()
         lowered = {(each.instance, each.functionality) for each in found if each.level}
-        kept = (each for each in found if each.role in roles or (each.instance, each.functionality) in lowered)
-        return sorted(kept, key=lambda each: (each.began, each.instance, each.functionality))
+        return in_order(each for each in found if each.role in roles or (each.instance, each.functionality) in lowered)
 
 
 def _interval(instance: Instance, name: str, found: FunctionalityState, began: float) -> ModeInterval:
@@ -95,7 +104,7 @@ def _interval(instance: Instance, name: str, found: FunctionalityState, began: f
         role=instance.role,
         functionality=name,
         mode=found.mode,
-        level=modes.index(found.mode) if found.mode in modes else max(len(modes) - 1, 0),
+        level=mode_level(modes, found.mode),
         levels=len(modes),
         because=found.because or None,
         reflex=found.reflex,

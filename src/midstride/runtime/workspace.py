@@ -113,6 +113,15 @@ class Workspace:
         except (OSError, ValueError):
             return None
 
+    def write_private(self, name: str, text: str) -> Path:
+        """A new file in place of any of that name, which only this user can read."""
+        path = self.path / name
+        path.unlink(missing_ok=True)
+        handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        return path
+
     def require_room(self) -> None:
         """Raises ManagerError if nothing can be written here: a manager could not even log why it exits."""
         trial = self.path / "trial"

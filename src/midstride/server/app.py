@@ -64,7 +64,7 @@ _LARGEST: Final = 2**31 - 1
 
 
 def create_app(live: LiveView) -> FastAPI:
-    """The application of the manager that ``live`` shows. It keeps no state of its own."""
+    """The application of the manager that ``live`` shows. It keeps no state."""
     lifecycle = live.lifecycle
     app = FastAPI(
         title="Midstride",

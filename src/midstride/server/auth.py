@@ -29,6 +29,10 @@ _SAFE: Final = frozenset({"GET", "HEAD"})
 _OPENED: Final = '<!doctype html><meta http-equiv="refresh" content="0;url=/dashboard/"><title>Midstride</title>'
 
 
+def new_token() -> str:
+    return secrets.token_urlsafe(32)
+
+
 class TokenAuth:
     """Passes on to ``app`` the requests of clients that have ``token``.
 

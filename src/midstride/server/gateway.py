@@ -7,7 +7,6 @@ itself comes from here, so that it can be opened while there is no manager.
 from __future__ import annotations
 
 import asyncio
-import secrets
 import socket
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -20,7 +19,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from midstride.errors import ManagerError
 from midstride.server.auth import TokenAuth
-from midstride.server.connections import Server, connection_limit
+from midstride.server.connections import Server, connection_limit, listen_tcp
 from midstride.server.errors import Failure, answer
 from midstride.server.requests import LARGEST_BODY
 from midstride.server.static import dashboard
@@ -29,7 +28,6 @@ HOST: Final = "127.0.0.1"
 # Where the dashboard is unless another port is asked for: the page keeps its settings by its origin.
 PORT: Final = 7420
 _LIMIT: Final = (64, 1 / 8)
-_BACKLOG: Final = 128
 _CHUNK: Final = 65_536
 # Of one connection alone, added on this side, or not for the manager.
 _NOT_PASSED_ON: Final = frozenset(
@@ -41,12 +39,9 @@ def listen(port: int | None) -> socket.socket:
     """A socket on loopback: on ``port``, or on :data:`PORT` or any free one if that is taken. Raises ManagerError."""
     for number in [PORT, 0] if port is None else [port]:
         try:
-            listening = socket.create_server((HOST, number), backlog=_BACKLOG)
+            return listen_tcp((HOST, number))
         except OSError as error:
             failure = error
-            continue
-        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        return listening
     raise ManagerError(f"cannot listen on {HOST}, port {port}: {failure.strerror or failure}") from None
 
 
@@ -56,10 +51,6 @@ def gateway(manager: Path, system: str, token: str, port: int) -> ASGIApp:
     app.include_router(dashboard())
     app.mount("/", _PassedOn(manager, system))
     return TokenAuth(app, token, host=HOST, port=port)
-
-
-def new_token() -> str:
-    return secrets.token_urlsafe(32)
 
 
 async def run_gateway(listening: socket.socket, manager: Path, system: str, token: str) -> None:

@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import logging
 import os
-import secrets
 import signal
 import socket
 from collections.abc import Callable, Iterator
@@ -18,8 +17,8 @@ from midstride.errors import ManagerError
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from midstride.server.app import create_app
-from midstride.server.auth import TokenAuth
-from midstride.server.connections import Server, connection_limit
+from midstride.server.auth import TokenAuth, new_token
+from midstride.server.connections import BACKLOG, Server, connection_limit, listen_tcp
 from midstride.server.lifecycle import Lifecycle
 from midstride.server.view.live import LiveView
 
@@ -29,7 +28,6 @@ LOOPBACK: Final = "127.0.0.1"
 # How many connections each kind may have, and which share of the descriptors. The rest is the control plane's.
 _UNIX_LIMIT: Final = (256, 1 / 4)
 _TCP_LIMIT: Final = (64, 1 / 8)
-_BACKLOG: Final = 128
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,13 +48,13 @@ async def serve(manager: Manager, workspace: Workspace, *, backend: str, tcp: Tc
     lifecycle = Lifecycle(manager)
     live = LiveView(lifecycle, backend=backend)
     app = create_app(live)
-    token_file = workspace.path / "token"
     with contextlib.ExitStack() as stack:
         servers = [Server(app, stack.enter_context(_unix(workspace.socket)), connection_limit(*_UNIX_LIMIT))]
         if tcp is not None:
             listening = stack.enter_context(_tcp(tcp))
-            stack.callback(token_file.unlink, missing_ok=True)
-            protected = TokenAuth(app, _new_token(token_file), host=tcp.host, port=tcp.port)
+            token = new_token()
+            stack.callback(workspace.write_private("token", token).unlink, missing_ok=True)
+            protected = TokenAuth(app, token, host=tcp.host, port=tcp.port)
             servers.append(Server(protected, listening, connection_limit(*_TCP_LIMIT)))
         with _on_signals(lifecycle.ended.set):
             live.start()
@@ -94,7 +92,7 @@ def _unix(path: Path) -> Iterator[socket.socket]:
     finally:
         os.umask(before)
     try:
-        listening.listen(_BACKLOG)
+        listening.listen(BACKLOG)
         yield listening
     finally:
         listening.close()
@@ -106,8 +104,7 @@ def _tcp(tcp: Tcp) -> Iterator[socket.socket]:
     try:
         found = socket.getaddrinfo(tcp.host, tcp.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
         family, _, _, _, address = found[0]
-        listening = socket.create_server(address, family=family, backlog=_BACKLOG)
-        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else a kept connection answers 40 ms late
+        listening = listen_tcp(address, family)
     except OSError as error:
         raise ManagerError(f"cannot listen on {tcp.host}, port {tcp.port}: {error.strerror or error}") from None
     with listening:
@@ -124,13 +121,3 @@ def _on_signals(leave: Callable[[], None]) -> Iterator[None]:
     finally:
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.remove_signal_handler(number)
-
-
-def _new_token(path: Path) -> str:
-    """A fresh token, written to a file that only its user can read."""
-    token = secrets.token_urlsafe(32)
-    path.unlink(missing_ok=True)
-    handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
-    with os.fdopen(handle, "w") as file:
-        file.write(token)
-    return token

@@ -34,7 +34,8 @@ def dashboard_command(system: str | None, port: int | None, no_browser: bool) ->
     The page shows the graph, its rates and modes, and every change as it happens, and does what the commands do. Only a
     browser that is given the printed address can use it. The name is needed only if several systems are running.
     """
-    from midstride.server.gateway import listen, new_token, run_gateway
+    from midstride.server.auth import new_token
+    from midstride.server.gateway import listen, run_gateway
 
     _, workspace = find(system)
     token = new_token()
@@ -65,11 +66,8 @@ def _open(workspace: Workspace, url: str) -> Path:
 
     The arguments of a browser's process are no secret on this machine; the file is, as the workspace is.
     """
-    path = workspace.path / "dashboard.html"
-    path.unlink(missing_ok=True)
-    handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        file.write(f'<!doctype html><meta http-equiv="refresh" content="0;url={url}"><title>Midstride</title>\n')
+    page = f'<!doctype html><meta http-equiv="refresh" content="0;url={url}"><title>Midstride</title>\n'
+    path = workspace.write_private("dashboard.html", page)
 
     def open_browser() -> None:
         with suppress(webbrowser.Error, OSError):

@@ -41,46 +41,39 @@ def change_file(found: ChangeReport, system: str, backend: str) -> str:
     """The file of a change of the history."""
     change = encode(found)
     whole = None if found.plan is None else {**change["plan"], "start": change["before"], "target": change["after"]}
-    before, after = _views(whole, system, backend, found.change.at)
-    title = found.change.by or found.change.command
-    return _file(
-        ReportDocument(
-            version=VERSION,
-            midstride=__version__,
-            written=time.time(),
-            system=system,
-            backend=backend,
-            title=title,
-            change=change,
-            plans=None,
-            before=before,
-            after=after,
-        )
-    )
+    views = _views(whole, system, backend, found.change.at)
+    return _file(system, found.change.by or found.change.command, views, backend=backend, change=change)
 
 
 def plan_file(plans: Mapping[str, dict[str, Any]], system: str, title: str) -> str:
     """The file of plans by strategy: documents as POST /plan answers, or with ``refused``."""
     first = next((plan for plan in plans.values() if "refused" not in plan), None)
-    before, after = _views(first, system, "", time.time())
-    return _file(
-        ReportDocument(
-            version=VERSION,
-            midstride=__version__,
-            written=time.time(),
-            system=system,
-            backend=None,
-            title=title,
-            change=None,
-            plans=dict(plans),
-            before=before,
-            after=after,
-        )
+    return _file(system, title, _views(first, system, "", time.time()), plans=dict(plans))
+
+
+def _file(
+    system: str,
+    title: str,
+    views: tuple[SystemView | None, SystemView | None],
+    *,
+    backend: str | None = None,
+    change: dict[str, Any] | None = None,
+    plans: dict[str, dict[str, Any]] | None = None,
+) -> str:
+    before, after = views
+    document = ReportDocument(
+        version=VERSION,
+        midstride=__version__,
+        written=time.time(),
+        system=system,
+        backend=backend,
+        title=title,
+        change=change,
+        plans=plans,
+        before=before,
+        after=after,
     )
-
-
-def _file(document: ReportDocument) -> str:
-    return report_file(document, f"{document.title} - {document.system}")
+    return report_file(document, f"{title} - {system}")
 
 
 def _views(

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import Evaluator, violations
+from midstride.server.view.components import namespace_of
 from midstride.server.view.forms import VERSION, ComponentView, FunctionalityView, PortView, SystemView
 from midstride.server.view.topics import topic_view
 
@@ -43,7 +44,7 @@ def _component(configuration: Configuration, instance: Instance) -> ComponentVie
         name=instance.name,
         role=instance.role,
         component=instance.component.name,
-        namespace=f"/{instance.role.rpartition('/')[0]}",
+        namespace=namespace_of(instance.role),
         host=None,
         node=None,
         pid=None,

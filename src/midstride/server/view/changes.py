@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
-from msgspec import UNSET
+from msgspec import UNSET, structs
 
 from midstride.codec.form import given
 from midstride.plan.forms import PlanPreview
@@ -80,13 +80,8 @@ class ChangeTracker:
                 index=event.index, words=event.words, began=event.at, ended=None, failed=False
             )
         elif event.index is not UNSET and event.index in change.steps:
-            begun = change.steps[event.index]
-            change.steps[event.index] = StepView(
-                index=begun.index,
-                words=begun.words,
-                began=begun.began,
-                ended=event.at,
-                failed=event.kind == "step_failed",
+            change.steps[event.index] = structs.replace(
+                change.steps[event.index], ended=event.at, failed=event.kind == "step_failed"
             )
 
     def _retire(self) -> None:

@@ -106,7 +106,7 @@ def component_view(
         name=instance.name,
         role=instance.role,
         component=instance.component.name,
-        namespace=f"/{instance.role.rpartition('/')[0]}",
+        namespace=namespace_of(instance.role),
         host=None,
         node=None if state is None else state.node,
         pid=None if process is None else process.pid,
@@ -121,6 +121,11 @@ def component_view(
         ports=ports,
         parameters=[] if state is None else status.parameters(state),
     )
+
+
+def namespace_of(role: str) -> str:
+    """As ``/`` or ``/front``."""
+    return f"/{role.rpartition('/')[0]}"
 
 
 def _functionalities(

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 from msgspec import structs
 
-from midstride.runtime.mode_recorder import ModeInterval
+from midstride.runtime.mode_recorder import ModeInterval, in_order, mode_level
 from midstride.server.view.forms import ComponentView, FunctionalityView
 from midstride.server.view.table import Part
 
@@ -114,7 +114,7 @@ class ModeHistory:
 
     def between(self, since: float, until: float) -> list[ModeInterval]:
         """The intervals that overlap the time, by their beginning."""
-        return sorted(self._overlapping(since, until), key=lambda each: (each.began, each.instance, each.functionality))
+        return in_order(self._overlapping(since, until))
 
     def _overlapping(self, since: float, until: float) -> Iterator[ModeInterval]:
         for interval in self._closed:
@@ -125,13 +125,12 @@ class ModeHistory:
 
 
 def _interval(component: ComponentView, functionality: FunctionalityView, began: float) -> ModeInterval:
-    known = functionality.mode in functionality.modes
     return ModeInterval(
         instance=component.name,
         role=component.role,
         functionality=functionality.name,
         mode=functionality.mode,
-        level=functionality.modes.index(functionality.mode) if known else len(functionality.modes) - 1,
+        level=mode_level(functionality.modes, functionality.mode),
         levels=len(functionality.modes),
         because=functionality.because,
         reflex=functionality.reflex,
