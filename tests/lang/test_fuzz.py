@@ -28,8 +28,9 @@ def _run(count: int, seed: int) -> None:
     assert all(reached[stage] >= count / 100 for stage in ("not text", "not parsed", "parsed", "loaded")), reached
 
 
-def test_some_thousand_mutated_inputs() -> None:
-    _run(3000, seed=2)
+@pytest.mark.parametrize("count", [1000, pytest.param(3000, marks=pytest.mark.full)])
+def test_some_mutated_inputs(count: int) -> None:
+    _run(count, seed=2)
 
 
 @pytest.mark.long

@@ -87,7 +87,7 @@ async def differing(manager: Manager) -> list[str]:
 
 CASES = [
     ("talker", replace("talker", "NewTalker")),
-    ("talker", replace("talker", "NewTalker", "paper")),
+    pytest.param("talker", replace("talker", "NewTalker", "paper"), marks=pytest.mark.full),
     pytest.param("filter", replace("filter", "MedianFilter"), marks=pytest.mark.full),
     ("obstacle", replace("detector", "StereoDetector", "quiesce")),
     ("obstacle", PlanRequest(remove=("detector",))),
