@@ -108,8 +108,8 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     still, or that is not known yet). ``stopping`` is how long it may take to end in order (s).
     ``ports`` maps port -> topic -> attachment. ``imported`` counts the modules that its process has imported: where it
     has grown, so may have the files of its program. ``declared`` has the parameters that were set while it ran, each
-    with the value that it was started with. ``keeps_state``: it exports state for its replacement. ``host``: the name of
-    the computer or container that its process runs on, empty where that is not known.
+    with the value that it was started with. ``keeps_state``: it exports state for its replacement. ``host``: the name
+    of the computer or container that its process runs on, empty where that is not known.
     """
 
     instance: str

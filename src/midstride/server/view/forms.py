@@ -54,7 +54,9 @@ class EndpointView(Report, frozen=True, kw_only=True):
 
     kind: Literal["topic", "service", "ROS action"]
     name: Annotated[str, Meta(description="in full, as `/map/save`")]
-    serves: Annotated[bool | None, Meta(description="it is the server; false: it calls it; null: a topic, or not known")]
+    serves: Annotated[
+        bool | None, Meta(description="it is the server; false: it calls it; null: a topic, or not known")
+    ]
 
 
 class ComponentView(Report, frozen=True, kw_only=True):

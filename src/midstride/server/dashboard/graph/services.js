@@ -13,6 +13,7 @@
 
 /** Other topics of a node, such as /tf, are in its details: most nodes have them. */
 const DRAWN = new Set(["service", "ROS action"]);
+const SERVICE = /^(service|ROS action) /;
 
 /**
  * @param {Component} entry
@@ -47,7 +48,7 @@ export function sharedServices(components) {
  * @returns {boolean}
  */
 export function isService(name) {
-  return name.includes(" ");
+  return SERVICE.test(name);
 }
 
 /**
@@ -59,7 +60,7 @@ export function isService(name) {
  */
 export function rowLabel(name, entry) {
   if (!isService(name)) return name;
-  const full = name.slice(name.indexOf("/"));
+  const full = name.replace(SERVICE, "");
   const own = `${entry.node ?? `/${entry.role}`}/`;
   return `⇄ ${full.startsWith(own) ? `~/${full.slice(own.length)}` : full}`;
 }
