@@ -46,9 +46,7 @@ def unexpected_endpoints(declared: ComponentSpec, nodes: Collection[str], endpoi
     ``nodes``: the names that the node may have, of its role or of its instance.
     """
     allowed = {
-        (REPORTED[endpoint.kind], resolved(endpoint.name, node))
-        for endpoint in declared.allows
-        for node in nodes
+        (REPORTED[endpoint.kind], resolved(endpoint.name, node)) for endpoint in declared.allows for node in nodes
     }
     return [
         f"{endpoint.kind} {endpoint.name}"
