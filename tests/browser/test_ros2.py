@@ -123,7 +123,7 @@ def test_services_lead_from_the_node_that_calls_to_the_one_that_serves_also_on_a
     expect(page.locator(".link.service")).to_have_count(2)
     keeper = page.locator('.component[data-name="keeper"]')
     expect(keeper.locator('.port-row[data-direction="out"] .port-name')).to_have_text(
-        ["out", "⇄ /map/list", "⇄ ~/reset"]
+        ["out", "⇄ ~/reset", "⇄ /map/list"]
     )
     caller = page.locator('.component[data-name="caller"] .port-row[data-direction="in"] .port-name')
     expect(caller).to_have_text(["in", "⇄ /map/list"])
