@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -127,9 +127,10 @@ def measured(options: argparse.Namespace) -> list[dict[str, float]]:
         session.send("HeapProfiler.enable")
         rows: list[dict[str, float]] = []
         begun = time.monotonic()
-        while (at := time.monotonic() - begun) <= options.seconds:
-            rows.append({"at": at, **sample(page, session, manager.pid, gateway.pid)})
-            page.wait_for_timeout(max(0.0, options.every - (time.monotonic() - begun - at)) * 1000)
+        with suppress(KeyboardInterrupt):  # what has been seen by then is shown
+            while (at := time.monotonic() - begun) <= options.seconds:
+                rows.append({"at": at, **sample(page, session, manager.pid, gateway.pid)})
+                time.sleep(max(0.0, options.every - (time.monotonic() - begun - at)))
         if not changes(page):
             raise SystemExit("the page does not follow the system any more")
     return rows
