@@ -72,7 +72,7 @@ def opened(context: ExitStack, url: str, groups: list[str]) -> Page:
     browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
     context.callback(browser.close)
     page = browser.new_context(viewport={"width": 1920, "height": 1080}).new_page()
-    page.set_default_timeout(180_000)
+    page.set_default_timeout(600_000)
     page.goto(url)
     for group in groups:
         page.locator(f'.collapsed[data-group="{group}"]').dispatch_event("click")
