@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -52,12 +52,21 @@ class Program:
     """How the nodes of a component behave: they publish at ``rate`` (Hz).
 
     ``hung``: the instances that write nothing now; all do so after ``most`` messages. ``type``: of the subscriptions.
+    ``set``: what was set at once of their parameters, in order; ``rejects``: by parameter, why it cannot be.
     """
 
     rate: float = 50.0
     hung: set[str] = field(default_factory=set)
     most: float = math.inf
     type: str = "std_msgs/msg/String"
+    set: list[dict[str, Any]] = field(default_factory=list)
+    rejects: dict[str, str] = field(default_factory=dict)
+
+    async def set_parameters(self, values: Mapping[str, Any], timeout: float) -> str | None:
+        if refused := [self.rejects[name] for name in values if name in self.rejects]:
+            return refused[0]
+        self.set.append(dict(values))
+        return None
 
 
 class SimulatedRelays(Simulator):
@@ -99,7 +108,10 @@ class SimulatedRelay(RelayComponent):
         self.instance = find().instance or ""
         running: Any = SimpleNamespace(status=lambda: None, watch=partial(lab.exits.__setitem__, self.instance))
         graph = partial(self._endpoints, program)
-        super().__init__(order, running, RelayPlatform(joined, lambda _: Text, lambda _: Read, lambda *_: graph()))
+        platform = RelayPlatform(
+            joined, lambda _: Text, lambda _: Read, lambda *_: graph(), parameters=lambda *_: program
+        )
+        super().__init__(order, running, platform)
         heard = lab.heard.setdefault(self.instance, [])
         for port in self.parts.inputs.values():
             port.listeners = (lambda message, _: heard.append((lab.time.ros_now(), message.data)),)
