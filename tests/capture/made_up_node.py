@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import random
 import sys
@@ -14,7 +15,7 @@ from typing import Any
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from tests.capture.probed import Output, made_up  # noqa: E402
+from tests.capture.probed import Output, made_up
 
 TYPES = ("std_msgs/msg/String", "std_msgs/msg/Int32", "sensor_msgs/msg/Range")
 # A burst, and the pause before the next one (s).
@@ -128,10 +129,8 @@ def main(seed: int, name: str) -> None:
 
     rclpy.init()
     made = MadeUpNode(seed, name)
-    try:
+    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(made.node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
 
 
 if __name__ == "__main__":

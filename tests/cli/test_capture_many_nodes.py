@@ -1,4 +1,4 @@
-"""`midstride capture --probe` on a system of 22 nodes in plain rclpy that was made up: what is found is what was planted.
+"""`midstride capture --probe` on a system of 22 nodes in plain rclpy that was made up, and what it finds of it.
 
 MIDSTRIDE_CAPTURE_SEED says which of them (3). The figures are printed: `pytest -s`.
 """

@@ -17,6 +17,7 @@ from typing import Any, ClassVar, TypeVar
 from midstride.backends.naming import full
 from midstride.backends.ros2.foreign_nodes import ForeignNodes
 from midstride.backends.simulator import Simulator
+from midstride.backends.simulator.clock import SimulatedTimer
 from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.relay import RelayComponent, RelayPlatform
 from midstride.foreign.relayed_program import RelayOrder
@@ -72,6 +73,7 @@ class Program:
 class SimulatedRelays(Simulator):
     """A simulator with relays. ``programs``: by component. ``heard``: by instance, when (ns) and what it received.
 
+    ``written``: by instance, when its program has published each of its messages (ns).
     ``exits``: by instance, to be called when its program has exited.
     """
 
@@ -83,6 +85,7 @@ class SimulatedRelays(Simulator):
         SimulatedRelays.current = self
         self.programs = programs
         self.heard: dict[str, list[tuple[int, str]]] = {}
+        self.written: dict[str, list[int]] = {}
         self.exits: dict[str, Callable[[], None]] = {}
         transport: Any = self.control
         self._foreign = ForeignNodes(folder, transport, lambda _: None)
@@ -127,15 +130,18 @@ class SimulatedRelay(RelayComponent):
         super()._set_up(node)
 
     def _publish(self, host: Host, topic: str, qos: QoS, program: Program) -> None:
-        publisher, written = host.create_publisher(topic, Text, qos), 0
+        lab, publisher, written = SimulatedRelays.current, host.create_publisher(topic, Text, qos), 0
+        times = lab.written[self.instance] = []
 
         def write(first: int, last: int) -> None:
             nonlocal written
             if self.instance not in program.hung and written < program.most:
                 written += 1
+                times.append(lab.time.ros_now())
                 publisher.publish(Text(f"{self.instance} {written}"))
 
-        host.create_timer(1 / program.rate, None, write)
+        # The program goes on while its relay is frozen, or hangs.
+        SimulatedTimer(lab.time, lambda call: call(), round(1e9 / program.rate), None, write)
 
 
 def managed(

@@ -62,9 +62,9 @@ def test_one_program_is_heard_at_each_moment_and_no_slot_is_missed(tmp_path: Pat
     managed(tmp_path, TEXT, programs(), body)
 
 
-@pytest.mark.parametrize("late", [0.0, 0.004, 0.012, 0.03, 0.3])
+@pytest.mark.parametrize("late", [0.0, 0.004, 0.03, 0.1])
 def test_a_relay_that_runs_late_is_not_heard_after_its_successor(tmp_path: Path, late: float) -> None:
-    """What the old program published before the cut waits in its relay until ``late`` (s) after it."""
+    """What the old program published before the cut waits in its relay until ``late`` (s) after it, and is heard."""
 
     async def body(manager: Manager, simulator: SimulatedRelays) -> None:
         async def stall(instance: str, command: str) -> None:
@@ -79,11 +79,12 @@ def test_a_relay_that_runs_late_is_not_heard_after_its_successor(tmp_path: Path,
             await asyncio.sleep(1 + number * 0.0053)  # at another phase of the old program's grid
             outcome = await manager.change(PlanRequest(replace=(("talker", ("Other", "Talker")[number % 2]),)))
             assert (outcome.outcome, outcome.because) == ("done", None)
-        await asyncio.sleep(1)
-        found = list(pairwise(writers(simulator.heard["listener"])))
-        changes = [(old, new) for (old, _), (new, _) in found if old != new]
-        assert len(changes) == 4, changes
-        assert all(b == a + 1 for (old, a), (new, b) in found if old == new)
+            found = writers(simulator.heard["listener"])
+            assert len([1 for (old, _), (new, _) in pairwise(found) if old != new]) == number + 1
+            assert all(b == a + 1 for (old, a), (new, b) in pairwise(found) if old == new)
+            (old, last), (new, first) = next((a, b) for a, b in pairwise(found[::-1]) if a[0] != b[0])[::-1]
+            # The one's next message, and the other's message before, were published on the other side of the cut.
+            assert simulator.written[old][last] > simulator.written[new][first - 2]
 
     managed(tmp_path, TEXT, programs(), body)
 

@@ -1,7 +1,7 @@
 """The reflex of a node without Midstride's API: its agent degrades what relies on a publisher that has fallen silent.
 
-docs/semantics.md section 7, *Nodes without Midstride's API*. Judged is that publishers have written nothing, as the page
-shows of those with a preloaded library, and as others report: the node itself may be too busy to take messages.
+docs/semantics.md section 7, *Nodes without Midstride's API*. Publishers are judged by when they wrote last, which the
+page shows of those with a preloaded library, and others report: the node itself may be too busy to take messages.
 """
 
 from __future__ import annotations

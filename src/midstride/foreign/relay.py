@@ -53,7 +53,7 @@ class RelayPlatform:
     serialised. ``graph``: what the graph shows of the program's node; None if it shows no such node.
     ``decoder``: reads such messages of a type, of which only some are, and only where the contract constrains fields.
     ``advertises_late``: a program may create a publisher only when it has something to publish, so none is waited for.
-    ``parameters``: sets those of the program's node; made on the data thread. None where the platform has no such service.
+    ``parameters``: sets those of the program's node; called on the data thread. None where there is no such service.
     """
 
     host: Callable[[ProcessContext], Host]

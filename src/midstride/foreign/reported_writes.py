@@ -36,7 +36,5 @@ class ReportedWrites:
     def silence(self, topic: str) -> float | None:
         """For how long no component that may publish on ``topic`` has written (s); None where none has, or reports."""
         now = time.monotonic()
-        last = [
-            written[topic] for at, written in self._reports.values() if topic in written and now - at < FRESH
-        ]
+        last = [written[topic] for at, written in self._reports.values() if topic in written and now - at < FRESH]
         return now - max(last) if last else None

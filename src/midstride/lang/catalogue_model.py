@@ -279,8 +279,8 @@ MODEL: Final = (
         is `changeable`, an input that is a `condition`, or a mode between the first and the last that sets no
         parameter; with `gate lifecycle`, it has several functionalities; with `gate relay`, an output for which no mode
         states a type; its node attaches a port to several topics; or a component without a `gate` has a name for the
-        topic of a port (`as`), or a mode with parameters. A parameter of a mode is declared in the component, with a value of the same type, and belongs to
-        the modes of one functionality.""",
+        topic of a port (`as`), or a mode with parameters. A parameter of a mode is declared in the component, with a
+        value of the same type, and belongs to the modes of one functionality.""",
         "correct the statement that the message names",
         STARTED.replace("output out", "output out as chat") + NODE,
         STARTED.replace('talker"', 'talker" gate preload').replace("mode silent", "mode quiet { }\n    mode silent")

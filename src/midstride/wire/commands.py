@@ -448,8 +448,8 @@ class StateTransfer(WireValue, frozen=True, kw_only=True):
 
     That is at ``at`` on ``clock``. ``changes``: a bulk has moved before, and only what has changed since follows. It
     may take ``timeout`` seconds. If it fails, the new side does not take over where the state is ``required``; else it
-    continues with its own. ``new`` at ``address`` is the new side. ``order_only``: no state moves; the new side waits, for
-    as long, until all that belongs before the cuts has been published.
+    continues with its own. ``new`` at ``address`` is the new side. ``order_only``: no state moves; the new side waits,
+    for as long, until all that belongs before the cuts has been published.
     """
 
     id: str

@@ -40,9 +40,7 @@ class RosNodeServices:
     def connect(self) -> None:
         """Make the client that sets parameters, in the thread that may create endpoints."""
         type_, service = _SETTING
-        self._clients[service] = self._node.create_client(
-            type_, f"{self._name}/{service}", callback_group=self._group
-        )
+        self._clients[service] = self._node.create_client(type_, f"{self._name}/{service}", callback_group=self._group)
 
     def close(self) -> None:
         for client in self._clients.values():
