@@ -140,8 +140,11 @@ class SimulatedRelay(RelayComponent):
                 times.append(lab.time.ros_now())
                 publisher.publish(Text(f"{self.instance} {written}"))
 
-        # The program goes on while its relay is frozen, or hangs.
-        SimulatedTimer(lab.time, lambda call: call(), round(1e9 / program.rate), None, write)
+        def begin() -> None:
+            """It goes on while its relay is frozen, or hangs."""
+            SimulatedTimer(lab.time, lambda call: call(), round(1e9 / program.rate), None, write)
+
+        lab.time.loop.call_later(2 * lab.network.discovery, begin)
 
 
 def managed(
