@@ -112,7 +112,7 @@ def endpoints(node: Any, control: str, ports: Collection[int]) -> list[Endpoint]
             found.add(("topic", topic.topic_name))
     for service in (*node.services, *node.clients):
         name = _service_name(node, service)
-        if not name.endswith(_SERVICES_OF_ROS):
+        if id(service) not in ports and not name.endswith(_SERVICES_OF_ROS):
             found.add(("service", name))
     found |= {("ROS action", name) for name in _actions(node, control)}
     return [Endpoint(kind=kind, name=name) for kind, name in sorted(found)]

@@ -37,10 +37,12 @@ class RosNodeServices:
         self._clients: dict[str, Any] = {}
         self._waiting: dict[str, dict[int, asyncio.Future[Any]]] = {}  # by service, and number of the request
 
-    def connect(self) -> None:
-        """Make the client that sets parameters, in the thread that may create endpoints."""
+    def connect(self) -> Any:
+        """Make the client that sets parameters, in the thread that may create endpoints, and return it."""
         type_, service = _SETTING
-        self._clients[service] = self._node.create_client(type_, f"{self._name}/{service}", callback_group=self._group)
+        client = self._node.create_client(type_, f"{self._name}/{service}", callback_group=self._group)
+        self._clients[service] = client
+        return client
 
     def close(self) -> None:
         for client in self._clients.values():

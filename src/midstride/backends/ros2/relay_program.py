@@ -15,7 +15,6 @@ from midstride.backends.ros2.host import Ros2Host
 from midstride.backends.ros2.node_services import RosNodeServices
 from midstride.foreign.relay import RelayPlatform, run_relay
 from midstride.foreign.relayed_program import RelayOrder
-from midstride.node.host import Host
 
 
 class _NotExecuted(CallbackGroup):  # type: ignore[misc]
@@ -25,9 +24,9 @@ class _NotExecuted(CallbackGroup):  # type: ignore[misc]
         return False
 
 
-def parameters(host: Host, order: RelayOrder) -> RosNodeServices:
+def parameters(host: Any, order: RelayOrder) -> RosNodeServices:
     services = RosNodeServices(host.ros_node, order.node, _NotExecuted())
-    services.connect()
+    host.leave_out(services.connect())
     return services
 
 
