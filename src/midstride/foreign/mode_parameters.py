@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from midstride.errors import CommandRefused
-from midstride.foreign.services import NoAnswer, ParameterServices
+from midstride.foreign.services import NoAnswer, ParameterSetter
 from midstride.model.component import ComponentSpec, ParameterValue
 
 # How long the node may take to set its parameters (s).
@@ -29,7 +29,7 @@ def on_entry(
 
 
 async def set_parameters(
-    services: ParameterServices,
+    services: ParameterSetter,
     instance: str,
     component: ComponentSpec,
     values: Mapping[str, Any],

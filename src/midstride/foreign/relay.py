@@ -26,7 +26,7 @@ from midstride.foreign.mode_parameters import on_entry, set_parameters
 from midstride.foreign.reflex import inputs_of
 from midstride.foreign.relay_endpoints import ProgramEndpoints
 from midstride.foreign.relayed_program import RelayedProgram, RelayOrder
-from midstride.foreign.services import ParameterServices
+from midstride.foreign.services import ParameterSetter
 from midstride.model.component import FunctionalitySpec, Mode
 from midstride.model.contract import Predicate, QoS
 from midstride.node.agent import Agent
@@ -61,7 +61,7 @@ class RelayPlatform:
     decoder: Callable[[str], Callable[[Any], Any]]
     graph: Callable[[Host, RelayOrder], Sequence[GraphEndpoint] | None]
     advertises_late: bool = False
-    parameters: Callable[[Host, RelayOrder], ParameterServices] | None = None
+    parameters: Callable[[Host, RelayOrder], ParameterSetter] | None = None
 
 
 def patient(qos: QoS, rate: float | None) -> QoS:
@@ -129,7 +129,7 @@ class RelayComponent:
         self._type_of = type_of = platform.type_of
         self._fault: str | None = None  # why the relay must end
         self.host: Host | None = None
-        self._parameters: ParameterServices | None = None
+        self._parameters: ParameterSetter | None = None
         self.parts = DeclaredParts()
         self.relays: dict[str, Relay] = {}
         for name in component.input_order:

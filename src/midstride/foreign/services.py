@@ -12,14 +12,14 @@ class NoAnswer(BackendError):
     """The node has not answered a request in time, or does not serve it."""
 
 
-class ParameterServices(Protocol):
-    """Those with which a node's parameters are set."""
+class ParameterSetter(Protocol):
+    """Sets the parameters of a node."""
 
     async def set_parameters(self, values: Mapping[str, Any], timeout: float) -> str | None:
         """Set all of these parameters or none, in ``timeout`` (s); None, or why the node refuses. Raises NoAnswer."""
 
 
-class NodeServices(ParameterServices, Protocol):
+class NodeServices(ParameterSetter, Protocol):
     """The services that a node of ROS 2 has without code of its author. Times are in s; each raises NoAnswer."""
 
     def close(self) -> None:
