@@ -16,9 +16,9 @@ SET_TIMEOUT: Final = 4.0
 def on_entry(
     component: ComponentSpec, modes: Mapping[str, str], stated: Mapping[str, ParameterValue]
 ) -> dict[str, ParameterValue]:
-    """What is set when these modes (by functionality) are entered; ``stated``: what the specification has for the node.
+    """What is set when these modes (by functionality) are entered.
 
-    That is only where it differs from what it has for the component.
+    ``stated``: the values of the node in the specification, which come before those of its component.
     """
     values = {name: declared.value for name, declared in component.parameters.items()} | dict(stated)
     found: dict[str, ParameterValue] = {}

@@ -145,7 +145,9 @@ class RelayComponent:
         self.parts.callbacks.setup = self._set_up
         if any(functionality.parameters() for functionality in component):
             if platform.parameters is None:
-                raise NodeError(f"{component.name} has modes that set parameters, which nodes of ROS 1 do not offer")
+                raise NodeError(
+                    f"{component.name} has modes that set parameters, and a node of ROS 1 has no service for that"
+                )
             self.parts.callbacks.before_modes = self._before_modes
 
     def _relay(self, name: str) -> Relay:
