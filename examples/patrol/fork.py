@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import sys
@@ -12,7 +13,10 @@ from typing import Any
 
 
 class Fork:
-    """Forks when it is made, and both processes go on: the child by ``end``, its parent by ``result``."""
+    """Forks when it is made, and both processes go on: the child by ``end``, its parent by ``result``.
+
+    On an event loop that has no sockets: those would be shared.
+    """
 
     def __init__(self) -> None:
         if threading.active_count() > 1:
@@ -20,8 +24,11 @@ class Fork:
         sys.stdout.flush()
         sys.stderr.flush()
         self._read, self._write = os.pipe()
+        loop = asyncio.get_running_loop()
         self._child = os.fork()
         self.is_child = not self._child
+        if self.is_child:
+            asyncio._set_running_loop(loop)  # asyncio does not take it for running in another process
         os.close(self._read if self.is_child else self._write)
 
     async def end(self, work: Awaitable[Any]) -> None:

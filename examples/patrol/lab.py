@@ -165,10 +165,11 @@ class Lab:
         """The best mode whose inputs have been heard lately, whatever mode it is in."""
         component = self.specification.components[node.component]
 
+        now, published = self.now(), self._published
+
         def fresh(port: str) -> bool:
-            rate = component.inputs[port].rate or 1.0
-            topics = node.attachments.get(port, ())
-            return any(self.now() - self._published.get(topic, -99.0) < STALE + 1.5 / rate for topic in topics)
+            age = STALE + 1.5 / (component.inputs[port].rate or 1.0)
+            return any(now - published.get(topic, -99.0) < age for topic in node.attachments.get(port, ()))
 
         for index, mode in enumerate(functionality.modes):
             named = [each.inputs for each in mode.assumptions if isinstance(each, InputAlternatives)]

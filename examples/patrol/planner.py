@@ -27,7 +27,7 @@ def inflated(grid: OccupancyGrid) -> frozenset:
     ratio, width = CELL / grid.info.resolution, grid.info.width
     taken = {(int(n % width / ratio), int(n // width / ratio)) for n, value in enumerate(grid.data) if value > 50}
     around = range(-CLEARANCE, CLEARANCE + 1)
-    return frozenset((column + by, row + up) for column, row in taken for by in around for up in around)
+    return frozenset({(column + by, row + up) for column, row in taken for by in around for up in around})
 
 
 def search(start, end) -> list:

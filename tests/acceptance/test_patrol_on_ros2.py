@@ -96,7 +96,7 @@ def test_the_hall_s_clock_drives_the_robot_twice_as_fast_as_real_time(tmp_path: 
             outcome = await manager.change(PlanRequest(replace=(("lidar", "SmoothLidar"),)))
             assert (outcome.outcome, outcome.because) == ("done", None)
             assert last()["collisions"] == 0
-            with pytest.raises(CommandRefused, match="from 0 .* to 10, not 50"):
+            with pytest.raises(CommandRefused, match=r"from 0 .* to 10, not 50"):
                 await manager.set_parameters("world", {"speed": 50.0})
 
     with ended():

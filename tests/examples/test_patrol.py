@@ -101,7 +101,9 @@ def test_runs_that_share_what_comes_before_the_event_are_those_that_do_not(trial
 import json, trial
 print(json.dumps([row for seed in (901, 902) for row in trial.runs(seed, {cases!r}, after=4.0)]))
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment(), timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, env=environment(), timeout=120
+    )
     assert done.returncode == 0, done.stderr
     alone = [trial.run(seed, *case, after=4.0) for seed in (902, 901) for case in cases]
     assert json.loads(done.stdout) == sorted(alone, key=lambda row: row["seed"])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import array
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, Final
 
 from midstride.backends.simulator.messages import SimulatedMessage
@@ -29,16 +29,18 @@ def _same(value: Any) -> Any:
 
 
 def _list(value: list[Any]) -> list[Any]:
-    return [copied(each) for each in value]
+    return [each if each.__class__ in _SHARED else copied(each) for each in value]
 
 
 def _array(value: array.array[Any]) -> array.array[Any]:
     return value[:]
 
 
+# What cannot be changed.
+_SHARED: Final = frozenset((bool, int, float, str, bytes, type(None)))
 # By class. What is not among them is a message, or is copied by `copy.deepcopy`, as NumPy's arrays are.
 _COPIERS: Final[dict[type, _Copier]] = {
-    **dict.fromkeys((bool, int, float, str, bytes, type(None)), _same),
+    **dict.fromkeys(_SHARED, _same),
     list: _list,
     array.array: _array,
 }
@@ -65,8 +67,10 @@ def _of_attributes(kind: type) -> _Copier:
 
     def copier(value: Any) -> Any:
         made = new(kind)
-        fields: Mapping[str, Any] = value.__dict__
-        made.__dict__.update({name: copied(each) for name, each in fields.items()})
+        fields, own = value.__dict__, made.__dict__
+        for name in fields:
+            each = fields[name]
+            own[name] = each if each.__class__ in _SHARED else copied(each)
         return made
 
     return copier
@@ -78,7 +82,8 @@ def _of_slots(kind: type, slots: list[str]) -> _Copier:
     def copier(value: Any) -> Any:
         made = new(kind)
         for name in slots:
-            setattr(made, name, copied(getattr(value, name)))
+            each = getattr(value, name)
+            setattr(made, name, each if each.__class__ in _SHARED else copied(each))
         return made
 
     return copier
