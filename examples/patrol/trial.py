@@ -254,6 +254,9 @@ def main() -> int:
     parser.add_argument("--worlds", type=int, default=100, help="how many halls")
     parser.add_argument("--first", type=int, default=1, help="the seed of the first")
     parser.add_argument("--event", help="only events whose name contains this")
+    parser.add_argument(
+        "--strategies", nargs="+", choices=(*MANAGED, *WITHOUT), default=(*MANAGED, *WITHOUT), help="only these"
+    )
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument(
         "--out", type=Path, help="append each run to this file, a line of JSON; runs in it are not repeated"
@@ -271,7 +274,7 @@ def main() -> int:
     wanted: dict[tuple[int, str], list[Case]] = {}
     for seed in seeds:
         for event, strategy in every:
-            if (seed, event, strategy) not in done:
+            if strategy in options.strategies and (seed, event, strategy) not in done:
                 wanted.setdefault((seed, kind(strategy)), []).append((event, strategy))
     with multiprocessing.get_context("fork").Pool(options.jobs) as pool:
         for found in pool.imap(_runs, [(seed, cases) for (seed, _), cases in wanted.items()]):
