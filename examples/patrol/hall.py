@@ -205,13 +205,15 @@ def _progress(before: float, x: float, y: float) -> float:
 def _to_outer(x: float, y: float, dx: np.ndarray, dy: np.ndarray) -> np.ndarray:
     left, bottom, right, top = OUTER
     with np.errstate(divide="ignore"):
-        return np.minimum((np.where(dx > 0, right, left) - x) / dx, (np.where(dy > 0, top, bottom) - y) / dy)
+        across = np.where(dx == 0, math.inf, (np.where(dx > 0, right, left) - x) / dx)
+        along = np.where(dy == 0, math.inf, (np.where(dy > 0, top, bottom) - y) / dy)
+    return np.minimum(across, along)
 
 
 def _to_box(x: float, y: float, dx: np.ndarray, dy: np.ndarray, box: tuple[float, float, float, float]) -> np.ndarray:
     """From outside to where each ray enters a box; infinite where it misses it."""
     enters, leaves = np.zeros_like(dx), np.full_like(dx, math.inf)
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # a ray along a side misses it
         for at, d, low, high in ((x, dx, box[0], box[2]), (y, dy, box[1], box[3])):
             one, other = (low - at) / d, (high - at) / d
             enters, leaves = np.maximum(enters, np.minimum(one, other)), np.minimum(leaves, np.maximum(one, other))
