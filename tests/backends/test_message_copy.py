@@ -33,7 +33,8 @@ def test_a_copy_is_equal_and_changes_on_its_own() -> None:
 
 
 def test_arrays_are_copied_too() -> None:
-    scan, odometry = message_class("sensor_msgs/msg/LaserScan")(), message_class("nav_msgs/msg/Odometry")()
+    scan: Any = message_class("sensor_msgs/msg/LaserScan")()
+    odometry: Any = message_class("nav_msgs/msg/Odometry")()
     scan.ranges = array.array("f", [1.0, 2.0])
     odometry.pose.covariance[0] = 3.0
     scan_copy, odometry_copy = copied(scan), copied(odometry)

@@ -42,9 +42,7 @@ def test_a_part_of_a_demo_is_chosen_by_name() -> None:
     names = ["a driver dies", "the planner is killed", "a driver is replaced"]
     assert examples.matching(names, ()) == names
     assert examples.matching(names, ("driver", "dies")) == [names[0], names[2]]
-    with pytest.raises(
-        click.UsageError, match="no step has 'lidar' in its name; there are: a driver dies; the"
-    ):
+    with pytest.raises(click.UsageError, match="no step has 'lidar' in its name; there are: a driver dies; the"):
         examples.matching(names, ("lidar",))
 
 

@@ -37,7 +37,7 @@ def _array(value: array.array[Any]) -> array.array[Any]:
 
 
 # What cannot be changed.
-_SHARED: Final = frozenset((bool, int, float, str, bytes, type(None)))
+_SHARED: Final[frozenset[type]] = frozenset((bool, int, float, str, bytes, type(None)))
 # By class. What is not among them is a message, or is copied by `copy.deepcopy`, as NumPy's arrays are.
 _COPIERS: Final[dict[type, _Copier]] = {
     **dict.fromkeys(_SHARED, _same),
@@ -63,7 +63,7 @@ def _slots_of(base: type) -> list[str]:
 
 
 def _of_attributes(kind: type) -> _Copier:
-    new = kind.__new__
+    new: Callable[[type], Any] = object.__new__
 
     def copier(value: Any) -> Any:
         made = new(kind)
@@ -77,7 +77,7 @@ def _of_attributes(kind: type) -> _Copier:
 
 
 def _of_slots(kind: type, slots: list[str]) -> _Copier:
-    new = kind.__new__
+    new: Callable[[type], Any] = object.__new__
 
     def copier(value: Any) -> Any:
         made = new(kind)

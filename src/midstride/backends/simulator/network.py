@@ -207,15 +207,16 @@ class Network:
     def _send(
         self, writer: SimulatedWriter, reader: SimulatedReader, message: Any, info: Any, extra: float = 0.0
     ) -> None:
+        now = self.clock.steady()
         jitter = self.random.uniform(0.0, self._jitter) if self._jitter else 0.0
-        at = self.clock.steady() + self.latency + jitter + self.topic(writer.topic).delay + extra
+        at = now + self.latency + jitter + self.topic(writer.topic).delay + extra
         waiting = self._in_flight.setdefault((writer, reader), deque())
         if waiting:
             at = max(at, waiting[-1][0])
         # A copy for each: what a process does to its message is not seen by others.
         waiting.append((at, copied(message), info))
         writer.in_flight += 1
-        self.clock.loop.call_later(at - self.clock.steady(), self._arrive, writer, reader)
+        self.clock.loop.call_later(at - now, self._arrive, writer, reader)
 
     def _arrive(self, writer: SimulatedWriter, reader: SimulatedReader) -> None:
         left = reader.owner.thawed_at - self.clock.steady()
