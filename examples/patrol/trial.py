@@ -277,11 +277,12 @@ def main() -> int:
             if strategy in options.strategies and (seed, event, strategy) not in done:
                 wanted.setdefault((seed, kind(strategy)), []).append((event, strategy))
     with multiprocessing.get_context("fork").Pool(options.jobs) as pool:
-        for found in pool.imap(_runs, [(seed, cases) for (seed, _), cases in wanted.items()]):
+        for found in pool.imap_unordered(_runs, [(seed, cases) for (seed, _), cases in wanted.items()]):
             rows += found
             if options.out is not None:
                 with options.out.open("a") as file:
                     file.writelines(json.dumps(row) + "\n" for row in found)
+    rows.sort(key=lambda row: int(row["seed"]))  # the intervals are of samples in this order
     print("\n".join(table(rows)))
     if options.figure is not None:
         options.figure.write_text(figure(rows))

@@ -91,8 +91,12 @@ def test_the_hall_s_clock_drives_the_robot_twice_as_fast_as_real_time(tmp_path: 
             ended, after = await later(12.0)
             simulated = after["at"] - before["at"]
             assert simulated / (ended - begun) == pytest.approx(2.0, abs=0.3)
-            # It drives as it does in real time, by its own clock: at 1.5 m/s at most, and it comes forward.
-            assert 0.2 < (after["progress"] - before["progress"]) / simulated < 1.6
+            while after["progress"] < before["progress"] + 2.0:  # at first it may wait for people
+                after = last()
+                assert after["time"] < before["time"] + 200.0, after
+                await asyncio.sleep(0.1)
+            # It drives as it does in real time, by its own clock: at 1.5 m/s at most.
+            assert after["progress"] - before["progress"] < 1.6 * (after["at"] - before["at"])
             outcome = await manager.change(PlanRequest(replace=(("lidar", "SmoothLidar"),)))
             assert (outcome.outcome, outcome.because) == ("done", None)
             assert last()["collisions"] == 0
