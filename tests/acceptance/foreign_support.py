@@ -141,11 +141,17 @@ class Robot:
         report: Outcome = await self.meanwhile(self.manager.change(PlanRequest(replace=(("talker", component),))))
         return report
 
-    async def replaced(self, component: str, messages: int = 20) -> None:
-        """Replace the talker, and hear so many messages more."""
+    async def replaced(self, component: str, messages: int = 20) -> dict[str, float]:
+        """Replace the talker, and hear so many messages more; how long each kind of step took (s)."""
         report = await self.change(component)
         assert (report.outcome, report.because) == ("done", None), report
         await self.hears(messages)
+        assert report.plan is not None
+        took: dict[str, float] = {"in all": report.seconds}
+        for step in report.steps:
+            kind = report.plan.steps[step.step - 1].action
+            took[kind] = took.get(kind, 0.0) + step.seconds
+        return took
 
     async def another_manager(self) -> None:
         """The manager ends; the nodes go on, and the next one goes on with them."""
