@@ -1,7 +1,7 @@
 """What the gate in a node without Midstride's API costs per message: processor time, beside the same node without it.
 
-The node publishes in a loop through a library that stands in for librcl, so nothing but the gate differs. With `--rcl`,
-it is a node on rcl, and the time and the throughput of its calls are measured. The runs are interleaved; a figure is the
+The node publishes in a loop through a library that stands in for librcl, so nothing but the gate differs. With
+`--rcl` it is one on rcl, whose throughput and calls are timed. The runs are interleaved; a figure is the
 median over the runs, with the lowest and the highest.
 """
 
