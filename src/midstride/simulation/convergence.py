@@ -8,11 +8,13 @@ from typing import Any
 
 from midstride.model.component import FunctionalityRef
 from midstride.model.specification import initial
+from midstride.plan.step_forms import AttachStep, DetachStep
 from midstride.runtime.manager import Manager
 from midstride.runtime.observed_configuration import reported_modes
 from midstride.runtime.state_store import SavedState
 from midstride.simulation.lives import ManagerKilled
 from midstride.simulation.platform import Platform
+from midstride.simulation.stand_in import StandIn
 
 
 def differences(manager: Manager, platform: Platform, saved: SavedState | None) -> list[str]:
@@ -35,12 +37,7 @@ def differences(manager: Manager, platform: Platform, saved: SavedState | None) 
             best = expected.modes[FunctionalityRef(instance.role, ref.functionality)]
             if index != best:
                 found.append(f"{ref} is in mode {index}, the best is {best}")
-        shown = {
-            (port, topic)
-            for port, topics in process.state.ports.items()
-            for topic, link in topics.items()
-            if link.gate != "closed"
-        }
+        shown = attachments(process)
         modelled = {(port.port, configuration.topic(name)) for port, name in configuration.attached_ports(name)}
         if shown != modelled:
             found.append(f"{name} is attached to {sorted(shown)}, the model has {sorted(modelled)}")
@@ -50,6 +47,24 @@ def differences(manager: Manager, platform: Platform, saved: SavedState | None) 
     if saved is not None and saved.specification != manager.specification:
         found.append("another specification is saved")
     return found
+
+
+def attachments(process: StandIn) -> set[tuple[str, str]]:
+    """The ports that it shows to be attached, with their topics; an output behind a closed gate is not."""
+    ports = {} if process.state is None else process.state.ports
+    return {
+        (port, topic) for port, topics in ports.items() for topic, link in topics.items() if link.gate != "closed"
+    }
+
+
+def not_done(step: AttachStep | DetachStep, manager: Manager, platform: Platform) -> str | None:
+    """In which way a step that is done has not been: what its process shows, unless it has ended."""
+    instance, _, port = step.port.rpartition(".")
+    process = platform.standing(instance)
+    attached = (port, manager.configuration.topic(step.connector)) in (set() if process is None else attachments(process))
+    if process is None or process.state is None or attached == isinstance(step, AttachStep):
+        return None
+    return f"{step.port} is {'' if attached else 'not '}attached to {step.connector} after `{step.action}` is done"
 
 
 def closed_outputs(platform: Platform) -> list[str]:

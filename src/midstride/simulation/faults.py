@@ -43,6 +43,9 @@ KINDS: Final[tuple[FaultKind, ...]] = get_args(FaultKind)
 LONGEST_DELAY: Final = 0.3
 # Faults that make calls of a component's code late.
 LATE: Final[frozenset[str]] = frozenset({"freeze", "hang", "clock jump"})
+# Faults that keep the two sides of a hand-over from hearing of each other in time: components of two machines, which
+# share no lock, may then both write.
+DEAFENING: Final = LATE | {"lost request", "lost reply", "unreachable", "refused request", "delayed request", "delayed reply"}
 # Faults that stop no component.
 OF_THE_MANAGER: Final[frozenset[str]] = frozenset(
     {"manager killed", "manager killed at a write", "torn write", "full disk", "manager superseded"}
@@ -65,7 +68,7 @@ REQUESTS: Final = 40
 CRITICAL: Final = ("meet", "cut_out", "cut_in", "await_cut", "taken", "cancel_cut")
 # What keeps one side of a hand-over from hearing of the other for longer than it waits; of requests, so many.
 LOSSES: Final[tuple[FaultKind, ...]] = ("lost request", "lost reply", "unreachable")
-STALLS: Final[tuple[FaultKind, ...]] = (*LOSSES, "freeze")
+STALLS: Final[tuple[FaultKind, ...]] = (*LOSSES, "freeze", "hang")
 LASTING: Final = 20
 # How many requests a step makes at most, where that is more than three.
 REQUESTS_OF: Final = {"handover": 18, "create": 6}

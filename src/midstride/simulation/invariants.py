@@ -56,15 +56,16 @@ class Invariants:
     def begin(
         self,
         reaction: Callable[[], float],
-        lateness: Callable[[], float],
+        lateness: Callable[[bool], float],
         uninterrupted: Callable[[], bool],
         violated: Callable[[str], None],
     ) -> None:
         """A new seed begins.
 
         ``reaction()``: how long the manager may take to react now (s), infinite while it cannot.
-        ``lateness()``: how long after a publisher was replaced its last message may be heard (s), because of a fault
-        that makes calls late; infinite where it may not know either that it was replaced.
+        ``lateness(apart)``: how long after a publisher was replaced its last message may be heard (s), because of a
+        fault that makes calls late; infinite where it may not know either that it was replaced. ``apart``: the two are
+        on two machines.
         ``uninterrupted()``: whether no plan and no fault has a reason to make a topic silent.
         ``violated`` is called once for each violation, with words.
         """
@@ -101,7 +102,7 @@ class Invariants:
         self._publishers[key] = owner, now
         if before.instance == owner.instance:
             return
-        lateness = self.lateness()
+        lateness = self.lateness(before.machine != owner.machine)
         if now - at < self.oracle.period(writer.topic) * SAME_SLOT and not lateness:
             self._violation(f"{before.instance} and {owner.instance} both write one slot of {writer.topic}")
         times = self._exchanged.setdefault(

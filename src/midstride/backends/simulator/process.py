@@ -19,6 +19,7 @@ from midstride.node import process_context
 from midstride.node.diagnostics import DiagnosticEntry
 from midstride.node.host import Host
 from midstride.runtime.backend import Launch
+from midstride.wire.pipe import MEMORY
 from midstride.wire.state import ComponentState
 
 # How often what waits for the end of a freeze looks whether it has been ended early (s).
@@ -56,6 +57,8 @@ class SimulatedProcess:
         self.status: int | None = None
         # Its full name in the graph: ``front/camera`` is node ``camera`` in ``/front``, whatever the namespace.
         self.node = naming.full(launch.instance, launch.namespace)
+        # Components of two machines share no lock, so their claims of a cut do not exclude each other.
+        self.machine = MEMORY
         self._on_exit = on_exit
         self._program = self._new_program(launch)
         self._queue: deque[Callable[[], None]] = deque()
