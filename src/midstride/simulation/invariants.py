@@ -47,6 +47,8 @@ class Invariants:
     # Since when the assumption of each functionality is broken, and since when the manager could have reacted (s).
     _broken: dict[FunctionalityRef, float] = field(default_factory=dict)
     _free: dict[FunctionalityRef, float] = field(default_factory=dict)
+    # What is shown has changed, or an assumption is broken.
+    due: bool = False
     _changed: bool = False
     _publishers: dict[tuple[str, str], tuple[StandIn, float]] = field(default_factory=dict)
     # By topic and the two processes: a hand-over that is rolled back and made again is one to another process.
@@ -76,7 +78,8 @@ class Invariants:
     def on_change(self, process: StandIn) -> None:
         state = process.state
         if process.dead or state is None:
-            self._changed |= self._shown.pop(process.instance, None) is not None
+            if self._shown.pop(process.instance, None) is not None:
+                self.due = self._changed = True
             return
         modes = tuple((name, view.mode) for name, view in state.functionalities.items())
         links = tuple(
@@ -88,7 +91,7 @@ class Invariants:
         shown = Shown(process.instance, process.key, process.component, modes, links)
         if self._shown.get(process.instance) != shown:
             self._shown[process.instance] = shown
-            self._changed = True
+            self.due = self._changed = True
 
     def on_publish(self, writer: SimulatedWriter) -> None:
         """A message is heard on a topic: two instances of one role must not take turns there."""
@@ -116,12 +119,13 @@ class Invariants:
             self._violation(f"{before.instance} and {owner.instance} are both heard on {writer.topic}")
 
     def check(self) -> None:
-        """After each event."""
+        """After each event that makes it ``due``."""
         if self._changed:
             self._changed = False
             now = self.platform.time.steady()
             self._broken = {ref: self._broken.get(ref, now) for ref in self.oracle.broken(self._shown.values())}
             self._free = {ref: self._free.get(ref, now) for ref in self._broken}
+            self.due = bool(self._broken)
         if self._broken:
             self._check_reaction()
 

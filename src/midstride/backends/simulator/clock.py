@@ -12,8 +12,8 @@ from midstride.node.clock_history import ClockHistory
 
 # What the ROS clock reads at 0 of the steady one (ns): any time but 0, which would mean "no clock yet".
 EPOCH: Final = 1_000_000_000_000_000_000
-# How often a ROS clock that `/clock` drives is recorded (ns).
-CLOCK_INTERVAL: Final = 10_000_000
+# How far apart the moments are at which a ROS clock that `/clock` drives is recorded (ns): between them it runs evenly.
+CLOCK_INTERVAL: Final = 50_000_000
 # How many processors the simulated machine has: the number of this one would make runs differ between machines.
 PROCESSORS: Final = 2
 
@@ -28,6 +28,9 @@ class SimulatedClock:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._time: Callable[[], float] = float  # of the loop, once there is one
         self._zero = 0.0
+        # The clocks are read several times at one moment: that of the loop, and what they read then (ns).
+        self._at = math.nan
+        self._steady = self._ros = 0
         self.driven = False
         self.timers: dict[SimulatedTimer, None] = {}  # in order: that of a set differs from run to run
         # Where `/clock` drives it: what it read at a moment of the steady clock (ns), and its speed since.
@@ -39,7 +42,7 @@ class SimulatedClock:
     def follow(self, loop: asyncio.AbstractEventLoop) -> None:
         """Follow ``loop`` from now on, starting at 0."""
         if loop is not self._loop:
-            self._loop, self._time, self._zero = loop, loop.time, loop.time()
+            self._loop, self._time, self._zero, self._at = loop, loop.time, loop.time(), math.nan
 
     @property
     def loop(self) -> asyncio.AbstractEventLoop:
@@ -50,15 +53,21 @@ class SimulatedClock:
         return self._time() - self._zero
 
     def steady_ns(self) -> int:
-        return round((self._time() - self._zero) * 1e9)
+        if (at := self._time()) != self._at:
+            self._read(at)
+        return self._steady
 
     def system_now(self) -> int:
-        return EPOCH + round((self._time() - self._zero) * 1e9)
+        return EPOCH + self.steady_ns()
 
     def ros_now(self) -> int:
-        if not self.driven:
-            return EPOCH + round((self._time() - self._zero) * 1e9)
-        return self._driven_to(self.steady_ns())
+        if (at := self._time()) != self._at:
+            self._read(at)
+        return self._ros
+
+    def _read(self, at: float) -> None:
+        self._at, self._steady = at, round((at - self._zero) * 1e9)
+        self._ros = self._driven_to(self._steady) if self.driven else EPOCH + self._steady
 
     def _driven_to(self, steady: int) -> int:
         """What ``/clock`` has driven the ROS clock to at that moment of the steady one (ns)."""
@@ -73,7 +82,7 @@ class SimulatedClock:
         now = self.ros_now() if at is None else at
         self._record()
         self.driven, self._base, self._since, self._speed = True, now, self.steady_ns(), speed
-        self._recorded = self._since
+        self._recorded, self._at = self._since, math.nan
         self._history.add(self._since, now)
         for timer in list(self.timers):
             timer.clock_changed()

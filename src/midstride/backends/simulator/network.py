@@ -208,18 +208,19 @@ class Network:
         self, writer: SimulatedWriter, reader: SimulatedReader, message: Any, info: Any, extra: float = 0.0
     ) -> None:
         jitter = self.random.uniform(0.0, self._jitter) if self._jitter else 0.0
-        at = self.clock.steady() + self.latency + jitter + self.topic(writer.topic).delay + extra
+        now = self.clock.steady()
+        at = now + self.latency + jitter + self.topic(writer.topic).delay + extra
         waiting = self._in_flight.setdefault((writer, reader), deque())
         if waiting:
             at = max(at, waiting[-1][0])
         # A copy for each: what a process does to its message is not seen by others.
         waiting.append((at, copy.deepcopy(message), info))
         writer.in_flight += 1
-        self.clock.loop.call_later(at - self.clock.steady(), self._arrive, writer, reader)
+        self.clock.loop.call_later(at - now, self._arrive, writer, reader)
 
     def _arrive(self, writer: SimulatedWriter, reader: SimulatedReader) -> None:
-        left = reader.owner.thawed_at - self.clock.steady()
-        if left > 0 and not reader.gone:
+        thawed_at = reader.owner.thawed_at
+        if thawed_at and not reader.gone and (left := thawed_at - self.clock.steady()) > 0:
             # A frozen process acknowledges nothing.
             self.clock.loop.call_later(min(left, THAW_INTERVAL), self._arrive, writer, reader)
             return
