@@ -165,7 +165,7 @@ class PlanForm(PlanCosts, frozen=True, kw_only=True):
 
     @classmethod
     def of(cls, plan: Plan, preview: PlanPreview | None = None, **more: Any) -> PlanForm:
-        """Linear in the system, since both specifications are written. ``preview``: that of ``plan``, if there is one."""
+        """Linear in the system, since both specifications are written. ``preview``: that of ``plan``, if known."""
         start, target = (SpecificationForm.of(found) for found in (plan.change.specification, plan.change.target))
         fields = _fields(plan) if preview is None else structs.asdict(preview)
         return cls(**fields, start=start, target=target, **more)

@@ -8,7 +8,7 @@ from typing import Any
 
 from midstride.model.component import FunctionalityRef
 from midstride.model.specification import initial
-from midstride.plan.step_forms import AttachStep, DetachStep
+from midstride.plan.step_forms import AttachStep, DetachStep, HandoverStep
 from midstride.runtime.manager import Manager
 from midstride.runtime.observed_configuration import reported_modes
 from midstride.runtime.state_store import SavedState
@@ -52,19 +52,32 @@ def differences(manager: Manager, platform: Platform, saved: SavedState | None) 
 def attachments(process: StandIn) -> set[tuple[str, str]]:
     """The ports that it shows to be attached, with their topics; an output behind a closed gate is not."""
     ports = {} if process.state is None else process.state.ports
-    return {
-        (port, topic) for port, topics in ports.items() for topic, link in topics.items() if link.gate != "closed"
-    }
+    return {(port, topic) for port, topics in ports.items() for topic, link in topics.items() if link.gate != "closed"}
 
 
 def not_done(step: AttachStep | DetachStep, manager: Manager, platform: Platform) -> str | None:
     """In which way a step that is done has not been: what its process shows, unless it has ended."""
     instance, _, port = step.port.rpartition(".")
     process = platform.standing(instance)
-    attached = (port, manager.configuration.topic(step.connector)) in (set() if process is None else attachments(process))
-    if process is None or process.state is None or attached == isinstance(step, AttachStep):
+    if process is None or process.state is None:
+        return None
+    attached = (port, manager.configuration.topic(step.connector)) in attachments(process)
+    if attached == isinstance(step, AttachStep):
         return None
     return f"{step.port} is {'' if attached else 'not '}attached to {step.connector} after `{step.action}` is done"
+
+
+def left_attached(step: HandoverStep, manager: Manager, platform: Platform) -> list[str]:
+    """The new publishers of a hand-over that has failed which still have an endpoint on its topic."""
+    found = []
+    for swap in step.swaps:
+        instance, _, port = swap.new.rpartition(".")
+        process = platform.standing(instance)
+        if process is not None and process.state is not None:
+            topic = manager.configuration.topic(swap.connector)
+            if topic in process.state.ports.get(port, {}):
+                found.append(f"{swap.new} is still on {topic} after the hand-over has failed")
+    return found
 
 
 def closed_outputs(platform: Platform) -> list[str]:

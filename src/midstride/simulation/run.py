@@ -12,11 +12,11 @@ from typing import Any, Final
 
 from midstride.errors import BackendError, MidstrideError
 from midstride.plan.request import PlanRequest
-from midstride.plan.step_forms import AttachStep, DetachStep
+from midstride.plan.step_forms import AttachStep, DetachStep, HandoverStep
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Event
-from midstride.simulation.convergence import closed_outputs, differences, not_done, uncaught
-from midstride.simulation.faults import DEAFENING, LATE, LOSSES, OF_THE_MANAGER, PROMPT, Fault, draw, strike
+from midstride.simulation.convergence import closed_outputs, differences, left_attached, not_done, uncaught
+from midstride.simulation.faults import DEAFENING, HARMLESS, LATE, LOSSES, OF_THE_MANAGER, PROMPT, Fault, draw, strike
 from midstride.simulation.lives import Life, ManagerKilled
 from midstride.simulation.scenario import Scenario
 from midstride.simulation.stand_in import StandIn
@@ -199,8 +199,8 @@ class Simulation:
             self._outcomes.append(outcome.outcome)
             self._note("outcome", f"{outcome.outcome}: {outcome.because}" if outcome.because else outcome.outcome)
             self._reached(outcome.outcome)
-            if outcome.outcome != "done" and self._hung_briefly():
-                self._violated(f"the change is {outcome.outcome} although nothing but short calls hung")
+            if outcome.outcome != "done" and self._is_undisturbed():
+                self._violated(f"the change is {outcome.outcome} although nothing has failed: {outcome.because}")
             return
         self._outcomes.append("killed" if life.cut_off is None else "superseded")
         await asyncio.sleep(self._random.choice((0.05, 0.5, 2.0)))
@@ -274,9 +274,10 @@ class Simulation:
             return LATE_WRITE if self._has_struck(*LOSSES) else 0.0
         return LATE_WRITE if {each.fault for each in self._struck} <= PROMPT else math.inf
 
-    def _hung_briefly(self) -> bool:
-        """Whether nothing but calls has hung that a change waits for."""
-        return all(each.fault == "hang" for each in self._struck) and sum(e.seconds for e in self._struck) <= AWAITED
+    def _is_undisturbed(self) -> bool:
+        """Whether nothing has struck that could keep a change from being done."""
+        hung = sum(each.seconds for each in self._struck if each.fault == "hang")
+        return all(each.fault in HARMLESS for each in self._struck) and hung <= AWAITED
 
     def _uninterrupted(self) -> bool:
         """Whether outputs are handed over, no node is moved away, and at most the manager has failed."""
@@ -311,6 +312,10 @@ class Simulation:
         elif event.kind == "step_done" and isinstance(event.step, (AttachStep, DetachStep)):
             if (words := not_done(event.step, self._manager, self._platform)) is not None:
                 self._violated(words)
+        elif event.kind == "step_failed" and isinstance(event.step, HandoverStep):
+            if not self._has_struck(*DEAFENING):
+                for words in left_attached(event.step, self._manager, self._platform):
+                    self._violated(words)
         elif event.kind in ("rollback", "rollback_failed", "degraded", "exited"):
             self._reached(event.kind)
         if "internal error" in event.words:
