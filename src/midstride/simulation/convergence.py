@@ -15,6 +15,7 @@ from midstride.runtime.state_store import SavedState
 from midstride.simulation.lives import ManagerKilled
 from midstride.simulation.platform import Platform
 from midstride.simulation.stand_in import StandIn
+from midstride.wire.state import ComponentState
 
 
 def differences(manager: Manager, platform: Platform, saved: SavedState | None) -> list[str]:
@@ -56,15 +57,20 @@ def attachments(process: StandIn) -> set[tuple[str, str]]:
 
 
 def not_done(step: AttachStep | DetachStep, manager: Manager, platform: Platform) -> str | None:
-    """In which way a step that is done has not been: what its process shows, unless it has ended."""
+    """In which way a step that is done has not been: what its process shows, unless it has ended or is fenced."""
     instance, _, port = step.port.rpartition(".")
     process = platform.standing(instance)
-    if process is None or process.state is None:
+    if process is None or process.state is None or _is_fenced(process.state):
         return None
     attached = (port, manager.configuration.topic(step.connector)) in attachments(process)
     if attached == isinstance(step, AttachStep):
         return None
     return f"{step.port} is {'' if attached else 'not '}attached to {step.connector} after `{step.action}` is done"
+
+
+def _is_fenced(state: ComponentState) -> bool:
+    """Whether it hangs, and was fenced for that: nothing more is asked of it but its end."""
+    return any(link.fenced for topics in state.ports.values() for link in topics.values())
 
 
 def left_attached(step: HandoverStep, manager: Manager, platform: Platform) -> list[str]:
