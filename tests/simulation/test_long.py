@@ -65,6 +65,7 @@ def test_no_seed_violates_an_invariant_and_every_cell_of_the_matrix_is_reached(
         if not any(summary.cells[fault, step, branch] for branch in BRANCHES)
     ]
     assert not empty or SEEDS < 20000
+    assert not any(summary.cells[fault, step, "refused"] for fault in KINDS for step in STEPS), "it had begun"
 
 
 def test_planted_faults_are_found(capsys: pytest.CaptureFixture[str]) -> None:
