@@ -76,7 +76,7 @@ class Work:
     def position(self) -> object:
         if self.waits is None:
             return None
-        places: list[object] = [self.waits.done]
+        places: list[object] = [self.waits.done, str(self.waits.value)]  # a lost report goes on otherwise than an answer
         each: Any = self.coroutine
         while (frame := getattr(each, "cr_frame", None)) is not None:
             places += [frame.f_lasti, frame.f_locals.get("passed_at"), frame.f_locals.get("_")]
