@@ -4,6 +4,8 @@
  * @module
  */
 
+import { rowLabel } from "./services.js";
+
 /**
  * @typedef {import("./structure.js").DrawnComponent} DrawnComponent
  * @typedef {{width: number, height: number}} Size
@@ -65,9 +67,10 @@ export function componentSize({ entry, label, ins, outs }) {
   const widest = (/** @type {string[]} */ texts, /** @type {string} */ font) =>
     Math.max(0, ...texts.map((text) => textWidth(short(text), font)));
   const modes = entry.functionalities.map(
-    ({ name, modes: all }) => 42 + textWidth(short(name), SMALL) + widest(all, SMALL),
+    ({ name, modes: all }) => 42 + textWidth(short(name), SMALL) + widest(all, `600 ${SMALL}`),
   );
-  const ports = widest(ins, SMALL) + widest(outs, SMALL) + 40;
+  const labels = (/** @type {string[]} */ names) => names.map((name) => rowLabel(name, entry));
+  const ports = widest(labels(ins), SMALL) + widest(labels(outs), SMALL) + 40;
   const inner = Math.ceil(
     Math.max(NARROWEST, 56 + textWidth(short(label), NAME), 24 + textWidth(short(entry.component), SMALL), ports, ...modes),
   );
