@@ -14,7 +14,7 @@ _others = attrgetter(*(name for name in ComponentView.__struct_fields__ if name 
 
 
 def same_report(before: ComponentState | None, state: ComponentState) -> bool:
-    """Whether a component reports the same as before, but for counts, figures and the time that has passed.
+    """Whether a component reports the same as before, but for figures, times, and what :func:`same_values` compares.
 
     Called for every report, so it must be cheap.
     """
@@ -24,11 +24,11 @@ def same_report(before: ComponentState | None, state: ComponentState) -> bool:
         return False
     for name, functionality in state.functionalities.items():
         earlier = before.functionalities[name]
-        if (earlier.mode, earlier.because, earlier.reflex) != (
-            functionality.mode,
-            functionality.because,
-            functionality.reflex,
-        ) or functionality.since < earlier.since:
+        if (
+            earlier.mode != functionality.mode
+            or earlier.reflex != functionality.reflex
+            or functionality.since < earlier.since
+        ):
             return False
     for name, links in state.ports.items():
         former = before.ports[name]
@@ -37,14 +37,20 @@ def same_report(before: ComponentState | None, state: ComponentState) -> bool:
         for topic, link in links.items():
             if former[topic].gate != link.gate:
                 return False
-    return (before.waiting, before.node, before.parameters, before.declared, before.differences, before.undeclared) == (
+    return (before.waiting, before.node, before.differences, before.undeclared) == (
         state.waiting,
         state.node,
-        state.parameters,
-        state.declared,
         state.differences,
         state.undeclared,
     )
+
+
+def same_values(before: ComponentState | None, state: ComponentState) -> bool:
+    """Whether the parameters have the same values, and modes that last the same reasons."""
+    if before is None or before.parameters != state.parameters or before.declared != state.declared:
+        return False
+    reasons = before.functionalities
+    return all(each.because == reasons[name].because for name, each in state.functionalities.items() if name in reasons)
 
 
 def rates_as_shown(shown: ComponentView, state: ComponentState, context: SystemContext) -> bool:
