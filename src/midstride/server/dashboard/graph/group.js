@@ -29,7 +29,6 @@ const SQUARES = /** @type {Record<Kind, string>} */ ({
 /** A collapsed group. */
 export class CollapsedGroup {
   /** @type {SVGElement} */ element;
-  /** @type {SVGElement} */ #title = s("title");
   /** @type {SVGElement} */ #counts;
   /** @type {Map<string, {square: SVGElement, flag: SVGElement, entry: Component | null}>} */ #squares = new Map();
   /** @type {SVGElement[]} */ #listed = [];
@@ -43,7 +42,6 @@ export class CollapsedGroup {
     this.element = s(
       "g",
       { class: "group collapsed", role: "button", tabindex: "-1", "aria-expanded": "false", "data-group": group.id },
-      this.#title,
       s("rect", { class: "halo", x: -4, y: -4, width: width + 8, height: height + 8, rx: 12 }),
       s("rect", { class: "box", width, height, rx: 8 }),
       s("path", { class: "twist", d: `M${width - 24} 13l8 5l-8 5z` }),
@@ -113,8 +111,7 @@ export class CollapsedGroup {
     const words = `group ${this.#group.title}, collapsed: ${count}, ${
       deviating.length === 0 ? "all as specified" : deviating.map(({ text }) => text).join(", ")
     }`;
-    this.element.setAttribute("aria-label", words);
-    this.#title.textContent = words;
+    set(this.element, "aria-label", words);
   }
 }
 
