@@ -1,7 +1,7 @@
 """Whether memory stays flat while the dashboard is open and much changes: the page's heap, the manager and its gateway.
 
-The manager of benchmarks/dashboard.py, whose 500 nodes are made up, and of which 150 change at 10 Hz; the real gateway
-(`midstride dashboard`); and the page in headless Chromium, with the groups open that change. The heap is what is in use
+The manager of benchmarks/dashboard.py, whose 500 nodes are made up, and of which 150 change at 10 Hz; the gateway of
+`midstride dashboard`; and the page in headless Chromium, with the groups open that change. The heap is what is in use
 after a collection that is forced before each sample. What is bounded fills first (the manager keeps its latest 10,000
 events, which takes 42 minutes here), so the slope is that of the second half.
 """
@@ -9,9 +9,9 @@ events, which takes 42 minutes here), so the slope is that of the second half.
 from __future__ import annotations
 
 import argparse
+import asyncio
 import json
 import os
-import re
 import shutil
 import statistics
 import subprocess
@@ -44,6 +44,17 @@ def running(command: list[str], environment: dict[str, str]) -> Iterator[subproc
     finally:
         process.kill()  # nothing runs that they would have to leave in order
         process.wait()
+
+
+def gateway_process(socket: Path) -> None:
+    """What `midstride dashboard` runs; it would not find a manager that has no state."""
+    from midstride.server.auth import new_token
+    from midstride.server.gateway import listen, run_gateway
+
+    token = new_token()
+    with listen(None) as listening:
+        print(f"http://127.0.0.1:{listening.getsockname()[1]}/?token={token}", flush=True)
+        asyncio.run(run_gateway(listening, socket, "ring", token))
 
 
 def wait_for(path: Path, process: subprocess.Popen[str]) -> None:
@@ -100,17 +111,17 @@ def measured(options: argparse.Namespace) -> list[dict[str, float]]:
         shape = [str(options.nodes), str(options.changing), str(options.rate)]
         serving = [sys.executable, str(HERE / "dashboard.py"), "--serving", *shape, "view"]
         manager = context.enter_context(running(serving, environment))
-        wait_for(folder / "midstride" / "ring" / "manager.sock", manager)
+        socket = folder / "midstride" / "ring" / "manager.sock"
+        wait_for(socket, manager)
         time.sleep(1.0)
-        leading = [sys.executable, "-m", "midstride", "dashboard", "ring", "--no-browser"]
+        leading = [sys.executable, __file__, "--gateway", str(socket)]
         gateway = context.enter_context(running(leading, environment))
         assert gateway.stdout is not None
-        line = gateway.stdout.readline()
-        url = re.search(r"http://\S+", line)
-        if url is None:
-            raise SystemExit(f"the gateway has not begun: {line}")
+        url = gateway.stdout.readline().strip()
+        if not url:
+            raise SystemExit("the gateway has not begun")
         groups = [f"g:/group_{number}" for number in range(options.changing * GROUP_OF // options.nodes)]
-        page = opened(context, url[0], groups)
+        page = opened(context, url, groups)
         page.wait_for_timeout(SETTLE * 1000)
         session = page.context.new_cdp_session(page)
         session.send("HeapProfiler.enable")
@@ -146,4 +157,8 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    match sys.argv[1:]:
+        case ["--gateway", path]:
+            gateway_process(Path(path))
+        case _:
+            main()

@@ -300,7 +300,7 @@ function valueText(value) {
  */
 function topicContent(name, view, { store }, close) {
   const topic = view.topics[name];
-  if (isService(name)) return serviceContent(name, view, { store }, close);
+  if (isService(name)) return [heading(name, close), ...serviceContent(name, view, store)];
   if (topic === undefined) return [heading(name, close), h("p", { class: "muted" }, "This topic is not there any more.")];
   const ends = (/** @type {string} */ title, /** @type {string[]} */ ports) => [
     h("h3", {}, `${title} (${ports.length})`),

@@ -82,9 +82,9 @@ class ChangePanel {
     const { ask, store } = this.context;
     if (!store.live || store.live.phase !== "up") return;
     try {
-      const [specification, history] = await Promise.all([ask("GET", "/specification"), ask("GET", "/history?latest=100")]);
-      this.#specification = specification;
-      this.#versions = earlierVersions(history);
+      this.#specification = await ask("GET", "/specification");
+      this.#offer();
+      this.#versions = earlierVersions(await ask("GET", "/history?latest=100"));
       this.#offer();
     } catch {
       // asked again with the next revision; a lost connection is shown at the top
