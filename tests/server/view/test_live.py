@@ -17,7 +17,7 @@ from midstride.errors import MidstrideError
 from midstride.plan.request import PlanRequest
 from midstride.runtime.component_client import LatestState
 from midstride.server.view.live import LiveView
-from midstride.server.view.timing import FIGURES, LOOK, SOON, TOGETHER
+from midstride.server.view.timing import LOOK, SOON, TOGETHER
 from tests.runtime.systems import example, replace
 from tests.server.view.support import Reader, Viewed, following, live_view, viewed, without_figures
 

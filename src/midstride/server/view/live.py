@@ -74,6 +74,7 @@ class LiveView:
         self._revalued_at = -math.inf  # the same with parameters and reasons
         self._figures_at = 0.0  # the same with figures
         self._figures_of: dict[str, float] = {}  # the same by component
+        self._rated_at: dict[str, float] = {}  # when it was last looked whether it keeps its rates, by component
         self._started = False
         watched.on_report = self._on_report
         watched.events.listeners.append(self._on_event)
@@ -101,7 +102,7 @@ class LiveView:
         if not isinstance(event, ComponentState) or not self._same(event):
             self._dirty.add(name)
             self._soon()
-        elif not same_values(self._reported.get(name), event):
+        elif not self._as_measured(event, now) or not same_values(self._reported.get(name), event):
             self._revalued.add(name)
             self._tick.at(max(now + SOON, self._revalued_at + FIGURES))
         else:
@@ -112,9 +113,15 @@ class LiveView:
     def _same(self, state: ComponentState) -> bool:
         """Whether a report differs from the entry of its component in what may wait at most: figures and values."""
         shown = self._shown.get(state.instance)
-        if shown is None or not shown.answers or not same_report(self._reported.get(state.instance), state):
-            return False
-        return rates_as_shown(shown, state, self._configuration.context)
+        return shown is not None and shown.answers and same_report(self._reported.get(state.instance), state)
+
+    def _as_measured(self, state: ComponentState, now: float) -> bool:
+        """Whether declared rates are met as the entry says. As a figure, this is looked at twice a second."""
+        name = state.instance
+        if now - self._rated_at.get(name, -math.inf) < FIGURES:
+            return True
+        self._rated_at[name] = now
+        return rates_as_shown(self._shown[name], state, self._configuration.context)
 
     def _on_event(self, event: Event) -> None:
         self._changes.on_event(event)
@@ -245,6 +252,7 @@ class LiveView:
             if instance is None:
                 self._shapes.pop(name, None)
                 self._figures_of.pop(name, None)
+                self._rated_at.pop(name, None)
                 self._unsound.discard(name)
                 if self._shown.pop(name, None) is not None:
                     self._modes.gone(name, now)

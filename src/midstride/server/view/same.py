@@ -20,22 +20,25 @@ def same_report(before: ComponentState | None, state: ComponentState) -> bool:
     """
     if before is None or before.uuid != state.uuid:
         return False
-    if before.functionalities.keys() != state.functionalities.keys() or before.ports.keys() != state.ports.keys():
+    modes, ports = before.functionalities, before.ports
+    if len(modes) != len(state.functionalities) or len(ports) != len(state.ports):
         return False
     for name, functionality in state.functionalities.items():
-        earlier = before.functionalities[name]
+        earlier = modes.get(name)
         if (
-            earlier.mode != functionality.mode
+            earlier is None
+            or earlier.mode != functionality.mode
             or earlier.reflex != functionality.reflex
             or functionality.since < earlier.since
         ):
             return False
     for name, links in state.ports.items():
-        former = before.ports[name]
-        if former.keys() != links.keys():
+        former = ports.get(name)
+        if former is None or len(former) != len(links):
             return False
         for topic, link in links.items():
-            if former[topic].gate != link.gate:
+            known = former.get(topic)
+            if known is None or known.gate != link.gate:
                 return False
     return (before.waiting, before.node, before.differences, before.undeclared) == (
         state.waiting,
@@ -54,7 +57,7 @@ def same_values(before: ComponentState | None, state: ComponentState) -> bool:
 
 
 def rates_as_shown(shown: ComponentView, state: ComponentState, context: SystemContext) -> bool:
-    """Whether the declared rates are met or not as the entry says. Called for every report as well."""
+    """Whether the declared rates are met or not as the entry says."""
     for port in shown.ports:
         if port.declared is None or port.topic is None or port.topic not in context.connectors:
             continue
