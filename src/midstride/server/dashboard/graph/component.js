@@ -141,6 +141,7 @@ export class ComponentShape {
     set(this.element, "data-current", String(ghosts?.current.has(entry.name) ?? false));
     setText(this.#glyph, planned ? "+" : found.glyph);
     const flagged = deviates(entry) && found.kind === "normal";
+    set(this.element, "data-deviates", String(flagged));
     setText(this.#flag, found.kind === "gone" ? found.words : flagged ? "▲" : entry.ending ? "ending" : "");
     setText(this.#fate, fate === null ? "" : `${FATES[fate].glyph} ${planned || fate === "removed" ? FATES[fate].words : "new"}`);
     const words = description(entry, view, fate === null ? "" : planned ? "planned" : FATES[fate].words);
