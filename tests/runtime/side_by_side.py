@@ -1,9 +1,8 @@
-"""Three counters, each with its own topic, which a change replaces side by side; and what a bare reader of each hears."""
+"""Three counters, each with its own topic, that a change replaces side by side, and a bare reader of each topic."""
 
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -28,7 +27,7 @@ RATE = 20
 def program(before: str = "") -> str:
     """One that counts at RATE; ``before`` is put before its only write, where ``calls`` is a list for its use."""
     text = at_rates(out=RATE).replace("count = {", "calls = []\ncount = {")
-    return text.replace("        output.write", f"        {before}\n        output.write" if before else "        output.write")
+    return text.replace("        output.write", f"        {before}\n        output.write") if before else text
 
 
 def three(folder: Path, new: Mapping[str, str] = Map(), **timing: float) -> Specification:

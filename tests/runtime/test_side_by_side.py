@@ -105,7 +105,9 @@ def test_where_one_does_not_keep_its_rate_no_topic_is_touched(tmp_path: Path) ->
     specification = three(tmp_path, {"second": program(SLOW)}, probation=1.0, probation_timeout=3.0)
     found = change(tmp_path, specification)
     assert found.outcome.outcome == "rolled_back"
-    assert str(found.outcome.because).startswith("hand over /second from second.out to second_2.out: second_2.out does not keep")
+    assert str(found.outcome.because).startswith(
+        "hand over /second from second.out to second_2.out: second_2.out does not keep"
+    )
     assert "/first" not in str(found.outcome.because), "what waited for it is not to blame"
     found.assert_no_message_missed()
     assert [found.sides(node) for node in NODES] == [[node] for node in NODES]

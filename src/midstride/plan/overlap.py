@@ -2,8 +2,8 @@
 
 The steps keep the order of the plan. What overlaps: a process starts as soon as everything is done that its ``create``
 step must wait for; and steps next to each other are taken at once, in a round, if they are all removals, all mode
-changes or all hand-overs. The hand-overs of a round are prepared and watched at once, and their cuts follow one another.
-How long the plan takes follows from that.
+changes or all hand-overs. The hand-overs of a round are prepared and watched at once, and their cuts follow one
+another. How long the plan takes follows from that.
 """
 
 from __future__ import annotations

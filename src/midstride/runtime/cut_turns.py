@@ -1,8 +1,8 @@
 """Hand-overs that are prepared at once, and cut one after another.
 
 The long parts of a hand-over are the waits before its cut (for discovery, and for the probation of the new publisher)
-and after it. Those of a round overlap. No cut begins before all are ready, so that one which cannot be leaves all topics
-as they are; and each cut waits for the one before, so that the states in between are those of the sequence.
+and after it. Those of a round overlap. No cut begins before all are ready, so that one which cannot take over leaves
+all topics as they are; each cut waits for the one before, so that the states in between are those of the sequence.
 """
 
 from __future__ import annotations

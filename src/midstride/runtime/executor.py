@@ -176,8 +176,7 @@ class Executor:
 
         places: Sequence[int | None] = range(len(indices)) if len(indices) > 1 else [None]
         taking = [
-            asyncio.ensure_future(take(index, place, turns.add()))
-            for index, place in zip(indices, places, strict=True)
+            asyncio.ensure_future(take(index, place, turns.add())) for index, place in zip(indices, places, strict=True)
         ]
         try:
             await asyncio.wait(taking)
