@@ -1,6 +1,6 @@
 # Each target sets up what it needs by itself, from python3 (3.10 or later) and pip: tools/setup says how.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-long wheel bench docs recording screenshots lint alloy verify
+.PHONY: help demo test test-all test-long wheel bench docs recording animation screenshots lint alloy verify
 
 # ROS 2 writes a log file for every process: beside the Makefile rather than in the home folder.
 export ROS_LOG_DIR ?= $(CURDIR)/.ros/log
@@ -36,6 +36,9 @@ docs: ## the documentation as a site to open from the disk: site/index.html
 recording: ## docs/recording.svg, the animation of the README, from commands that it runs
 	@tools/setup test
 	@tools/in-venv python tools/record.py docs/recording.svg $(ARGS)
+
+animation: ## docs/pictures/dashboard-swap.svg, a swap on the dashboard, for the README
+	@tools/screenshots animation
 
 screenshots: ## docs/pictures, the dashboard as its documentation shows it
 	@tools/screenshots

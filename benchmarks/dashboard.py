@@ -173,6 +173,14 @@ class Manager:
     async def up(self) -> Any:
         return self._report("done", [])
 
+    def log(self, since: int) -> Any:
+        return self.events.since(since)
+
+    async def history(self, latest: int) -> Any:
+        from midstride.runtime.history import History
+
+        return History([], [], None)
+
     async def down(self) -> None:
         pass
 

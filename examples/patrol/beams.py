@@ -3,6 +3,7 @@
 import math
 from array import array
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import LaserScan
 
@@ -24,7 +25,7 @@ def scan(like, ranges, longest):
         angle_increment=STEP,
         range_min=0.1,
         range_max=float(longest),
-        ranges=array("f", (distance if distance <= longest else math.inf for distance in ranges)),
+        ranges=array("f", [distance if distance <= longest else math.inf for distance in ranges]),
     )
 
 
@@ -53,14 +54,14 @@ def wrapped(angle):
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
-def fit(grid, ranges, at):
-    """How many beams, from the pose ``at``, end at something that the map has; of every third."""
-    cell, width, hits = grid.info.resolution, grid.info.width, 0
-    for beam in range(0, len(ANGLES), 3):
-        if math.isfinite(ranges[beam]):
-            angle = at[2] + ANGLES[beam]
-            column = int((at[0] + ranges[beam] * math.cos(angle)) / cell)
-            row = int((at[1] + ranges[beam] * math.sin(angle)) / cell)
-            inside = 0 <= column < width and 0 <= row < grid.info.height
-            hits += inside and grid.data[row * width + column] > 50
-    return hits
+def fit(grid, ranges, poses):
+    """For each pose, how many beams from there end at something that the map has; of every third."""
+    distances, angles = np.asarray(ranges)[::3], np.asarray(ANGLES[::3])
+    seen = np.isfinite(distances)
+    x, y, heading = np.asarray(poses).T[:, :, np.newaxis]
+    angles = heading + angles[seen]
+    columns = ((x + distances[seen] * np.cos(angles)) / grid.info.resolution).astype(int)
+    rows = ((y + distances[seen] * np.sin(angles)) / grid.info.resolution).astype(int)
+    inside = (columns >= 0) & (columns < grid.info.width) & (rows >= 0) & (rows < grid.info.height)
+    cells = np.where(inside, rows * grid.info.width + columns, 0)
+    return (inside & (np.asarray(grid.data)[cells] > 50)).sum(axis=1)

@@ -14,7 +14,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -30,7 +30,7 @@ import picture
 from midstride.backends.simulator import Simulator
 from midstride.cli.demo_environment import DemoEnvironment, demo_environment
 from midstride.cli.demo_runner import cancelled_by_signals
-from midstride.cli.example import Demo
+from midstride.cli.example import Demo, matching
 from midstride.errors import MidstrideError
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
@@ -46,11 +46,12 @@ RESPAWNED = "restarted by its policy"
 Act: TypeAlias = Callable[[DemoEnvironment], Awaitable[Outcome | str]]
 
 
-async def run(example: Demo, backend: str, out: Console) -> list[dict[str, Any]]:
+async def run(example: Demo, backend: str, out: Console, only: Sequence[str] = ()) -> list[dict[str, Any]]:
     """Run it; what was seen during each event. ``outcome`` is `done` where it came to what it should, and hit nothing.
 
-    Raises CancelledError on SIGINT and SIGTERM.
+    ``only``: what has to be in the names of the events. Raises CancelledError on SIGINT and SIGTERM, UsageError.
     """
+    events = matching(EVENTS, only)
     world = example.specification.nodes["world"]
     kept = bag.kept()
     with cancelled_by_signals() as interrupted:
@@ -68,8 +69,8 @@ async def run(example: Demo, backend: str, out: Console) -> list[dict[str, Any]]
                         await recorded.open()
                     await environment.manager.up()
                     await asyncio.sleep(RUN_IN)
-                    for name, (event, expected) in EVENTS.items():
-                        await show.event(name, event, expected)
+                    for name in events:
+                        await show.event(name, *EVENTS[name])
                         if interrupted.is_set():  # while a change was measured, which completes it
                             raise asyncio.CancelledError
                 checked = "" if recorded is None else await show.check(recorded)

@@ -11,6 +11,8 @@ import math
 import random
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 # Two boxes (left, bottom, right, top): the outer walls, and a block of shelves in the middle.
 OUTER = (0.0, 0.0, 20.0, 16.0)
 SHELVES = (6.0, 6.0, 14.0, 10.0)
@@ -120,22 +122,18 @@ def step(hall: Hall, forward: float, turn: float, seconds: float) -> Hall:
 
 def cast(hall: Hall, angles: list[float], longest: float) -> list[float]:
     """How far a ray goes from the robot in each direction (rad, from its heading); infinite beyond ``longest``."""
-    close = [
-        (person.x - hall.x, person.y - hall.y)
-        for person in hall.people
-        if math.dist((person.x, person.y), (hall.x, hall.y)) < longest + PERSON_RADIUS
-    ]
-    found = []
-    for angle in angles:
-        dx, dy = math.cos(hall.heading + angle), math.sin(hall.heading + angle)
-        nearest = min(_to_outer(hall.x, hall.y, dx, dy), _to_box(hall.x, hall.y, dx, dy, SHELVES))
-        for px, py in close:
+    headings = hall.heading + np.asarray(angles)
+    dx, dy = np.cos(headings), np.sin(headings)
+    found = np.minimum(_to_outer(hall.x, hall.y, dx, dy), _to_box(hall.x, hall.y, dx, dy, SHELVES))
+    for person in hall.people:
+        px, py = person.x - hall.x, person.y - hall.y
+        if math.hypot(px, py) < longest + PERSON_RADIUS:
             along = px * dx + py * dy
             aside = PERSON_RADIUS**2 - (px * px + py * py - along * along)
-            if along > 0 and aside >= 0:
-                nearest = min(nearest, along - math.sqrt(aside))
-        found.append(nearest if nearest <= longest else math.inf)
-    return found
+            met = (along > 0) & (aside >= 0)
+            found[met] = np.minimum(found[met], along[met] - np.sqrt(aside[met]))
+    found[found > longest] = math.inf
+    return found.tolist()
 
 
 def is_wall(x: float, y: float) -> bool:
@@ -204,24 +202,22 @@ def _progress(before: float, x: float, y: float) -> float:
     return found
 
 
-def _to_outer(x: float, y: float, dx: float, dy: float) -> float:
+def _to_outer(x: float, y: float, dx: np.ndarray, dy: np.ndarray) -> np.ndarray:
     left, bottom, right, top = OUTER
-    across = ((right if dx > 0 else left) - x) / dx if dx else math.inf
-    along = ((top if dy > 0 else bottom) - y) / dy if dy else math.inf
-    return min(across, along)
+    with np.errstate(divide="ignore"):
+        across = np.where(dx == 0, math.inf, (np.where(dx > 0, right, left) - x) / dx)
+        along = np.where(dy == 0, math.inf, (np.where(dy > 0, top, bottom) - y) / dy)
+    return np.minimum(across, along)
 
 
-def _to_box(x: float, y: float, dx: float, dy: float, box: tuple[float, float, float, float]) -> float:
-    """From outside to where a ray enters a box; infinite where it misses it."""
-    enters, leaves = 0.0, math.inf
-    for at, d, low, high in ((x, dx, box[0], box[2]), (y, dy, box[1], box[3])):
-        if not d:
-            if not low <= at <= high:
-                return math.inf
-            continue
-        one, other = sorted(((low - at) / d, (high - at) / d))
-        enters, leaves = max(enters, one), min(leaves, other)
-    return enters if 0.0 < enters <= leaves else math.inf
+def _to_box(x: float, y: float, dx: np.ndarray, dy: np.ndarray, box: tuple[float, float, float, float]) -> np.ndarray:
+    """From outside to where each ray enters a box; infinite where it misses it."""
+    enters, leaves = np.zeros_like(dx), np.full_like(dx, math.inf)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a ray along a side misses it
+        for at, d, low, high in ((x, dx, box[0], box[2]), (y, dy, box[1], box[3])):
+            one, other = (low - at) / d, (high - at) / d
+            enters, leaves = np.maximum(enters, np.minimum(one, other)), np.minimum(leaves, np.maximum(one, other))
+    return np.where((enters > 0.0) & (enters <= leaves), enters, math.inf)
 
 
 def _crosses(
@@ -231,7 +227,8 @@ def _crosses(
     length = math.dist(a, b)
     if _inside(*a, wide) or not length:
         return True
-    return _to_box(*a, (b[0] - a[0]) / length, (b[1] - a[1]) / length, wide) < length
+    dx, dy = np.array([(b[0] - a[0]) / length]), np.array([(b[1] - a[1]) / length])
+    return _to_box(*a, dx, dy, wide).item() < length
 
 
 def _inside(x: float, y: float, box: tuple[float, float, float, float]) -> bool:

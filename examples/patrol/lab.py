@@ -7,11 +7,12 @@ A robot runs either under a manager (``Managed``), or as plain processes that a 
 from __future__ import annotations
 
 import asyncio
+import gc
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.process import SimulatedProcess
@@ -26,7 +27,10 @@ from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.simulation.disk import SimulatedDisk
 from midstride.simulation.lives import Life
+from midstride.simulation.loop import SeededLoop, run
 from midstride.simulation.threadless import ThreadlessOnceStarted
+
+T = TypeVar("T")
 
 FOLDER = Path(__file__).resolve().parent
 # How long a process takes to start (s), besides what its own code takes to load.
@@ -58,7 +62,23 @@ class Seen:
 
 
 class Platform(Simulator):
-    """Calls the nodes without threads, once they have come up: half of the processor time, and no switches."""
+    """Calls the nodes without threads, once they have come up, on a loop without sockets: it can be forked then.
+
+    It also takes a third of the processor time. What happens at the same moment comes in an order drawn from ``seed``.
+    """
+
+    def __init__(self, seed: int) -> None:
+        super().__init__(starting=STARTING, seed=seed)
+        self._seed = seed
+
+    def _on_loop(self, main: Coroutine[Any, Any, T]) -> T:
+        loop = SeededLoop(self._seed)  # type: ignore[abstract]  # it has no sockets and no processes
+        gc.disable()  # what it finalizes would be called at moments that differ from run to run
+        try:
+            return run(loop, main)
+        finally:
+            gc.enable()
+            gc.collect()
 
     def _process(self, launch: Launch, log: Path | None) -> SimulatedProcess:
         return ThreadlessOnceStarted(launch, self._pids, self.time, self._host, self._exited, log)
@@ -69,7 +89,7 @@ class Lab:
 
     def __init__(self, specification: Specification, seed: int, people: int = 6) -> None:
         self.specification = specification
-        self.simulator = Platform(starting=STARTING, seed=seed)
+        self.simulator = Platform(seed)
         self.seen = Seen()
         self._seed, self._people = seed, people
         self._published: dict[str, float] = {}  # by topic, when last (s)
@@ -96,6 +116,13 @@ class Lab:
 
     def _module(self, instance: str) -> dict[str, Any]:
         return self.simulator.processes[instance]._program._main.__dict__
+
+    def require_no_errors(self) -> None:
+        """Raises RuntimeError where something raised on the loop that nobody awaited."""
+        loop = self.simulator.time.loop
+        assert isinstance(loop, SeededLoop)
+        if loop.errors:
+            raise RuntimeError(f"in virtual time: {loop.errors[0]}") from loop.errors[0].get("exception")
 
     async def open_hall(self) -> None:
         await self.start("world", "world.py", _OUTLETS, {"seed": self._seed, "people": self._people}, ("normal",))
@@ -138,10 +165,11 @@ class Lab:
         """The best mode whose inputs have been heard lately, whatever mode it is in."""
         component = self.specification.components[node.component]
 
+        now, published = self.now(), self._published
+
         def fresh(port: str) -> bool:
-            rate = component.inputs[port].rate or 1.0
-            topics = node.attachments.get(port, ())
-            return any(self.now() - self._published.get(topic, -99.0) < STALE + 1.5 / rate for topic in topics)
+            age = STALE + 1.5 / (component.inputs[port].rate or 1.0)
+            return any(now - published.get(topic, -99.0) < age for topic in node.attachments.get(port, ()))
 
         for index, mode in enumerate(functionality.modes):
             named = [each.inputs for each in mode.assumptions if isinstance(each, InputAlternatives)]
@@ -156,7 +184,7 @@ _OUTLETS = {"cmd": "/cmd_vel"} | {name: f"/device/{name}" for name in ("lidar", 
 class Managed:
     """The robot under a manager, which plans with ``strategy``."""
 
-    def __init__(self, lab: Lab, folder: Path, strategy: str) -> None:
+    def __init__(self, lab: Lab, folder: Path, strategy: str = "minimal") -> None:
         self.lab, self.strategy = lab, strategy
         self._workspace = Workspace(folder)
         self._disk = SimulatedDisk()
@@ -227,3 +255,6 @@ class Supervised:
 
     def level(self, role: str, functionality: FunctionalitySpec) -> int | None:
         return 0 if role in self.lab.simulator.processes else None
+
+    async def close(self) -> None:
+        """What runs ends with the simulator."""

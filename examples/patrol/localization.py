@@ -14,6 +14,8 @@ from sensor_msgs.msg import LaserScan
 
 from midstride import Component
 
+SHIFTS = (0, 0, 0), (0.05, 0, 0), (-0.05, 0, 0), (0, 0.05, 0), (0, -0.05, 0), (0, 0, 0.01), (0, 0, -0.01)
+
 comp = Component("localization")
 wheels = comp.create_input("wheels", Odometry, rate=20, tolerates=9)
 scan = comp.create_input("scan", LaserScan, rate=10, tolerates=4)
@@ -48,12 +50,8 @@ def match() -> None:
     if here is None or scan.latest is None or map_.latest is None or scan.latest is matched:
         return
     matched, grid, ranges = scan.latest, map_.latest, scan.latest.ranges
-    best, found = fit(grid, ranges, here), here
-    for shift in ((0.05, 0, 0), (-0.05, 0, 0), (0, 0.05, 0), (0, -0.05, 0), (0, 0, 0.01), (0, 0, -0.01)):
-        tried = here[0] + shift[0], here[1] + shift[1], here[2] + shift[2]
-        if (hits := fit(grid, ranges, tried)) > best:
-            best, found = hits, tried
-    here = found
+    tried = [(here[0] + x, here[1] + y, here[2] + turned) for x, y, turned in SHIFTS]
+    here = tried[fit(grid, ranges, tried).argmax()]  # the first of the best: it stays where nothing is better
 
 
 def write_odom() -> None:

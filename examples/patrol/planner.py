@@ -3,13 +3,16 @@
 import heapq
 import math
 
+import numpy as np
 from beams import pose, read
 from geometry_msgs.msg import PoseStamped
+from hall import OUTER
 from nav_msgs.msg import OccupancyGrid, Path
 
 from midstride import Component
 
 CELL = 0.5
+COLUMNS, ROWS = round(OUTER[2] / CELL), round(OUTER[3] / CELL)
 CLEARANCE = 2  # cells
 TOO_CLOSE = 20.0  # what a cell within that costs more, so that the robot finds out of it
 
@@ -24,10 +27,14 @@ charted, blocked = None, frozenset()
 
 def inflated(grid: OccupancyGrid) -> frozenset:
     """The cells that are too close to something, each as (column, row)."""
-    ratio, width = CELL / grid.info.resolution, grid.info.width
-    taken = {(int(n % width / ratio), int(n // width / ratio)) for n, value in enumerate(grid.data) if value > 50}
-    around = range(-CLEARANCE, CLEARANCE + 1)
-    return frozenset((column + by, row + up) for column, row in taken for by in around for up in around)
+    rows, columns = np.nonzero(np.reshape(grid.data, (grid.info.height, grid.info.width)) > 50)
+    ratio, around = CELL / grid.info.resolution, range(2 * CLEARANCE + 1)
+    near = np.zeros((ROWS + 2 * CLEARANCE, COLUMNS + 2 * CLEARANCE), bool)
+    for up in around:
+        for by in around:
+            near[(rows / ratio).astype(int) + up, (columns / ratio).astype(int) + by] = True
+    rows, columns = np.nonzero(near[CLEARANCE:-CLEARANCE, CLEARANCE:-CLEARANCE])
+    return frozenset(zip(columns.tolist(), rows.tolist(), strict=True))
 
 
 def search(start, end) -> list:
@@ -43,7 +50,7 @@ def search(start, end) -> list:
         for by, up in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)):
             to = cell[0] + by, cell[1] + up
             so_far = cost[cell] + math.hypot(by, up) + TOO_CLOSE * (to in blocked)
-            inside = 0 <= to[0] < 40 and 0 <= to[1] < 32
+            inside = 0 <= to[0] < COLUMNS and 0 <= to[1] < ROWS
             if inside and so_far < cost.get(to, math.inf):
                 came[to], cost[to] = cell, so_far
                 heapq.heappush(ready, (so_far + math.dist(to, end), to))

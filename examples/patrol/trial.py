@@ -21,10 +21,11 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+from fork import Fork
 from lab import Lab, Managed, Supervised, robot
 
 MANAGED = ("minimal", "paper", "quiesce", "stop")
@@ -47,6 +48,9 @@ CRASHES = {"the lidar driver dies": "lidar", "the planner is killed": "planner"}
 HANGS = {"the detector hangs": "camera_detector"}
 EVENTS = (*CHANGES, *CRASHES, *HANGS)
 
+# An event, and the strategy.
+Case: TypeAlias = tuple[str, str]
+
 PEOPLE = 6
 NOTICED = 2.0  # after how long a hang, or a bad version, is noticed (s)
 ABSENT = 5.0  # for how long there is no manager after it was killed (s)
@@ -61,36 +65,78 @@ def strategies(event: str) -> tuple[str, ...]:
 
 def run(seed: int, event: str, strategy: str, after: float = AFTER) -> dict[str, Any]:
     """One robot in hall ``seed``, to which ``event`` happens (``none``: nothing does), for ``after`` s more."""
-    drawn = random.Random(f"event {seed}")
-    before, during = drawn.uniform(6.0, 14.0), drawn.uniform(0.1, 3.0)
     lab = Lab(robot(), seed, PEOPLE)
+
+    async def main() -> dict[str, Any]:
+        under = await _until_the_event(lab, seed, strategy)
+        try:
+            return await _from_the_event_on(under, seed, event, strategy, after)
+        finally:
+            await under.close()
+
+    return lab.simulator.run(main())
+
+
+def runs(seed: int, cases: Sequence[Case], after: float = AFTER) -> list[dict[str, Any]]:
+    """What :func:`run` returns for each case, all of one :func:`kind`: they do not differ until the event."""
+    lab = Lab(robot(), seed, PEOPLE)
+
+    async def main() -> list[dict[str, Any]]:
+        under = await _until_the_event(lab, seed, cases[0][1])
+        found = []
+        for event, strategy in cases:
+            if (fork := Fork()).is_child:
+                await fork.end(_from_the_event_on(under, seed, event, strategy, after))
+            found.append(fork.result())
+        await under.close()
+        return found
+
+    return lab.simulator.run(main())
+
+
+def kind(strategy: str) -> str:
+    """Strategies of the same kind have the same robot until the event."""
+    return "managed" if strategy in MANAGED else "timeout" if strategy == "restart+timeout" else "without"
+
+
+def _drawn(seed: int) -> tuple[float, float]:
+    """When the event happens (s), and how long after the beginning of a change the manager dies."""
+    drawn = random.Random(f"event {seed}")
+    return drawn.uniform(6.0, 14.0), drawn.uniform(0.1, 3.0)
+
+
+async def _until_the_event(lab: Lab, seed: int, strategy: str) -> Managed | Supervised:
+    timeout = 0.5 if kind(strategy) == "timeout" else 0.0
+    robot = Managed(lab, Path("simulated")) if kind(strategy) == "managed" else Supervised(lab, timeout)
+    await robot.up()
+    await lab.open_hall()
+    await lab.watch(_drawn(seed)[0], robot.level)
+    lab.seen.lost = lab.seen.blind = lab.seen.longest_blind = 0.0
+    return robot
+
+
+async def _from_the_event_on(
+    robot: Managed | Supervised, seed: int, event: str, strategy: str, after: float
+) -> dict[str, Any]:
     said: list[str] = []
-
-    async def main() -> None:
-        managed = strategy in MANAGED
-        timeout = 0.5 if strategy == "restart+timeout" else 0.0
-        robot = Managed(lab, Path("simulated"), strategy) if managed else Supervised(lab, timeout)
-        await robot.up()
-        await lab.open_hall()
-        await lab.watch(before, robot.level)
-        lab.seen.lost = lab.seen.blind = lab.seen.longest_blind = 0.0
-        act = _managed(robot, event, during, said) if managed else _supervised(robot, event, strategy)  # type: ignore[arg-type]
-        acting = asyncio.ensure_future(act)
-        await lab.watch(after, robot.level)
-        if not acting.done():
-            said.append("under way at the end")
-            acting.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await acting
-        if isinstance(robot, Managed):
-            await robot.close()
-
-    lab.simulator.run(main())
-    return {"seed": seed, "event": event, "strategy": strategy, **asdict(lab.seen), "said": said}
+    if isinstance(robot, Managed):
+        robot.strategy = strategy
+        act = _managed(robot, event, _drawn(seed)[1], said)
+    else:
+        act = _supervised(robot, event, strategy)
+    acting = asyncio.ensure_future(act)
+    await robot.lab.watch(after, robot.level)
+    if not acting.done():
+        said.append("under way at the end")
+        acting.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await acting
+    robot.lab.require_no_errors()
+    return {"seed": seed, "event": event, "strategy": strategy, **asdict(robot.lab.seen), "said": said}
 
 
-def _run(arguments: tuple[int, str, str]) -> dict[str, Any]:
-    return run(*arguments)
+def _runs(work: tuple[int, Sequence[Case]]) -> list[dict[str, Any]]:
+    return runs(*work)
 
 
 async def _managed(robot: Managed, event: str, during: float, said: list[str]) -> None:
@@ -208,6 +254,9 @@ def main() -> int:
     parser.add_argument("--worlds", type=int, default=100, help="how many halls")
     parser.add_argument("--first", type=int, default=1, help="the seed of the first")
     parser.add_argument("--event", help="only events whose name contains this")
+    parser.add_argument(
+        "--strategies", nargs="+", choices=(*MANAGED, *WITHOUT), default=(*MANAGED, *WITHOUT), help="only these"
+    )
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument(
         "--out", type=Path, help="append each run to this file, a line of JSON; runs in it are not repeated"
@@ -222,13 +271,18 @@ def main() -> int:
     chosen = [event for event in EVENTS if (options.event or "") in event]
     seeds = range(options.first, options.first + options.worlds)
     every = [("none", "minimal"), *((event, each) for event in chosen for each in strategies(event))]
-    wanted = [(seed, *each) for seed in seeds for each in every if (seed, *each) not in done]
+    wanted: dict[tuple[int, str], list[Case]] = {}
+    for seed in seeds:
+        for event, strategy in every:
+            if strategy in options.strategies and (seed, event, strategy) not in done:
+                wanted.setdefault((seed, kind(strategy)), []).append((event, strategy))
     with multiprocessing.get_context("fork").Pool(options.jobs) as pool:
-        for row in pool.imap(_run, wanted):
-            rows.append(row)
+        for found in pool.imap_unordered(_runs, [(seed, cases) for (seed, _), cases in wanted.items()]):
+            rows += found
             if options.out is not None:
                 with options.out.open("a") as file:
-                    file.write(json.dumps(row) + "\n")
+                    file.writelines(json.dumps(row) + "\n" for row in found)
+    rows.sort(key=lambda row: int(row["seed"]))  # the intervals are of samples in this order
     print("\n".join(table(rows)))
     if options.figure is not None:
         options.figure.write_text(figure(rows))

@@ -1,6 +1,7 @@
 """The hall and the robot's hardware: simulates them, and is what the drivers read. Not a part of the robot's software.
 
-With the parameter ``trace``, the true state is written to that file, a line of JSON ten times a second.
+With the parameter ``trace``, the true state is written to that file, a line of JSON ten times a second. On ROS 2 it
+publishes ``/clock``, at the parameter ``speed``.
 """
 
 import json
@@ -12,6 +13,7 @@ from beams import ANGLES, CAMERA_RANGE, IN_VIEW, put
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import BatteryState, Image, LaserScan
+from sim_clock import SimClock
 from std_msgs.msg import Bool
 
 from midstride import Component, guarantee
@@ -20,6 +22,9 @@ comp = Component("world")
 seed = comp.parameter("seed", 1)
 people = comp.parameter("people", 6)
 trace = comp.parameter("trace", "")
+speed = comp.parameter("speed", 1.0, on_change=lambda value: clock.set_speed(value))
+clock = SimClock(speed.value)
+comp.on_setup(clock.publish)
 cmd = comp.create_input("cmd", Twist)
 lidar = comp.create_output("lidar", LaserScan)
 camera = comp.create_output("camera", Image)

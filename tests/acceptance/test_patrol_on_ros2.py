@@ -13,8 +13,10 @@ from typing import Any
 
 import pytest
 
+from midstride.errors import CommandRefused
 from midstride.lang.load import load
 from midstride.plan.request import PlanRequest
+from midstride.runtime.options import SystemOptions
 from tests.acceptance.support import ROOT, ended, managed
 
 FOLDER = ROOT / "examples" / "patrol"
@@ -53,6 +55,53 @@ def test_it_never_drives_blind_while_drivers_are_replaced_and_die(tmp_path: Path
             found = await seen("commands", written + 100)
             # The stated time of reaction, and as much again for a machine that is busy.
             assert found["moved_blind"] < 1.0, found
+
+    with ended():
+        asyncio.run(main())
+
+
+@pytest.mark.timeout(240)
+def test_the_hall_s_clock_drives_the_robot_twice_as_fast_as_real_time(tmp_path: Path) -> None:
+    specification = load(FOLDER / "patrol.stride").require()
+    world, trace = specification.nodes["world"], tmp_path / "trace.jsonl"
+    parameters = world.parameters.set("trace", str(trace))
+    specification = specification.with_node(replace(world, parameters=parameters))
+
+    async def later(by: float) -> tuple[float, dict[str, Any]]:
+        """When the hall is ``by`` seconds further (steady s), and its state then."""
+        begun, deadline = last()["time"], time.monotonic() + 60.0
+        while (found := last())["time"] < begun + by:
+            assert time.monotonic() < deadline, found
+            await asyncio.sleep(0.01)
+        return time.monotonic(), found
+
+    def last() -> dict[str, Any]:
+        """The last whole line that it has written."""
+        lines = trace.read_text().split("\n")[:-1] if trace.exists() else []
+        found: dict[str, Any] = json.loads(lines[-1]) if lines else {"time": 0.0}
+        return found
+
+    async def main() -> None:
+        options = SystemOptions(use_sim_time=True)
+        async with managed(tmp_path / "system", specification, FOLDER, options) as (manager, _):
+            assert all(each.simulated_time for each in (await manager.status()).components)
+            await later(1.0)
+            await manager.set_parameters("world", {"speed": 2.0})
+            begun, before = await later(2.0)
+            ended, after = await later(12.0)
+            simulated = after["at"] - before["at"]
+            assert simulated / (ended - begun) == pytest.approx(2.0, abs=0.3)
+            while after["progress"] < before["progress"] + 2.0:  # at first it may wait for people
+                after = last()
+                assert after["time"] < before["time"] + 200.0, after
+                await asyncio.sleep(0.1)
+            # It drives as it does in real time, by its own clock: at 1.5 m/s at most.
+            assert after["progress"] - before["progress"] < 1.6 * (after["at"] - before["at"])
+            outcome = await manager.change(PlanRequest(replace=(("lidar", "SmoothLidar"),)))
+            assert (outcome.outcome, outcome.because) == ("done", None)
+            assert last()["collisions"] == 0
+            with pytest.raises(CommandRefused, match=r"from 0 .* to 10, not 50"):
+                await manager.set_parameters("world", {"speed": 50.0})
 
     with ended():
         asyncio.run(main())

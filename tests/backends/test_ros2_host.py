@@ -568,11 +568,11 @@ def test_endpoints_that_are_no_ports_are_listed(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             _, registration = await r.start("talker", OWN_ENDS)
-            assert [(endpoint.kind, endpoint.name) for endpoint in registration.endpoints] == [
-                ("service", "/elsewhere/list"),
-                ("service", "/own/list"),
-                ("topic", "/poke"),
-                ("topic", "/talker/status"),
+            assert [(endpoint.kind, endpoint.name, endpoint.serves) for endpoint in registration.endpoints] == [
+                ("service", "/elsewhere/list", False),
+                ("service", "/own/list", True),
+                ("topic", "/poke", None),
+                ("topic", "/talker/status", None),
             ]
 
     run(scenario())
@@ -593,8 +593,8 @@ def test_the_ros_actions_of_this_process_are_listed_and_none_of_another_with_a_n
             other.node.create_publisher(String, "/acting/undock/_action/status", 1)
             await bare.until(lambda: bare.node.count_publishers("/acting/undock/_action/status"))
             assert endpoints(bare.node, "/_acting_control", set()) == [
-                Endpoint(kind="ROS action", name="/acting/dock"),
-                Endpoint(kind="ROS action", name="/go"),
+                Endpoint(kind="ROS action", name="/acting/dock", serves=True),
+                Endpoint(kind="ROS action", name="/go", serves=False),
             ]
             control.destroy_node()
 

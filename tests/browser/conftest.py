@@ -43,6 +43,7 @@ class System:
     port: int
     options: tuple[str, ...] = ()
     faults: list[str] = field(default_factory=list)
+    http: bool = True
 
     @property
     def url(self) -> str:
@@ -53,9 +54,8 @@ class System:
         return (self.midstride.runtime / "midstride" / self.name / "token").read_text()
 
     def up(self) -> None:
-        done = self.midstride(
-            "up", str(self.file), "--backend", "sim", "--detach", "--http", str(self.port), *self.options, timeout=100
-        )
+        http = ("--http", str(self.port)) if self.http else ()
+        done = self.midstride("up", str(self.file), "--backend", "sim", "--detach", *http, *self.options, timeout=100)
         assert done.status == 0, done.err
 
     def kill_manager(self) -> None:

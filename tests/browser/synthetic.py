@@ -81,6 +81,7 @@ def component(name: str, functionalities: list[FunctionalityView], ports: list[P
         "undeclared": [],
         "deviation": None,
         "parameters": [],
+        "endpoints": [],
     }
     return ComponentView(name=name, functionalities=functionalities, ports=ports, **{**known, **more})
 

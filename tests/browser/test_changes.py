@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import re
+import shlex
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser.conftest import Opened, System
+from midstride.cli.change_options import new_node
+from midstride.cli.commands.param import yaml_value
+from tests.browser.conftest import Opened, System, system
 from tests.cli.conftest import EXAMPLES
+from tests.cli.test_param import PROGRAM, SPECIFICATION
 
 pytestmark = [pytest.mark.browser, pytest.mark.full, pytest.mark.timeout(240)]
 
@@ -194,3 +200,91 @@ def test_a_rehearsal_says_how_its_runs_ended(talker: System, opened: Opened) -> 
     expect(page.locator("#change .banner")).to_contain_text("all that has to hold held", timeout=120_000)
     expect(page.locator("#change")).to_contain_text("How the change ended:")
     expect(page.locator("#change .command").last).to_contain_text("midstride simulate")
+
+
+def commands(page: Page) -> list[str]:
+    return page.locator("#change .command code").all_inner_texts()
+
+
+def sent(page: Page, path: str, button: str) -> Any:
+    """What a button sends to the manager."""
+    with page.expect_request(f"**/api/v1{path}") as request:
+        press(page, button)
+    return request.value.post_data_json
+
+
+def test_a_node_is_added_by_the_request_of_the_command_beside_it(own_talker: System, opened: Opened) -> None:
+    page = opened(own_talker)
+    page.get_by_label("What to do").select_option("add")
+    expect(page.locator("#change").get_by_role("button", name="Plan", exact=True)).to_be_disabled()
+    page.get_by_label("Name of the new node").fill("second")
+    page.get_by_label("Component", exact=True).select_option("Listener")
+    page.get_by_label("topic of in").fill("/chatter")
+    shown = commands(page)
+    assert shown[0] == "midstride plan --add 'second Listener in=/chatter' --explain"
+    planned = own_talker.midstride(*shlex.split(shown[0])[1:], "--json").json
+    asked = sent(page, "/plan", "Plan")
+    assert asked["add"] == [new_node("second", "Listener", ["in=/chatter"])]
+    expect(page.locator("#change .step")).to_have_count(len(planned["steps"]))
+    expect(page.locator('.component[data-name="second"][data-planned="true"]')).to_be_visible()
+    expect(page.locator("#change .command")).to_contain_text("midstride add second Listener in=/chatter")
+    press(page, "Execute")
+    expect(page.locator("#change .outcome")).to_contain_text("Done in")
+    expect(page.locator('.component[data-name="second"] .mode-name')).to_have_text("normal")
+    assert components(own_talker) == {"talker": "Talker", "listener": "Listener", "second": "Listener"}
+    [*_, change] = own_talker.midstride("history", "--json").json["changes"]
+    assert change["by"] == "dashboard: add second (Listener)"
+
+
+def test_a_version_is_chosen_to_go_back_to(own_talker: System, opened: Opened) -> None:
+    for component in ("NewTalker", "Talker", "NewTalker"):
+        assert own_talker.midstride("replace", "talker", component, "--yes").status == 0
+    page = opened(own_talker)
+    page.get_by_label("What to do").select_option("rollback")
+    version = page.get_by_label("Version")
+    expect(version.locator("option")).not_to_have_count(0)
+    earlier = version.locator("option").evaluate_all("options => options.map((each) => Number(each.value))")
+    now = own_talker.midstride("history", "--json").json["changes"][-1]["version"]
+    assert now not in earlier and earlier == sorted(earlier, reverse=True) and min(earlier) == 1
+    version.select_option("1")
+    expect(page.locator("#change .command")).to_contain_text("midstride rollback 1 --dry-run")
+    press(page, "Plan")
+    expect(page.locator("#change .step")).to_have_count(4)
+    expect(page.locator("#change .command")).to_have_text(re.compile("midstride rollback 1"))
+    press(page, "Execute")
+    expect(page.locator("#change .outcome")).to_contain_text("Done in")
+    assert components(own_talker)["talker"] == "Talker"
+
+
+@pytest.fixture
+def tuned(tmp_path: Path) -> Iterator[System]:
+    (tmp_path / "tuned.json").write_text(SPECIFICATION)
+    (tmp_path / "talker.py").write_text(PROGRAM)
+    with system("tuned", tmp_path / "tuned.json") as found:
+        yield found
+
+
+@pytest.mark.parametrize(("name", "text"), [("gain", "2.5"), ("gain", "-3"), ("names", '["on", "b"]')])
+def test_a_parameter_is_set_by_the_request_of_the_command_beside_it(
+    tuned: System, opened: Opened, name: str, text: str
+) -> None:
+    page = opened(tuned)
+    page.get_by_label("What to do").select_option("param")
+    page.get_by_label("Parameter", exact=True).select_option(name)
+    page.get_by_label("Value").fill(text)
+    [command] = commands(page)
+    *words, value = shlex.split(command)
+    assert words == ["midstride", "param", "set", "talker", name]
+    asked = sent(page, "/parameters", "Set")
+    assert asked == {"node": "talker", "parameters": {name: yaml_value(value)}}
+    expect(page.locator("#change .banner")).to_contain_text(f"talker: {name} =")
+    parameters = tuned.midstride("param", "get", "talker", name, "--json").json
+    assert (parameters["value"], parameters["set_at_run_time"]) == (yaml_value(text), True)
+
+
+def test_a_refused_value_is_refused_in_the_nodes_words(tuned: System, opened: Opened) -> None:
+    page = opened(tuned)
+    page.get_by_label("What to do").select_option("param")
+    page.get_by_label("Value").fill("-20")
+    press(page, "Set")
+    expect(page.locator("#change .refusal")).to_contain_text("it must be at least -10")

@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from midstride.runtime.reports import Event
-from midstride.server.view.forms import CrashView
+from midstride.server.view.forms import CrashView, EndpointView
 from tests.browser.conftest import PATIENCE
 from tests.browser.synthetic import Synthetic, component, functionality, parameter, port, serving
 
@@ -42,7 +42,9 @@ def hostile_system() -> Synthetic:
             "deviation": f"deviation {text}",
         }
         ports = [port(f"out {text}", "out", text, type=text), port(f"in {text}", "in", HOSTILE[number - 1])]
-        components.append(component(text, [mode], ports, parameters=parameters, **more))
+        shared = EndpointView(kind="service", name=HOSTILE[number // 2], serves=bool(number % 2))
+        endpoints = [shared, EndpointView(kind="topic", name=text, serves=None)]
+        components.append(component(text, [mode], ports, parameters=parameters, endpoints=endpoints, **more))
     crashes = [CrashView(name=each, role=each, status=1, log=each, remedy=each, respawn=each) for each in HOSTILE[:3]]
     synthetic = Synthetic(components, crashes)
     synthetic.events = [
@@ -78,6 +80,9 @@ def test_no_text_becomes_markup(browser: Browser, policy: str) -> None:
             page.locator("#details").get_by_role("button", name="why?").click()
             expect(page.locator("#details .chain li")).to_have_count(len(HOSTILE))
             nothing_attacked(page)
+        choose(page, f"service {HOSTILE[0]}", topic=True)
+        expect(page.locator("#details h2")).to_have_text(f"service {HOSTILE[0]}")
+        nothing_attacked(page)
         choose(page, HOSTILE[0], topic=True)
         expect(page.locator("#details h2")).to_have_text(HOSTILE[0])
         page.keyboard.press("/")

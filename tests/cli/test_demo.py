@@ -9,6 +9,7 @@ import shutil
 import signal
 import time
 
+import click
 import psutil
 import pytest
 from rich.console import Console
@@ -35,6 +36,14 @@ def in_virtual_time(name: str) -> tuple[list[examples.DemoStep], list[dict[str, 
     outcomes = loop.run(run_demo(example, "sim", out))
     assert isinstance(out.file, io.StringIO)
     return list(example.steps), outcomes, out.file.getvalue()
+
+
+def test_a_part_of_a_demo_is_chosen_by_name() -> None:
+    names = ["a driver dies", "the planner is killed", "a driver is replaced"]
+    assert examples.matching(names, ()) == names
+    assert examples.matching(names, ("driver", "dies")) == [names[0], names[2]]
+    with pytest.raises(click.UsageError, match="no step has 'lidar' in its name; there are: a driver dies; the"):
+        examples.matching(names, ("lidar",))
 
 
 def test_every_example_has_a_demo() -> None:
@@ -147,12 +156,18 @@ def test_on_ros_2(midstride: Midstride, name: str) -> None:
 
 
 @pytest.mark.ros2
-@pytest.mark.long
-@pytest.mark.timeout(300)
-def test_the_patrol_on_ros_2(midstride: Midstride) -> None:
-    done = midstride("demo", "patrol", "--backend", "ros2", "--json", timeout=280)
+@pytest.mark.parametrize(
+    ("only", "count"),
+    [
+        pytest.param(("driver is replaced", "dies"), 3, marks=[pytest.mark.full, pytest.mark.timeout(200)]),
+        pytest.param((), 8, marks=[pytest.mark.long, pytest.mark.timeout(300)]),
+    ],
+)
+def test_the_patrol_on_ros_2(midstride: Midstride, only: tuple[str, ...], count: int) -> None:
+    chosen = [word for text in only for word in ("--only", text)]
+    done = midstride("demo", "patrol", "--backend", "ros2", "--json", *chosen, timeout=280 if count == 8 else 180)
     acts = done.json["acts"]
-    assert len(acts) == 8
+    assert len(acts) == count
     assert [(act["name"], act["came_to"], act["collisions"]) for act in acts if act["outcome"] != "done"] == []
     assert done.status == 0
 

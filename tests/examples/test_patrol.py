@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 from xml.etree import ElementTree
@@ -15,6 +20,11 @@ from tests.examples.conftest import EXAMPLES
 
 # Not among the seeds that are published.
 SEED = 901
+
+
+def environment() -> dict[str, str]:
+    """Of a process that imports the modules of the example, with other hashes than this one."""
+    return {**os.environ, "PYTHONHASHSEED": "7", "PYTHONPATH": os.pathsep.join([str(EXAMPLES / "patrol"), *sys.path])}
 
 
 @pytest.fixture
@@ -81,6 +91,60 @@ def test_a_manager_that_dies_after_the_new_driver_is_in_is_followed_by_one_that_
 def test_a_run_is_the_same_again(trial: Any) -> None:
     first, second = (trial.run(SEED, "the detector hangs", "minimal", after=5.0) for _ in range(2))
     assert first == second
+
+
+@pytest.mark.full
+@pytest.mark.timeout(300)
+def test_runs_that_share_what_comes_before_the_event_are_those_that_do_not(trial: Any) -> None:
+    """In another process, with other hashes; in two halls, one after the other."""
+    cases = [("the lidar driver dies", "stop"), ("the manager dies", "minimal")]
+    script = f"""
+import json, trial
+print(json.dumps([row for seed in (901, 902) for row in trial.runs(seed, {cases!r}, after=3.0)]))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, env=environment(), timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    alone = [trial.run(seed, *case, after=3.0) for seed in (902, 901) for case in cases]
+    assert json.loads(done.stdout) == sorted(alone, key=lambda row: row["seed"])
+    assert len({row["progress"] for row in alone}) == 4
+
+
+def test_a_forked_run_that_fails_is_reported(trial: Any) -> None:
+    script = """
+import asyncio, fork
+async def fails():
+    raise ValueError("of the child")
+async def main():
+    if (other := fork.Fork()).is_child:
+        await other.end(fails())
+    other.result()
+asyncio.run(main())
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment(), timeout=60)
+    assert done.returncode == 1
+    assert "ValueError: of the child" in done.stderr and "RuntimeError: a forked run failed (status 1)" in done.stderr
+
+
+@pytest.mark.full
+def test_what_is_in_the_file_is_not_run_again(trial: Any, tmp_path: Path) -> None:
+    every = [("none", "minimal")] + [(event, each) for event in trial.EVENTS for each in trial.strategies(event)]
+    row = {"seed": SEED, "collisions": 0, "near_misses": 0, "progress": 9.0, "lost": 0.0, "blind": 0.0, "said": []}
+    missing = ("the planner is killed", "nothing")
+    rows = [{**row, "event": event, "strategy": strategy} for event, strategy in every if (event, strategy) != missing]
+    out, figure = tmp_path / "rows.jsonl", tmp_path / "trial.svg"
+    out.write_text("".join(json.dumps(each) + "\n" for each in rows))
+    options = ["--worlds", "1", "--first", str(SEED), "--jobs", "2", "--out", str(out), "--figure", str(figure)]
+    done = subprocess.run(
+        [sys.executable, trial.__file__, *options], capture_output=True, text=True, env=environment(), timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    *kept, added = [json.loads(line) for line in out.read_text().splitlines()]
+    assert kept == rows
+    assert (added["seed"], added["event"], added["strategy"]) == (SEED, *missing)
+    assert added == trial.run(SEED, *missing)
+    assert len(done.stdout.splitlines()) == 2 + len(every) and figure.exists()
 
 
 def test_the_table_has_a_line_for_each_strategy_and_its_intervals(trial: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,8 @@ class DemoStep:
 class Demo:
     """An example. ``subscriber`` is the role whose log shows the change from a subscriber's side.
 
-    ``program``: the Python file whose ``run(example, backend, console)`` is the demo, where the steps alone are not.
+    ``program``: the Python file whose ``run(example, backend, console, only)`` is the demo, where the steps alone are
+    not; ``only`` is for :func:`matching`.
     """
 
     name: str
@@ -42,6 +44,15 @@ class Demo:
     subscriber: str
     steps: tuple[DemoStep, ...]
     program: Path | None = None
+
+
+def matching(names: Iterable[str], only: Sequence[str]) -> list[str]:
+    """The names that have one of these texts in them; all where none is given. Raises UsageError where none has."""
+    every = list(names)
+    found = [name for name in every if not only or any(text in name for text in only)]
+    if not found:
+        raise click.UsageError(f"no step has {' or '.join(map(repr, only))} in its name; there are: {'; '.join(every)}")
+    return found
 
 
 def known_examples() -> dict[str, Path]:

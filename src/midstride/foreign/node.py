@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -145,6 +146,7 @@ class ForeignNode:
             undeclared=self.undeclared,
             node=record.node,
             imported=1,
+            host=socket.gethostname(),
         )
 
     def gate_states(self) -> dict[str, GateState | None]:

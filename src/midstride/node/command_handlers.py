@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import bisect
 import contextlib
+import socket
 import threading
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
@@ -219,6 +220,7 @@ class CommandHandlers:
             clock_speed=self.host.clock_history.speed(self.host.steady()) if self.host.simulated_time else 1.0,
             declared={each.name: each.declared for each in parameters if each.value != each.declared},
             keeps_state=self.parts.callbacks.export_state is not None,
+            host=socket.gethostname(),
         )
 
     def _parameters(self) -> dict[str, HeldParameter]:

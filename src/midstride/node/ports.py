@@ -334,7 +334,10 @@ class Output(_Port[OutputLink]):
     @property
     def count(self) -> int:
         """How many messages the author has written, published or not."""
-        return self.unattached + sum(link.count + link.gated for link in self.links)
+        count = self.unattached
+        for link in self.links:  # a loop, as below: the reflex asks ten times a second
+            count += link.count + link.gated
+        return count
 
     def __repr__(self) -> str:
         return f"<output {self.name}: {type_name(self.type)}>"
@@ -417,7 +420,10 @@ class Input(_Port[InputLink]):
     @property
     def count(self) -> int:
         """How many messages it has received since it was attached, without those that violate its constraints."""
-        return sum(link.count - link.violating for link in self.links)
+        count = 0
+        for link in self.links:
+            count += link.count - link.violating
+        return count
 
     @property
     def violations(self) -> list[str]:

@@ -68,10 +68,11 @@ class Watch:
 
     def advance(self, seconds: float) -> None:
         for port, shortfall in self.inputs.items():
-            if port.count == 0 or port.rate is None:  # it has not been received since it was attached: nothing is lost
-                shortfall.restart(port.count)
+            count = port.count
+            if count == 0 or port.rate is None:  # it has not been received since it was attached: nothing is lost
+                shortfall.restart(count)
             else:
-                shortfall.advance(seconds * port.rate, port.count)
+                shortfall.advance(seconds * port.rate, count)
         for output, shortfall in self.outputs.items():
             if output.rate is None or not any(link.lets_pass for link in output.links):
                 shortfall.restart(output.count)

@@ -18,7 +18,7 @@ from midstride.runtime.clock import Clock
 from midstride.wire.channel import Channel, Report, result_of
 from midstride.wire.commands import Command, ObserveCommand
 from midstride.wire.frames import Greeting, Registration, Reply
-from midstride.wire.state import ComponentState
+from midstride.wire.state import ComponentState, Endpoint
 from midstride.wire.transport import Transport
 
 R = TypeVar("R")
@@ -110,6 +110,13 @@ class ComponentClient:
                 return greeting, await asyncio.shield(self._registrations[instance])
             except Unreachable:
                 continue  # it exited before it registered; another process may start under the same name
+
+    def endpoints(self, instance: str) -> list[Endpoint]:
+        """Those that the component's node had besides its ports when it registered; none before that."""
+        registration = self._registrations.get(instance)
+        if registration is None or not registration.done() or registration.exception() is not None:
+            return []
+        return registration.result().endpoints
 
     async def _channel(self, instance: str) -> Channel:
         """Raises Unreachable, CallTimeout or ProtocolError."""

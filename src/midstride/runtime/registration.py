@@ -6,8 +6,8 @@ specification: the same ports and functionalities, guarantees at least as strong
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
-from typing import Final
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Final, Literal
 
 from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import NOTHING, Predicate, explain
@@ -32,8 +32,12 @@ def mismatches(declared: ComponentSpec, registered: ComponentSpec) -> list[str]:
     return found
 
 
-# What a node reports as another kind than the specification has it: `action` is a word of plans.
-_REPORTED: Final = {"action": "ROS action"}
+# The kinds of the specification as nodes report them: `action` is a word of plans.
+REPORTED: Final[Mapping[str, Literal["topic", "service", "ROS action"]]] = {
+    "topic": "topic",
+    "service": "service",
+    "action": "ROS action",
+}
 
 
 def unexpected_endpoints(declared: ComponentSpec, nodes: Collection[str], endpoints: Sequence[Endpoint]) -> list[str]:
@@ -42,9 +46,7 @@ def unexpected_endpoints(declared: ComponentSpec, nodes: Collection[str], endpoi
     ``nodes``: the names that the node may have, of its role or of its instance.
     """
     allowed = {
-        (_REPORTED.get(endpoint.kind, endpoint.kind), resolved(endpoint.name, node))
-        for endpoint in declared.allows
-        for node in nodes
+        (REPORTED[endpoint.kind], resolved(endpoint.name, node)) for endpoint in declared.allows for node in nodes
     }
     return [
         f"{endpoint.kind} {endpoint.name}"

@@ -17,10 +17,14 @@ class WireValue(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class Endpoint(WireValue, frozen=True, kw_only=True):
-    """An endpoint of a component's node that is neither a port nor one of ROS's own."""
+    """An endpoint of a component's node that is neither a port nor one of ROS's own.
+
+    ``serves``: the node is the server of the service or ROS action, False: it calls it; None: a topic, or not known.
+    """
 
     kind: Literal["topic", "service", "ROS action"]
     name: str
+    serves: bool | None = None
 
 
 class FunctionalityState(WireValue, frozen=True, kw_only=True):
@@ -104,7 +108,8 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     still, or that is not known yet). ``stopping`` is how long it may take to end in order (s).
     ``ports`` maps port -> topic -> attachment. ``imported`` counts the modules that its process has imported: where it
     has grown, so may have the files of its program. ``declared`` has the parameters that were set while it ran, each
-    with the value that it was started with. ``keeps_state``: it exports state for its replacement.
+    with the value that it was started with. ``keeps_state``: it exports state for its replacement. ``host``: the name
+    of the computer or container that its process runs on, empty where that is not known.
     """
 
     instance: str
@@ -125,6 +130,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     keeps_state: bool = False
     differences: list[str] = []
     undeclared: list[str] = []
+    host: str = ""
 
     def set_values(self) -> dict[str, Any]:
         """The values of the parameters that were set while it ran."""

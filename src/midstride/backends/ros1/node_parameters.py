@@ -46,5 +46,5 @@ def endpoints() -> list[Endpoint]:
                 found.append(endpoint)
     for name, _ in get_service_manager().get_services():
         if not name.endswith(_SERVICES_OF_ROS):
-            found.append(Endpoint(kind="service", name=name))
+            found.append(Endpoint(kind="service", name=name, serves=True))
     return sorted(found, key=lambda endpoint: (endpoint.kind, endpoint.name))

@@ -106,20 +106,22 @@ def endpoints(node: Any, control: str, ports: Collection[int]) -> list[Endpoint]
 
     ``control`` is the full name of the node beside it.
     """
-    found: set[tuple[Kind, str]] = set()
+    found: dict[tuple[Kind, str], bool | None] = {}
     for topic in (*node.publishers, *node.subscriptions):
         if id(topic) not in ports and topic.topic_name not in _OF_ROS:
-            found.add(("topic", topic.topic_name))
-    for service in (*node.services, *node.clients):
-        name = _service_name(node, service)
-        if not name.endswith(_SERVICES_OF_ROS):
-            found.add(("service", name))
-    found |= {("ROS action", name) for name in _actions(node, control)}
-    return [Endpoint(kind=kind, name=name) for kind, name in sorted(found)]
+            found["topic", topic.topic_name] = None
+    for serves, services in ((False, node.clients), (True, node.services)):  # a node that does both serves it
+        for service in services:
+            name = _service_name(node, service)
+            if not name.endswith(_SERVICES_OF_ROS):
+                found["service", name] = serves
+    for name, serves in _actions(node, control):
+        found["ROS action", name] = serves or bool(found.get(("ROS action", name)))
+    return [Endpoint(kind=kind, name=name, serves=serves) for (kind, name), serves in sorted(found.items())]
 
 
-def _actions(node: Any, control: str) -> Iterator[str]:
-    """The ROS actions that this process serves or calls.
+def _actions(node: Any, control: str) -> Iterator[tuple[str, bool]]:
+    """The ROS actions of this process, each with whether it serves or calls it.
 
     The graph knows them, for rclpy keeps no list. One's own ends are in it at once. Another node may have the same
     name, so they are recognized by the process.
@@ -131,9 +133,10 @@ def _actions(node: Any, control: str) -> Iterator[str]:
     }
     for topic, _ in node.get_topic_names_and_types():
         if topic.endswith(_ACTION_STATUS):
-            ends = (*node.get_publishers_info_by_topic(topic), *node.get_subscriptions_info_by_topic(topic))
-            if any(participant(info) in own for info in ends):
-                yield topic.removesuffix(_ACTION_STATUS)
+            servers, clients = node.get_publishers_info_by_topic(topic), node.get_subscriptions_info_by_topic(topic)
+            for serves, ends in ((True, servers), (False, clients)):
+                if any(participant(info) in own for info in ends):
+                    yield topic.removesuffix(_ACTION_STATUS), serves
 
 
 def _service_name(node: Any, service: Any) -> str:

@@ -81,7 +81,10 @@ class Simulator:
             finally:
                 await self.shutdown()
 
-        return virtual.run(supervised())
+        return self._on_loop(supervised())
+
+    def _on_loop(self, main: Coroutine[Any, Any, T]) -> T:
+        return virtual.run(main)
 
     async def shutdown(self) -> None:
         """Kill everything that runs, and undo what was changed in this process."""

@@ -6,7 +6,6 @@ where one is asked for. Matching, latching, queue depths and QoS are as ROS 2 ha
 
 from __future__ import annotations
 
-import copy
 import math
 import random
 from collections import deque
@@ -16,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from midstride.backends.simulator.clock import SimulatedClock
+from midstride.backends.simulator.message_copy import copied
 from midstride.backends.simulator.process import THAW_INTERVAL, SimulatedProcess
 from midstride.model.contract import QoS
 
@@ -196,7 +196,7 @@ class Network:
         self.on_publish(writer)
         info = (self.clock.system_now(), writer.number, writer.identity)
         if writer.qos.is_transient_local:
-            writer.history.append((copy.deepcopy(message), info))
+            writer.history.append((copied(message), info))
         if topic.dropping:
             topic.dropping -= 1
             return
@@ -207,15 +207,16 @@ class Network:
     def _send(
         self, writer: SimulatedWriter, reader: SimulatedReader, message: Any, info: Any, extra: float = 0.0
     ) -> None:
+        now = self.clock.steady()
         jitter = self.random.uniform(0.0, self._jitter) if self._jitter else 0.0
-        at = self.clock.steady() + self.latency + jitter + self.topic(writer.topic).delay + extra
+        at = now + self.latency + jitter + self.topic(writer.topic).delay + extra
         waiting = self._in_flight.setdefault((writer, reader), deque())
         if waiting:
             at = max(at, waiting[-1][0])
         # A copy for each: what a process does to its message is not seen by others.
-        waiting.append((at, copy.deepcopy(message), info))
+        waiting.append((at, copied(message), info))
         writer.in_flight += 1
-        self.clock.loop.call_later(at - self.clock.steady(), self._arrive, writer, reader)
+        self.clock.loop.call_later(at - now, self._arrive, writer, reader)
 
     def _arrive(self, writer: SimulatedWriter, reader: SimulatedReader) -> None:
         left = reader.owner.thawed_at - self.clock.steady()

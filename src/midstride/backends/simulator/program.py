@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib.util
 import io
 import re
 import sys
 import traceback
 from collections import deque
-from collections.abc import Iterator
 from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Final
@@ -73,9 +71,9 @@ class SimulatedProgram:
             self.arguments = tuple(rest[1:])
         else:
             raise StartFailed(f"{launch.instance}: the simulator cannot run `{command}`")
-        self._log = log
-        self._directory = str(launch.directory) if self._module else str(Path(self._file).parent)
-        self._argv = [self._file, *self.arguments]
+        self.log = log
+        self.directory = str(launch.directory) if self._module else str(Path(self._file).parent)
+        self.argv = [self._file, *self.arguments]
         self._main = ModuleType("__main__")
         # Those that are its own, by name.
         self.modules: dict[str, ModuleType] = {"__main__": self._main}
@@ -113,7 +111,7 @@ class SimulatedProgram:
             case SystemExit(code=int() as code):
                 return code & 0xFF
             case SystemExit(code=words):
-                self._log.write(f"{words}\n")
+                self.log.write(f"{words}\n")
                 return 1
             case Killed():
                 return -9
@@ -122,38 +120,53 @@ class SimulatedProgram:
                 trace = error.__traceback__
                 while trace is not None and trace.tb_frame.f_code.co_filename.startswith(own):
                     trace = trace.tb_next
-                self._log.write("".join(traceback.format_exception(type(error), error, trace)))
+                self.log.write("".join(traceback.format_exception(type(error), error, trace)))
                 return 1
 
-    @contextlib.contextmanager
-    def interpreter_state(self) -> Iterator[None]:
+    def interpreter_state(self) -> _InterpreterState:
         """While open, Python's global state is as it would be in a process that runs only this program."""
-        before = (sys.stdout, sys.stderr, sys.argv)
-        sys.stdout = sys.stderr = self._log
-        sys.argv = self._argv
-        sys.path.insert(0, self._directory)
-        shadowed = {name: sys.modules.get(name) for name in self.modules}
-        sys.modules.update(self.modules)
-        known = len(sys.modules)
-        try:
-            yield
-        finally:
-            self._keep_own_modules(known)
-            for name, module in shadowed.items():
-                if module is None:
-                    sys.modules.pop(name, None)
-                else:
-                    sys.modules[name] = module
-            if self._directory in sys.path:
-                sys.path.remove(self._directory)
-            sys.stdout, sys.stderr, sys.argv = before
+        return _InterpreterState(self)
 
-    def _keep_own_modules(self, known: int) -> None:
+    def keep_own_modules(self, known: int) -> None:
         """Keep modules from its own folder apart, beyond the first ``known``: another's `helper` is another module."""
-        if len(sys.modules) <= known or self._module is not None:
+        if self._module is not None:
             return
-        folder = self._directory.rstrip("/") + "/"
+        folder = self.directory.rstrip("/") + "/"
         for name in list(sys.modules)[known:]:  # a dictionary keeps the order of insertion
             file = getattr(sys.modules[name], "__file__", None)
             if isinstance(file, str) and file.startswith(folder):
                 self.modules[name] = sys.modules.pop(name)
+
+
+class _InterpreterState:
+    """A class and no generator: it is entered for every message."""
+
+    __slots__ = ("_before", "_known", "_program", "_shadowed")
+
+    def __init__(self, program: SimulatedProgram) -> None:
+        self._program = program
+
+    def __enter__(self) -> None:
+        program, modules = self._program, sys.modules
+        self._before = (sys.stdout, sys.stderr, sys.argv)
+        sys.stdout = sys.stderr = program.log
+        sys.argv = program.argv
+        sys.path.insert(0, program.directory)
+        self._shadowed = [(name, modules.get(name)) for name in program.modules]
+        modules.update(program.modules)
+        self._known = len(modules)
+
+    def __exit__(self, *raised: object) -> None:
+        program, modules = self._program, sys.modules
+        if len(modules) > self._known:
+            program.keep_own_modules(self._known)
+        for name, module in self._shadowed:
+            if module is None:
+                modules.pop(name, None)
+            else:
+                modules[name] = module
+        if sys.path[:1] == [program.directory]:
+            del sys.path[0]
+        elif program.directory in sys.path:
+            sys.path.remove(program.directory)
+        sys.stdout, sys.stderr, sys.argv = self._before

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import runpy
+from dataclasses import replace
 
 import click
 
@@ -11,7 +12,7 @@ from midstride import backends
 from midstride.backends import NAMES
 from midstride.cli import completion
 from midstride.cli.demo_runner import run_demo
-from midstride.cli.example import find
+from midstride.cli.example import find, matching
 from midstride.cli.output import INTERRUPTED, console, json_option, print_json, wants_json
 
 
@@ -24,12 +25,13 @@ from midstride.cli.output import INTERRUPTED, console, json_option, print_json, 
     show_envvar=True,
     help="The platform; by default ros2 where it is available, else sim.",
 )
+@click.option("--only", multiple=True, metavar="TEXT", help="Only the steps with TEXT in their name (repeatable).")
 @json_option
-def demo_command(name: str, backend: str | None) -> int:
+def demo_command(name: str, backend: str | None, only: tuple[str, ...]) -> int:
     """Run the example NAME: its plans, each step, and the measurements.
 
     `talker`, `obstacle` and `filter` take seconds. `patrol` takes two minutes: it shows a map of a robot while its
-    software is replaced, dies and hangs, and a table of what that came to.
+    software is replaced, dies and hangs, and a table of what that came to; `--only dies` has it do a part of that.
 
     It stops every process that it has started, even if it is interrupted or killed.
     """
@@ -42,9 +44,14 @@ def demo_command(name: str, backend: str | None) -> int:
             fallback = "the simulator" if backend == "sim" else backend
             click.echo(f"ROS 2 is not available; running on {fallback}.", err=True)
     out = Console(quiet=True) if wants_json() else console()
-    run = run_demo if example.program is None else runpy.run_path(str(example.program))["run"]
+    if example.program is None:
+        names = matching([step.name for step in example.steps], only)
+        example = replace(example, steps=tuple(step for step in example.steps if step.name in names))
+        run = run_demo(example, backend, out)
+    else:
+        run = runpy.run_path(str(example.program))["run"](example, backend, out, only)
     try:
-        outcomes = asyncio.run(run(example, backend, out))
+        outcomes = asyncio.run(run)
     except asyncio.CancelledError:
         click.echo("\nInterrupted; all processes have been stopped.", err=True)
         return INTERRUPTED

@@ -5,7 +5,9 @@
  */
 
 import { h, hz, plural, replace, seconds } from "./dom.js";
+import { endpointsContent, serviceContent } from "./endpoints.js";
 import { namesIn, owner } from "./graph/names.js";
+import { isService } from "./graph/services.js";
 import { componentLook, look } from "./modes.js";
 
 /**
@@ -123,6 +125,7 @@ function componentContent(component, view, context, reasons, redraw) {
     component.undeclared.length === 0 ? null : h("p", { class: "muted" }, `Topics that are no ports, and so have no gate: ${component.undeclared.join(", ")}`),
     ...component.functionalities.flatMap((each) => functionalityContent(component, each, context, reasons, redraw)),
     ...portsContent(component, context),
+    ...endpointsContent(component, view, context.store),
     ...parametersContent(component),
   ];
 }
@@ -297,6 +300,7 @@ function valueText(value) {
  */
 function topicContent(name, view, { store }, close) {
   const topic = view.topics[name];
+  if (isService(name)) return [heading(name, close), ...serviceContent(name, view, store)];
   if (topic === undefined) return [heading(name, close), h("p", { class: "muted" }, "This topic is not there any more.")];
   const ends = (/** @type {string} */ title, /** @type {string[]} */ ports) => [
     h("h3", {}, `${title} (${ports.length})`),

@@ -29,6 +29,7 @@ const LEGEND = [
   ["▲", "something else is not as the specification says"],
   ["⊘", "the gate of an output is closed: its messages are held back"],
   ["⇥", "a topic that is published from outside the system too"],
+  ["⇄", "a service or ROS action; a dotted line leads to the components that have it"],
   ["+ −", "a plan will create, or remove"],
   ["↓", "a plan lowers this functionality meanwhile"],
 ];

@@ -17,10 +17,11 @@ import { follow } from "./stream.js";
  *   gate: "open" | "closed" | null, declared: number | null, rate: number | null, met: boolean | null,
  *   age: number | null, jitter: number | null, longest: number | null}} Port
  * @typedef {{name: string, value: unknown, declared: unknown, set_at_run_time: boolean}} Parameter
+ * @typedef {{kind: "topic" | "service" | "ROS action", name: string, serves: boolean | null}} Endpoint
  * @typedef {{name: string, role: string, component: string, namespace: string, host: string | null, node: string | null,
  *   pid: number | null, answers: boolean, ending: boolean, waiting: string | null, as_modelled: boolean,
  *   differences: string[], undeclared: string[], deviation: string | null, functionalities: Functionality[],
- *   ports: Port[], parameters: Parameter[]}} Component
+ *   ports: Port[], parameters: Parameter[], endpoints: Endpoint[]}} Component
  * @typedef {{name: string, topic: string, type: string, rate: number | null, satisfied: boolean, publishers: string[],
  *   subscribers: string[], outside: string[]}} Topic
  * @typedef {{name: string, role: string | null, status: number | null, log: string, remedy: string | null,

@@ -8,6 +8,7 @@ from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import Evaluator, violations
 from midstride.server.view.components import namespace_of
+from midstride.server.view.endpoints import endpoint_views
 from midstride.server.view.forms import VERSION, ComponentView, FunctionalityView, PortView, SystemView
 from midstride.server.view.topics import topic_view
 
@@ -71,6 +72,7 @@ def _component(configuration: Configuration, instance: Instance) -> ComponentVie
         ],
         ports=list(_ports(configuration, instance, modes)),
         parameters=[],
+        endpoints=endpoint_views(instance, None, ()),
     )
 
 

@@ -5,6 +5,7 @@ It is built up to 20 times a second for each component that changes, so what doe
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal
@@ -14,6 +15,7 @@ from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import Specification
 from midstride.runtime import status
 from midstride.runtime.watched import WatchedSystem
+from midstride.server.view.endpoints import endpoint_views
 from midstride.server.view.figures import NO_FIGURES, Figures, figures
 from midstride.server.view.forms import ComponentView, FunctionalityView, PortView
 from midstride.wire.state import ComponentState, FunctionalityState, LinkState
@@ -21,6 +23,7 @@ from midstride.wire.state import ComponentState, FunctionalityState, LinkState
 # By how much (s) the beginning of a mode may seem to move between two reports, which travel for different times.
 _SAME_MODE: Final = 0.5
 _NO_LINKS: Final[dict[str, LinkState]] = {}
+_THIS_HOST: Final = socket.gethostname()
 
 
 class Baseline:
@@ -107,7 +110,7 @@ def component_view(
         role=instance.role,
         component=instance.component.name,
         namespace=namespace_of(instance.role),
-        host=None,
+        host=None if state is None or state.host in {"", _THIS_HOST} else state.host,
         node=None if state is None else state.node,
         pid=None if process is None else process.pid,
         answers=state is not None,
@@ -120,6 +123,7 @@ def component_view(
         functionalities=modes,
         ports=ports,
         parameters=[] if state is None else status.parameters(state),
+        endpoints=endpoint_views(instance, state, watched.client.endpoints(instance.name)),
     )
 
 

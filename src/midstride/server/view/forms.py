@@ -49,6 +49,16 @@ class PortView(Report, frozen=True, kw_only=True):
     longest: Annotated[float | None, Meta(description="the longest time between messages (s), coarse")]
 
 
+class EndpointView(Report, frozen=True, kw_only=True):
+    """A service, ROS action or topic of an instance's node that is no port, as its component allows it."""
+
+    kind: Literal["topic", "service", "ROS action"]
+    name: Annotated[str, Meta(description="in full, as `/map/save`")]
+    serves: Annotated[
+        bool | None, Meta(description="it is the server; false: it calls it; null: a topic, or not known")
+    ]
+
+
 class ComponentView(Report, frozen=True, kw_only=True):
     """An instance, as it last reported itself."""
 
@@ -56,7 +66,7 @@ class ComponentView(Report, frozen=True, kw_only=True):
     role: str
     component: str
     namespace: Annotated[str, Meta(description="of its role: `/` or `/front`")]
-    host: Annotated[str | None, Meta(description="null: the manager's")]
+    host: Annotated[str | None, Meta(description="the computer or container that reports it; null: the manager's")]
     node: Annotated[str | None, Meta(description="the full name of its ROS node")]
     pid: int | None
     answers: Annotated[bool, Meta(description="it has reported its state in the last 2 s")]
@@ -69,6 +79,7 @@ class ComponentView(Report, frozen=True, kw_only=True):
     functionalities: list[FunctionalityView]
     ports: list[PortView]
     parameters: list[ParameterStatus]
+    endpoints: Annotated[list[EndpointView], Meta(description="that are no ports, by kind and name")]
 
 
 class TopicView(Report, frozen=True, kw_only=True):

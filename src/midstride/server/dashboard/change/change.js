@@ -11,9 +11,11 @@ import { h, replace } from "../dom.js";
 import { comparison, plansOfAll } from "./compare.js";
 import { listenForFiles } from "./drop.js";
 import { Form } from "./form.js";
+import { setParameter } from "./parameter.js";
 import { command, outcomeParts, planParts } from "./parts.js";
-import { NOTHING, changeCommand, complete, planCommand, rehearsalCommand, request, title } from "./request.js";
+import { NOTHING, changeCommand, comparable, complete, planCommand, rehearsalCommand, request, title } from "./request.js";
 import { rehearsal } from "./rehearse.js";
+import { earlierVersions } from "./versions.js";
 import { watch } from "./watch.js";
 
 /** How many runs a rehearsal has. */
@@ -37,6 +39,7 @@ function inWords(diagnostic) {
 class ChangePanel {
   /** @type {import("./request.js").Choice} */ #choice = NOTHING;
   /** @type {any} */ #specification = null;
+  /** @type {[number, string][]} */ #versions = [];
   /** @type {any} */ #plan = null;
   /** @type {any} */ #shown = null; // the plan that is on the graph
   #mine = false; // a change that this page has asked for is in progress
@@ -80,27 +83,45 @@ class ChangePanel {
     if (!store.live || store.live.phase !== "up") return;
     try {
       this.#specification = await ask("GET", "/specification");
-      this.form.offer(this.#specification, this.#choice);
-      this.#choice = { ...this.#choice, ...this.form.settled };
-      this.#drawActions();
+      this.#offer();
+      this.#versions = earlierVersions(await ask("GET", "/history?latest=100"));
+      this.#offer();
     } catch {
       // asked again with the next revision; a lost connection is shown at the top
+    }
+  }
+
+  #offer() {
+    const { store } = this.context;
+    const parameters = (/** @type {string} */ node) => Object.values(store.live?.components ?? {}).find((/** @type {any} */ each) => each.role === node)?.parameters ?? [];
+    this.form.offer(this.#specification, this.#choice, { versions: this.#versions, parameters });
+    this.#choice = { ...this.#choice, ...this.form.settled };
+    this.#drawActions();
+    if (this.#choice.kind === "rollback" && this.#choice.to === null && this.#choice.version !== null) this.#fetchVersion(this.#choice.version);
+  }
+
+  /** @param {number} version */
+  async #fetchVersion(version) {
+    try {
+      const found = await this.context.ask("GET", `/specification/earlier?version=${version}`);
+      if (this.#choice.kind === "rollback" && this.#choice.version === version) this.#choose({ to: found.specification });
+    } catch (error) {
+      this.#refusedBy(error);
     }
   }
 
   #selected() {
     const { store } = this.context;
     const role = store.live?.components[store.selected]?.role;
-    if (role && !this.#plan && !this.#mine) this.#choose({ kind: this.#choice.kind === "apply" ? "replace" : this.#choice.kind, node: role, component: "" });
+    if (!role || this.#plan || this.#mine || ["add", "rollback"].includes(this.#choice.kind)) return;
+    this.#choose({ kind: this.#choice.kind === "apply" ? "replace" : this.#choice.kind, node: role, component: "", parameter: "" });
   }
 
   /** @param {Partial<import("./request.js").Choice>} change */
   #choose(change) {
     this.#choice = { ...this.#choice, ...change };
     this.#discard();
-    this.form.offer(this.#specification, this.#choice);
-    this.#choice = { ...this.#choice, ...this.form.settled };
-    this.#drawActions();
+    this.#offer();
   }
 
   /** @param {string} file @param {string} text */
@@ -129,23 +150,28 @@ class ChangePanel {
     const planned = this.#plan !== null && this.#plan.steps.length > 0;
     const button = (/** @type {string} */ words, /** @type {() => void} */ act, kind = "", on = true) =>
       h("button", { class: `button ${kind}`, type: "button", disabled: !on, onclick: act }, words);
+    const setting = this.#choice.kind === "param";
+    const both = ready && comparable(this.#choice);
     replace(
       this.actions,
-      button("Plan", () => this.#planIt(), planned ? "" : "primary", ready),
-      button("Compare strategies", () => this.#compare(), "", ready),
-      button("Rehearse", () => this.#rehearse(), "", ready),
+      ...(setting ? [button("Set", () => this.#setParameter(), "primary", ready)] : []),
+      !setting && button("Plan", () => this.#planIt(), planned ? "" : "primary", ready),
+      !setting && button("Compare strategies", () => this.#compare(), "", both),
+      !setting && button("Rehearse", () => this.#rehearse(), "", both),
       planned && button("Execute", () => this.#execute(), "primary", !this.#mine),
       this.#plan && button("Discard", () => this.#discard(), "danger"),
     );
     const lines = !ready
       ? []
-      : planned
+      : planned || setting
         ? [changeCommand(this.#choice)]
-        : [
-            planCommand(this.#choice, ["--explain"]),
-            planCommand(this.#choice, ["--compare"]),
-            rehearsalCommand(this.#choice, "FILE", SEEDS),
-          ];
+        : both
+          ? [
+              planCommand(this.#choice, ["--explain"]),
+              planCommand(this.#choice, ["--compare"]),
+              rehearsalCommand(this.#choice, "FILE", SEEDS),
+            ]
+          : [this.#choice.kind === "rollback" ? planCommand(this.#choice) : changeCommand(this.#choice)];
     replace(this.commands, ...lines.map((line) => command(line, say)));
   }
 
@@ -184,6 +210,16 @@ class ChangePanel {
     try {
       const found = await this.context.ask("POST", "/rehearsal", { request: request(this.#choice), seeds: SEEDS });
       if (mine === this.#generation) replace(this.result, ...rehearsal(found, title(this.#choice)));
+    } catch (error) {
+      if (mine === this.#generation) this.#refusedBy(error);
+    }
+  }
+
+  async #setParameter() {
+    const mine = ++this.#generation;
+    try {
+      const shown = await setParameter(this.context.ask, this.#choice);
+      if (mine === this.#generation) replace(this.result, ...shown);
     } catch (error) {
       if (mine === this.#generation) this.#refusedBy(error);
     }

@@ -5,13 +5,23 @@
  */
 
 import { h, replace } from "../dom.js";
-import { STRATEGIES, replacements } from "./request.js";
+import { NewNodeFields } from "./newnode.js";
+import { STRATEGIES, keepsParameters, replacements } from "./request.js";
 
 const KINDS = /** @type {[string, string][]} */ ([
   ["replace", "Replace"],
   ["restart", "Restart"],
+  ["add", "Add"],
   ["remove", "Remove"],
+  ["rollback", "Roll back to"],
+  ["param", "Set parameter of"],
 ]);
+
+/**
+ * What can be chosen besides what the specification has.
+ *
+ * @typedef {{versions: [number, string][], parameters: (node: string) => import("../store.js").Parameter[]}} Offered
+ */
 
 export class Form {
   /** @type {Partial<import("./request.js").Choice>} what the form has filled in */ settled = {};
@@ -20,7 +30,7 @@ export class Form {
   constructor(onChoice) {
     const select = (/** @type {string} */ label, /** @type {string} */ name) => {
       const element = /** @type {HTMLSelectElement} */ (h("select", { class: "button", "aria-label": label, name }));
-      element.addEventListener("change", () => onChoice({ [name]: element.value, ...(name === "component" || name === "strategy" ? {} : { component: "" }) }));
+      element.addEventListener("change", () => onChoice({ [name]: element.value, ...(["kind", "node"].includes(name) ? { component: "", parameter: "", to: null, version: null } : {}) }));
       return element;
     };
     const check = (/** @type {string} */ name, /** @type {string} */ words, /** @type {string} */ title) => {
@@ -35,17 +45,30 @@ export class Form {
     this.detours = check("detours", "detours", "Also try to move nodes that stay, and stand-ins: --detours");
     this.declared = check("declared", "declared parameters", "Start with the declared values of parameters: --declared-parameters");
     this.verify = check("verify", "verify", "Verify the plan with Alloy before it starts, and the system after each step: --verify");
-    this.with = h("span", {}, "with");
+    this.with = h("span", {});
+    this.added = new NewNodeFields(onChoice);
+    this.version = /** @type {HTMLSelectElement} */ (h("select", { class: "button", "aria-label": "Version", name: "version" }));
+    this.version.addEventListener("change", () => onChoice({ version: Number(this.version.value) || null, to: null }));
+    this.parameter = select("Parameter", "parameter");
+    this.value = /** @type {HTMLInputElement} */ (h("input", { class: "button", name: "value", "aria-label": "Value", autocomplete: "off", spellcheck: "false" }));
+    this.value.addEventListener("input", () => onChoice({ value: this.value.value.trim() }));
+    this.strategyWord = h("span", {}, "strategy");
     this.applying = h("p", { class: "wide" });
     this.element = h(
       "div",
       { class: "change-form" },
       this.kind,
       this.node,
+      this.added.role,
+      this.version,
       this.with,
       this.component,
+      this.parameter,
+      this.value,
+      this.added.fields,
+      this.added.topics,
       this.applying,
-      h("span", {}, "strategy"),
+      this.strategyWord,
       this.strategy,
       h("div", { class: "change-options wide" }, this.detours.label, this.declared.label, this.verify.label),
     );
@@ -59,28 +82,49 @@ export class Form {
    *
    * @param {any} specification
    * @param {import("./request.js").Choice} choice
+   * @param {Offered} offered
    */
-  offer(specification, choice) {
-    const applying = choice.kind === "apply";
+  offer(specification, choice, { versions, parameters }) {
+    const { kind } = choice;
     const nodes = Object.keys(specification?.nodes ?? {}).sort();
     const node = nodes.includes(choice.node) ? choice.node : (nodes[0] ?? "");
-    const found = replacements(specification, node);
+    const adding = kind === "add";
+    const found = adding ? Object.keys(specification?.components ?? {}).sort().map((name) => ({ name, words: "" })) : replacements(specification, node);
     const component = found.some((each) => each.name === choice.component) ? choice.component : (found[0]?.name ?? "");
-    fill(this.kind, KINDS, choice.kind);
+    const known = kind === "param" ? parameters(node) : [];
+    const parameter = known.find((each) => each.name === choice.parameter) ?? known[0];
+    const version = versions.some(([each]) => each === choice.version) ? choice.version : (versions[0]?.[0] ?? null);
+    fill(this.kind, KINDS, kind);
     fill(this.node, nodes.map((each) => [each, each]), node);
     fill(this.component, found.map((each) => [each.name, each.words ? `${each.name} (${each.words})` : each.name]), component);
+    fill(this.version, versions.map(([each, words]) => [String(each), `version ${each}: ${words}`]), String(version ?? ""));
+    fill(this.parameter, known.map((each) => [each.name, each.name]), parameter?.name ?? "");
     fill(this.strategy, STRATEGIES.map((each) => [each, each]), choice.strategy);
-    for (const each of [this.kind, this.node]) each.hidden = applying;
-    for (const each of [this.with, this.component]) each.hidden = choice.kind !== "replace";
-    this.applying.hidden = !applying;
+    this.value.placeholder = parameter === undefined ? "" : String(JSON.stringify(parameter.value));
+    this.with.textContent = adding ? "of component" : kind === "param" ? "" : "with";
+    show(kind !== "apply", this.kind);
+    show(["replace", "restart", "remove", "param"].includes(kind), this.node);
+    show(["replace", "add"].includes(kind), this.with, this.component);
+    show(adding, this.added.role, this.added.fields);
+    show(kind === "rollback", this.version);
+    show(kind === "param", this.parameter, this.value);
+    show(kind !== "param", this.strategyWord, this.strategy, this.detours.label, this.verify.label, this.declared.label);
+    show(kind === "apply", this.applying);
     replace(this.applying, "Apply ", h("strong", {}, choice.file ?? "a specification"), " ", this.clear);
     this.detours.box.checked = choice.detours;
     this.detours.box.disabled = choice.strategy !== "minimal";
     this.declared.box.checked = choice.declared;
-    this.declared.box.disabled = choice.kind === "remove";
+    this.declared.box.disabled = !keepsParameters(choice);
     this.verify.box.checked = choice.verify;
-    this.settled = applying ? {} : { node, component: choice.kind === "replace" ? component : "" };
+    const fields = adding ? this.added.offer(specification, component) : {};
+    const others = { replace: { component }, add: { component, ...fields }, rollback: { version }, param: { parameter: parameter?.name ?? "" } };
+    this.settled = kind === "apply" ? {} : { node, component: "", .../** @type {any} */ (others)[kind] };
   }
+}
+
+/** @param {boolean} shown @param {...HTMLElement} elements */
+function show(shown, ...elements) {
+  for (const each of elements) each.hidden = !shown;
 }
 
 /**

@@ -5,7 +5,12 @@
  */
 
 /**
- * @typedef {{kind: "replace" | "restart" | "remove" | "apply", node: string, component: string, to: any,
+ * `role`, `topics` (by port, separated by spaces) and `values` (of parameters, as text) are those of a node to add;
+ * `version` is the one to go back to, and `to` its specification, or that of a file; `parameter` is set to `value`.
+ *
+ * @typedef {"replace" | "restart" | "add" | "remove" | "rollback" | "param" | "apply"} Kind
+ * @typedef {{kind: Kind, node: string, component: string, role: string, topics: Record<string, string>,
+ *   values: Record<string, string>, version: number | null, parameter: string, value: string, to: any,
  *   file: string | null, strategy: string, detours: boolean, declared: boolean, verify: boolean}} Choice
  */
 
@@ -16,6 +21,12 @@ export const NOTHING = {
   kind: "replace",
   node: "",
   component: "",
+  role: "",
+  topics: {},
+  values: {},
+  version: null,
+  parameter: "",
+  value: "",
   to: null,
   file: null,
   strategy: "minimal",
@@ -24,10 +35,29 @@ export const NOTHING = {
   verify: false,
 };
 
-/** @param {Choice} choice @returns {boolean} whether there is something to plan */
+/** @param {Choice} choice @returns {boolean} whether there is something to plan, or to set */
 export function complete(choice) {
-  if (choice.kind === "apply") return choice.to !== null;
-  return choice.node !== "" && (choice.kind !== "replace" || choice.component !== "");
+  switch (choice.kind) {
+    case "apply":
+    case "rollback":
+      return choice.to !== null;
+    case "add":
+      return choice.role !== "" && choice.component !== "";
+    case "param":
+      return choice.node !== "" && choice.parameter !== "" && choice.value !== "";
+    default:
+      return choice.node !== "" && (choice.kind !== "replace" || choice.component !== "");
+  }
+}
+
+/** @param {Choice} choice @returns {boolean} whether commands can compare its strategies, and rehearse it */
+export function comparable(choice) {
+  return choice.kind !== "rollback" && !(choice.kind === "add" && filled(choice.values).length > 0);
+}
+
+/** @param {Choice} choice @returns {boolean} whether a node keeps what was set at run time, unless that is not wanted */
+export function keepsParameters(choice) {
+  return !["add", "remove", "param"].includes(choice.kind);
 }
 
 /** @param {Choice} choice @returns {Record<string, unknown>} the document of POST /plan, and `request` of POST /change */
@@ -35,11 +65,33 @@ export function request(choice) {
   /** @type {Record<string, unknown>} */
   const document = { strategy: choice.strategy };
   if (choice.detours && choice.strategy === "minimal") document.detours = true;
-  if (choice.declared && choice.kind !== "remove") document.declared_parameters = true;
+  if (choice.declared && keepsParameters(choice)) document.declared_parameters = true;
   if (choice.kind === "replace") document.replace = [[choice.node, choice.component]];
-  else if (choice.kind === "apply") document.to = choice.to;
+  else if (choice.kind === "add") document.add = [newNode(choice)];
+  else if (choice.kind === "apply" || choice.kind === "rollback") document.to = choice.to;
   else document[choice.kind] = [choice.node];
   return document;
+}
+
+/** @param {Choice} choice @returns {Record<string, unknown>} what `midstride add` makes of its arguments */
+function newNode({ role, component, topics, values }) {
+  const attachments = filled(topics).map(([port, names]) => [port, names.split(/\s+/)]);
+  const parameters = filled(values).map(([name, text]) => [name, valueOf(text)]);
+  return { role, component, attachments: Object.fromEntries(attachments), parameters: Object.fromEntries(parameters) };
+}
+
+/** @param {Record<string, string>} texts @returns {[string, string][]} those that are not empty */
+function filled(texts) {
+  return Object.entries(texts).flatMap(([name, text]) => (text.trim() === "" ? [] : [/** @type {[string, string]} */ ([name, text.trim()])]));
+}
+
+/** The value of a parameter: JSON, or else a string, as for `midstride add --param`. @param {string} text */
+export function valueOf(text) {
+  try {
+    return JSON.parse(text);
+  } catch {
+    return text;
+  }
 }
 
 /** A word as a shell takes it. @param {string} text */
@@ -52,6 +104,12 @@ function words(choice) {
   switch (choice.kind) {
     case "replace":
       return ["replace", choice.node, choice.component];
+    case "add":
+      return ["add", ...added(choice), ...filled(choice.values).flatMap(([name, text]) => ["--param", `${name}=${text}`])];
+    case "rollback":
+      return ["rollback", String(choice.version)];
+    case "param":
+      return ["param", "set", choice.node, choice.parameter, yaml(valueOf(choice.value.trim()))];
     case "apply":
       return ["apply", choice.file ?? "NEW.stride", "--keep-code"];
     default:
@@ -59,11 +117,23 @@ function words(choice) {
   }
 }
 
+/** @param {Choice} choice @returns {string[]} as "second", "Listener", "in=/chatter" */
+function added({ role, component, topics }) {
+  const attachments = filled(topics).flatMap(([port, names]) => names.split(/\s+/).map((name) => `${port}=${name}`));
+  return [role, component, ...attachments];
+}
+
+/** A value as `midstride param set` reads it: a string that YAML might read as something else is quoted. @param {unknown} value */
+function yaml(value) {
+  const plain = typeof value === "string" && /^[A-Za-z/][\w./-]*$/.test(value) && !/^(y|n|yes|no|on|off|true|false|null)$/i.test(value);
+  return plain ? String(value) : JSON.stringify(value);
+}
+
 /** @param {Choice} choice */
 function options(choice) {
   const found = choice.strategy === "minimal" ? [] : ["--strategy", choice.strategy];
   if (choice.detours && choice.strategy === "minimal") found.push("--detours");
-  if (choice.declared && choice.kind !== "remove") found.push("--declared-parameters");
+  if (choice.declared && keepsParameters(choice)) found.push("--declared-parameters");
   return found;
 }
 
@@ -74,15 +144,18 @@ function command(found) {
 
 /** @param {Choice} choice @returns {string} the command that makes the change */
 export function changeCommand(choice) {
+  if (choice.kind === "param") return command(words(choice));
   return command([...words(choice), ...options(choice), ...(choice.verify ? ["--verify"] : [])]);
 }
 
 /** @param {Choice} choice @param {string[]} [more] @returns {string} the command that shows the plan */
 export function planCommand(choice, more = []) {
-  /** @type {Record<Choice["kind"], string[]>} */
+  if (choice.kind === "rollback") return command([...words(choice), ...options(choice), "--dry-run"]);
+  /** @type {Record<string, string[]>} */
   const change = {
     replace: ["--replace", `${choice.node}=${choice.component}`],
     restart: ["--restart", choice.node],
+    add: ["--add", added(choice).join(" ")],
     remove: ["--remove", choice.node],
     apply: ["--to", choice.file ?? "NEW.stride"],
   };
@@ -100,6 +173,10 @@ export function title(choice) {
   switch (choice.kind) {
     case "replace":
       return `replace ${choice.node} with ${choice.component}`;
+    case "add":
+      return `add ${choice.role} (${choice.component})`;
+    case "rollback":
+      return `rollback to version ${choice.version}`;
     case "apply":
       return `apply ${choice.file ?? "a specification"}`;
     default:

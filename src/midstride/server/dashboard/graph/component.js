@@ -7,6 +7,7 @@
 import { hz, s, set, setText } from "../dom.js";
 import { componentLook, deviates, look } from "../modes.js";
 import { componentSize, FIGURES, MODES_TOP, ROW, short, STUB } from "./measure.js";
+import { isService, rowLabel } from "./services.js";
 
 /**
  * @typedef {import("../store.js").Component} Component
@@ -77,13 +78,15 @@ export class ComponentShape {
    */
   #addPort(name, direction, x, y) {
     const incoming = direction === "in";
-    const mark = incoming
-      ? s("path", { class: "port", d: `M${x - 9} ${y - 4.5}l9 4.5l-9 4.5z` })
-      : s("rect", { class: "port", x: x - 4, y: y - 4, width: 8, height: 8, rx: 1.5 });
+    const mark = isService(name)
+      ? s("circle", { class: "port", cx: x, cy: y, r: 4.5 })
+      : incoming
+        ? s("path", { class: "port", d: `M${x - 9} ${y - 4.5}l9 4.5l-9 4.5z` })
+        : s("rect", { class: "port", x: x - 4, y: y - 4, width: 8, height: 8, rx: 1.5 });
     const label = s(
       "text",
       { class: "port-name", x: incoming ? x + 10 : x - 10, y: y + 4, "text-anchor": incoming ? "start" : "end" },
-      short(name),
+      short(rowLabel(name, this.#drawn.entry)),
     );
     const middle = x - 12 - (FIGURES - 16) / 2;
     const back = s("rect", { class: "figures-back", y: y - 7.5, height: 15, rx: 7.5 });
@@ -144,6 +147,11 @@ export class ComponentShape {
   #updatePorts(entry) {
     for (const [key, shape] of this.#ports) {
       const space = key.indexOf(" ");
+      const service = key.slice(space + 1);
+      if (isService(service)) {
+        set(shape.mark, "data-linked", String(this.#drawn.linked.includes(service)));
+        continue;
+      }
       const links = entry.ports.filter(
         (port) => port.direction === key.slice(0, space) && port.name === key.slice(space + 1),
       );

@@ -116,6 +116,7 @@ function newComponent(create, view) {
     functionalities: [],
     ports: [],
     parameters: [],
+    endpoints: before?.endpoints ?? [],
   };
 }
 

@@ -17,6 +17,7 @@ import { LinkShape } from "./link.js";
 import { Motion } from "./motion.js";
 import { owner } from "./names.js";
 import { standalone } from "./standalone.js";
+import { serviceRows } from "./services.js";
 import { structureOf } from "./structure.js";
 import { TopicShape } from "./topic.js";
 import { Viewport } from "./viewport.js";
@@ -259,7 +260,7 @@ export class Graph {
       this.#keep(before, topic.id, JSON.stringify([topic.name, topic.rate]), () => new TopicShape(topic));
     }
     for (const each of structure.components) {
-      this.#keep(before, each.id, signature(each.entry) + each.label, () => new ComponentShape(each));
+      this.#keep(before, each.id, signature(each.entry) + each.label + each.linked, () => new ComponentShape(each));
     }
     for (const [id, { element }] of before) if (this.#drawn.get(id)?.element !== element) element.remove();
     this.#order(layout);
@@ -363,8 +364,9 @@ export class Graph {
   #update(everything) {
     const view = this.#view;
     if (view === null) return;
+    const anew = everything || this.#topics !== view.topics;
     for (const { shape } of this.#drawn.values()) {
-      if (shape instanceof CollapsedGroup) shape.update(view, this.#components, everything);
+      if (shape instanceof CollapsedGroup) shape.update(view, this.#components, anew);
     }
     if (everything) this.#written.clear();
     for (const [name, entry] of this.#components) if (this.#written.get(name) !== entry) this.#stale.add(name);
@@ -481,6 +483,7 @@ function signature(entry) {
       [entry.name, entry.role, entry.component, entry.namespace, entry.host],
       entry.functionalities.map(({ name, modes }) => [name, modes]),
       entry.ports.map(({ name, direction, topic }) => [name, direction, topic]),
+      serviceRows(entry).map(({ name, direction }) => [name, direction]),
     ]);
     signatures.set(entry, found);
   }
@@ -495,7 +498,7 @@ function crashedComponent({ name, role }) {
   const slash = name.lastIndexOf("/");
   const namespace = `/${slash < 0 ? "" : name.slice(0, slash)}`;
   const nothing = { node: null, pid: null, host: null, waiting: null, deviation: null, ending: false };
-  const none = { differences: [], undeclared: [], functionalities: [], ports: [], parameters: [] };
+  const none = { differences: [], undeclared: [], functionalities: [], ports: [], parameters: [], endpoints: [] };
   return { name, role: role ?? name, component: "exited", namespace, answers: false, as_modelled: false, ...nothing, ...none };
 }
 

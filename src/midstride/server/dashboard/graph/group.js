@@ -9,6 +9,7 @@
 import { plural, s, set, setText } from "../dom.js";
 import { componentLook, deviates, KINDS } from "../modes.js";
 import { groupSize, LISTED, short, SQUARE } from "./measure.js";
+import { owner } from "./names.js";
 
 /**
  * @typedef {import("../store.js").Component} Component
@@ -67,7 +68,7 @@ export class CollapsedGroup {
   /**
    * @param {View} view
    * @param {Map<string, Component>} components
-   * @param {boolean} everything although an entry is the same: who has crashed is not in it
+   * @param {boolean} everything although an entry is the same: crashes and topics are not in it
    */
   update(view, components, everything) {
     let differs = everything;
@@ -95,6 +96,10 @@ export class CollapsedGroup {
       const { kind, glyph, words } = componentLook(entry, view);
       if (kind !== "normal") deviating.push({ kind, text: `${glyph} ${short(name, 20)}: ${short(words, 16)}` });
       else if (deviates(entry)) deviating.push({ kind: "gone", text: `▲ ${short(name, 20)}: rate or contract` });
+    }
+    for (const { name, satisfied, publishers, subscribers } of Object.values(view.topics)) {
+      const within = (publishers.length > 0 ? publishers : subscribers).some((ref) => this.#squares.has(owner(ref)));
+      if (!satisfied && within) deviating.push({ kind: "gone", text: `▲ ${short(name, 20)}: contract` });
     }
     deviating.sort((a, b) => KINDS.indexOf(b.kind) - KINDS.indexOf(a.kind));
     const count = plural(this.#group.members.length, "component");

@@ -7,6 +7,7 @@
 import { plural, s, set, setText } from "../dom.js";
 import { stateOf } from "./component.js";
 import { linkKey } from "./ghosts.js";
+import { isService } from "./services.js";
 
 /**
  * @typedef {import("../store.js").Component} Component
@@ -30,6 +31,7 @@ export class LinkShape {
   constructor(drawn) {
     this.drawn = drawn;
     this.element = s("g", { class: drawn.bundle ? "link bundle" : "link" }, this.#path);
+    this.element.classList.toggle("service", drawn.topics.every(isService));
     if (drawn.bundle) {
       this.element.append(this.#head, this.#back, this.#label);
       set(this.#path, "stroke-width", (1.5 + Math.min(4, Math.log2(1 + drawn.topics.length) * 0.8)).toFixed(1));
@@ -67,14 +69,23 @@ export class LinkShape {
     set(this.element, "data-state", low > 0 ? "low" : closed === this.drawn.ends.length && closed > 0 ? "closed" : "met");
     set(this.element, "data-fate", fate);
     if (!this.drawn.bundle) return;
-    const count = this.drawn.topics.length;
-    const text = low > 0 ? `▼ ${low}/${this.drawn.ends.length} low` : plural(count, "topic");
+    const text = low > 0 ? `▼ ${low}/${this.drawn.ends.length} low` : counted(this.drawn.topics);
     if (this.#label.textContent === text) return;
     setText(this.#label, text);
     const width = 12 + text.length * 5.7;
     set(this.#back, "x", this.#middle[0] - width / 2);
     set(this.#back, "width", width);
   }
+}
+
+/**
+ * @param {string[]} topics and services
+ * @returns {string} as "3 topics, 1 service"
+ */
+function counted(topics) {
+  const services = topics.filter(isService).length;
+  const words = [plural(topics.length - services, "topic"), plural(services, "service")];
+  return words.filter((each) => !each.startsWith("0 ")).join(", ");
 }
 
 /**

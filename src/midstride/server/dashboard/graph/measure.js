@@ -4,6 +4,8 @@
  * @module
  */
 
+import { rowLabel } from "./services.js";
+
 /**
  * @typedef {import("./structure.js").DrawnComponent} DrawnComponent
  * @typedef {{width: number, height: number}} Size
@@ -67,7 +69,8 @@ export function componentSize({ entry, label, ins, outs }) {
   const modes = entry.functionalities.map(
     ({ name, modes: all }) => 42 + textWidth(short(name), SMALL) + widest(all, SMALL),
   );
-  const ports = widest(ins, SMALL) + widest(outs, SMALL) + 40;
+  const labels = (/** @type {string[]} */ names) => names.map((name) => rowLabel(name, entry));
+  const ports = widest(labels(ins), SMALL) + widest(labels(outs), SMALL) + 40;
   const inner = Math.ceil(
     Math.max(NARROWEST, 56 + textWidth(short(label), NAME), 24 + textWidth(short(entry.component), SMALL), ports, ...modes),
   );

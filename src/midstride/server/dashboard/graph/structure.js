@@ -8,6 +8,7 @@
  */
 
 import { groupsOf } from "./groups.js";
+import { serviceRows, sharedServices } from "./services.js";
 
 /**
  * @typedef {import("../store.js").Component} Component
@@ -18,7 +19,8 @@ import { groupsOf } from "./groups.js";
  * @typedef {import("./groups.js").Grouping} Grouping
  * @typedef {import("./ghosts.js").Ghosts} Ghosts
  *
- * @typedef {{id: string, name: string, label: string, group: string | null, ins: string[], outs: string[], entry: Component}} DrawnComponent
+ * @typedef {{id: string, name: string, label: string, group: string | null, ins: string[], outs: string[],
+ *   linked: string[], entry: Component}} DrawnComponent  `linked`: its services that are shared
  * @typedef {{id: string, name: string, group: string | null, rate: number | null}} DrawnTopic
  * @typedef {Group & {collapsed: boolean}} DrawnGroup
  * @typedef {{component: string, port: string, topic: string}} End  a port on a topic
@@ -48,12 +50,18 @@ export function structureOf(view, components, { grouping, isCollapsed }) {
   /** @type {DrawnComponent[]} */ const drawn = [];
   /** @type {Map<string, {outs: End[], ins: End[]}>} */ const ends = new Map();
   for (const name of topicNames(view, sorted)) ends.set(name, { outs: [], ins: [] });
+  const shared = sharedServices(sorted);
+  for (const name of [...shared].sort()) ends.set(name, { outs: [], ins: [] });
   for (const entry of sorted) {
-    if (hidden(entry.name) === null) drawn.push(drawnComponent(entry, groupOf.get(entry.name) ?? null));
+    if (hidden(entry.name) === null) drawn.push(drawnComponent(entry, groupOf.get(entry.name) ?? null, shared));
     for (const port of entry.ports) {
       if (port.topic === null) continue;
       const end = { component: entry.name, port: port.name, topic: port.topic };
       ends.get(port.topic)?.[port.direction === "out" ? "outs" : "ins"].push(end);
+    }
+    for (const { name, direction } of serviceRows(entry)) {
+      const end = { component: entry.name, port: name, topic: name };
+      ends.get(name)?.[direction === "out" ? "outs" : "ins"].push(end);
     }
   }
 
@@ -89,16 +97,19 @@ function topicNames(view, components) {
 /**
  * @param {Component} entry
  * @param {Group | null} group
+ * @param {Set<string>} shared services
  * @returns {DrawnComponent}
  */
-function drawnComponent(entry, group) {
+function drawnComponent(entry, group, shared) {
+  const rows = [...entry.ports, ...serviceRows(entry)];
   const names = (/** @type {"in" | "out"} */ direction) => [
-    ...new Set(entry.ports.filter((port) => port.direction === direction).map((port) => port.name)),
+    ...new Set(rows.filter((row) => row.direction === direction).map(({ name }) => name)),
   ];
   // In the frame of its namespace, the namespace need not be repeated.
   const prefix = group === null ? "/" : `${group.title.slice(1)}/`;
   const label = entry.name.startsWith(prefix) ? entry.name.slice(prefix.length) : entry.name;
-  return { id: `c:${entry.name}`, name: entry.name, label, group: group?.id ?? null, ins: names("in"), outs: names("out"), entry };
+  const linked = serviceRows(entry).flatMap(({ name }) => (shared.has(name) ? [name] : []));
+  return { id: `c:${entry.name}`, name: entry.name, label, group: group?.id ?? null, ins: names("in"), outs: names("out"), linked, entry };
 }
 
 /**

@@ -8,6 +8,7 @@ import { hz, s, set, setText } from "../dom.js";
 import { stateOf } from "./component.js";
 import { owner } from "./names.js";
 import { short, topicSize } from "./measure.js";
+import { isService } from "./services.js";
 
 /**
  * @typedef {import("../store.js").Component} Component
@@ -31,7 +32,7 @@ export class TopicShape {
     this.#figures = s("text", { class: "figures-text", x: width / 2, y: 28, "text-anchor": "middle" });
     this.element = s(
       "g",
-      { class: "topic", role: "button", tabindex: "-1", "data-topic": name },
+      { class: isService(name) ? "topic service" : "topic", role: "button", tabindex: "-1", "data-topic": name },
       this.#title,
       s("rect", { class: "halo", x: -4, y: -4, width: width + 8, height: height + 8, rx: 15 }),
       s("rect", { class: "pill", width, height, rx: 11 }),
@@ -58,7 +59,7 @@ export class TopicShape {
     set(this.element, "data-state", state);
     setText(this.#flag, satisfied ? (outside.length > 0 ? "⇥" : "") : "▲");
     setText(this.#figures, state === "closed" ? "⊘ closed" : `${state === "low" ? "▼ " : ""}${measured}${rate}`);
-    const words = [`topic ${this.name}`];
+    const words = [isService(this.name) ? this.name : `topic ${this.name}`];
     if (topic !== undefined) {
       words.push(topic.type, satisfied ? "contract satisfied" : "contract not satisfied");
       if (outside.length > 0) words.push(`also published from outside by ${outside.join(", ")}`);

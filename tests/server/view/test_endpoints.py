@@ -1,0 +1,77 @@
+"""Services, ROS actions and topics that are no ports, and hosts, in the entries of the live view."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from midstride.model.component import ComponentSpec, NodeEndpoint
+from midstride.model.configuration import Instance
+from midstride.server.view import components
+from midstride.server.view.endpoints import endpoint_views
+from midstride.server.view.forms import EndpointView
+from midstride.wire.state import ComponentState, Endpoint
+from tests.server.view.support import Viewed, viewed
+
+ALLOWS = (
+    NodeEndpoint("topic", "/tf"),
+    NodeEndpoint("service", "~/reset"),
+    NodeEndpoint("service", "save"),
+    NodeEndpoint("action", "/dock"),
+)
+INSTANCE = Instance("front/arm_2", "front/arm", replace(ComponentSpec.of("Arm"), allows=ALLOWS))
+
+
+def state(node: str | None) -> ComponentState:
+    return ComponentState(
+        instance="front/arm_2",
+        uuid="u",
+        pid=7,
+        revision=1,
+        functionalities={},
+        ports={},
+        parameters={},
+        stopping=0.0,
+        node=node,
+    )
+
+
+def test_names_are_resolved_and_the_end_is_the_one_that_the_node_reported() -> None:
+    reported = [
+        Endpoint(kind="service", name="/front/arm/reset", serves=True),
+        Endpoint(kind="ROS action", name="/dock", serves=False),
+    ]
+    assert endpoint_views(INSTANCE, state("/front/arm"), reported) == [
+        EndpointView(kind="ROS action", name="/dock", serves=False),
+        EndpointView(kind="service", name="/front/arm/reset", serves=True),
+        EndpointView(kind="service", name="/front/save", serves=None),
+        EndpointView(kind="topic", name="/tf", serves=None),
+    ]
+
+
+def test_private_names_are_those_of_the_node_as_it_is_called() -> None:
+    """On ROS 1 it has the name of its instance; a component that does not answer, that of its role."""
+    assert endpoint_views(INSTANCE, state("/front/arm_2"), [])[1].name == "/front/arm_2/reset"
+    assert endpoint_views(INSTANCE, None, [])[1].name == "/front/arm/reset"
+
+
+def test_a_component_without_others_has_none() -> None:
+    assert endpoint_views(Instance("arm", "arm", ComponentSpec.of("Arm")), None, []) == []
+
+
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_the_host_is_named_where_it_is_not_the_managers(
+    elsewhere: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def body(system: Viewed) -> None:
+        await asyncio.sleep(1)
+        host = system.component("listener")["host"]
+        assert (host is not None) == elsewhere
+        assert host != components._THIS_HOST
+
+    if elsewhere:
+        monkeypatch.setattr(components, "_THIS_HOST", "base-station")
+    viewed("talker", tmp_path, body)

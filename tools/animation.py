@@ -1,0 +1,176 @@
+"""animation.py FILE.svg: a swap on the dashboard, as an animation of the real page.
+
+`make animation` writes docs/pictures/dashboard-swap.svg, which the README shows. The talker of the example is replaced
+on the simulator; the page is photographed as fast as the browser allows, and of each photograph the file has the part
+that differs from the one before, in WebP without loss as Chromium writes it. Only pauses are shortened.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import shutil
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+ROOT: Final = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+from tests.browser.conftest import system  # noqa: E402
+from tests.browser.test_changes import choose, press  # noqa: E402
+from tests.cli.conftest import EXAMPLES  # noqa: E402
+
+TITLE: Final = "The dashboard: a replacement of the talker is planned, carried out, and its gap is shown"
+WIDTH, HEIGHT = 1120, 640
+SCALE: Final = 1.0
+# How long the page rests before and after (s), and the longest pause in between.
+SETTLED, BEFORE, LOOK, END, PAUSE = 8.0, 1.0, 2.0, 4.0, 1.5
+LARGEST: Final = 600_000  # bytes of the file
+# The part of a photograph that differs from the one before: [x, y, width, height, data URL], or null.
+DIFFERENCE: Final = """async (url) => {
+  const image = await createImageBitmap(await (await fetch(url)).blob());
+  const { width, height } = image;
+  const canvas = new OffscreenCanvas(width, height);
+  const context = canvas.getContext("2d", { willReadFrequently: true });
+  context.drawImage(image, 0, 0);
+  const pixels = new Uint32Array(context.getImageData(0, 0, width, height).data.buffer);
+  const before = window.before ?? new Uint32Array(pixels.length);
+  window.before = pixels;
+  let [left, top, right, bottom] = [width, height, -1, -1];
+  for (let y = 0, index = 0; y < height; y++) {
+    for (let x = 0; x < width; x++, index++) {
+      if (pixels[index] === before[index]) continue;
+      left = Math.min(left, x);
+      right = Math.max(right, x);
+      top = Math.min(top, y);
+      bottom = y;
+    }
+  }
+  if (right < 0) return null;
+  const part = document.createElement("canvas");
+  [part.width, part.height] = [right - left + 1, bottom - top + 1];
+  part.getContext("2d").drawImage(image, -left, -top);
+  return [left, top, part.width, part.height, part.toDataURL("image/webp", 1)];
+}"""
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """What the page showed at a time (s)."""
+
+    at: float
+    png: bytes
+
+
+class Camera:
+    """Photographs a page, and leaves out what lasts too long."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._begun = time.monotonic()
+        self.taken: list[Photograph] = []
+
+    def take(self) -> None:
+        at = time.monotonic() - self._begun
+        self.taken.append(Photograph(at, self._page.screenshot(animations="allow", caret="hide")))
+
+    def watch(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.take()
+
+
+def photographs(browser: Browser) -> list[Photograph]:
+    with system("talker", EXAMPLES / "talker" / "talker.json") as talker:
+        context = talker.context(
+            browser, viewport={"width": WIDTH, "height": HEIGHT}, device_scale_factor=SCALE, color_scheme="light"
+        )
+        page = context.new_page()
+        page.goto(talker.url)
+        page.wait_for_selector(".graph .component[transform]")
+        page.wait_for_timeout(SETTLED * 1000)  # the first rates are measured over a window that fills
+        camera = Camera(page)
+        camera.watch(BEFORE)
+        choose(page, "talker", "NewTalker")
+        camera.watch(BEFORE)
+        press(page, "Plan")
+        camera.watch(LOOK)
+        press(page, "Execute")
+        done = page.locator("#change .outcome")
+        while done.count() == 0:
+            camera.take()
+        expect(done).to_contain_text("Done in")
+        camera.watch(LOOK)
+        context.close()
+        if talker.faults:
+            raise SystemExit(f"animation: the page had errors: {talker.faults}")
+    return camera.taken
+
+
+def parts(browser: Browser, taken: list[Photograph]) -> list[tuple[float, list[object]]]:
+    """What changed, and when it is shown (s): pauses in which nothing changes are shortened."""
+    page = browser.new_page()
+    found: list[tuple[float, list[object]]] = []
+    shown, last = 0.0, taken[0].at
+    for each in taken:
+        part = page.evaluate(DIFFERENCE, f"data:image/png;base64,{base64.b64encode(each.png).decode()}")
+        if part is None:
+            continue
+        shown += min(each.at - last, PAUSE)
+        last = each.at
+        found.append((shown, part))
+    page.close()
+    return found
+
+
+def svg(shown: list[tuple[float, list[object]]], duration: float) -> str:
+    """Each part lies on those before it from its time on; where motion is not wanted, all do."""
+    styles, images = [], []
+    for number, (at, (x, y, width, height, url)) in enumerate(shown):
+        place = f'x="{x}" y="{y}" width="{width}" height="{height}" href="{url}"'
+        if number == 0:
+            images.append(f"<image {place}/>")
+            continue
+        styles.append(f"@keyframes p{number}{{0%{{opacity:0}}{100 * at / duration:.2f}%{{opacity:1}}}}")
+        images.append(f'<image style="animation-name:p{number}" {place}/>')
+    box = f'viewBox="0 0 {round(WIDTH * SCALE)} {round(HEIGHT * SCALE)}" width="{WIDTH}"'
+    return "\n".join(
+        [
+            f'<svg xmlns="http://www.w3.org/2000/svg" {box} role="img">',
+            f"<title>{TITLE}</title>",
+            "<style>",
+            f"image{{animation:{duration:.2f}s step-end infinite}}",
+            *styles,
+            "@media (prefers-reduced-motion:reduce){image{animation:none!important}}",
+            "</style>",
+            *images,
+            "</svg>\n",
+        ]
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("file", type=Path)
+    options = parser.parse_args()
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        raise SystemExit("Chromium is not installed: tools/browser")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        shown = parts(browser, photographs(browser))
+        browser.close()
+    text = svg(shown, shown[-1][0] + END)
+    if len(text) > LARGEST:
+        raise SystemExit(f"animation: {len(text)} bytes for {len(shown)} parts; at most {LARGEST} are wanted")
+    options.file.write_text(text, encoding="utf-8")
+    print(f"{options.file}: {len(shown)} parts, {len(text) / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()
