@@ -284,7 +284,8 @@ def side_by_side(folder: Path) -> Case:
     return Case(target, start, folder)
 
 
-@pytest.mark.parametrize("finish", [False, pytest.param(True, marks=pytest.mark.full)], ids=["rolled back", "finished"])
+@pytest.mark.full
+@pytest.mark.parametrize("finish", [False, True], ids=["rolled back", "finished"])
 def test_the_same_where_steps_are_taken_at_once(finish: bool, tmp_path: Path) -> None:
     outcomes = killed_at_each_write(side_by_side(tmp_path), tmp_path, finish=finish)
     assert outcomes == ({"not begun", "done"} if finish else {"not begun", "done", "rolled_back"})
