@@ -65,19 +65,29 @@ class CutTurns:
 
 @dataclass(slots=True, eq=False)
 class CutTurn:
-    """That of one hand-over: ``ready`` for its cut, and ``ended`` when the cut has."""
+    """That of one hand-over: ``ready`` for its cut, which may have ``begun``, and has ``ended``.
+
+    From the beginning of its cut on, it is not interrupted.
+    """
 
     turns: CutTurns
     ready: bool = False
+    begun: bool = False
     ended: bool = False
+
+    async def prepare(self, work: Coroutine[Any, Any, T]) -> T:
+        """The result of ``work``, which changes nothing. Raises what it raises, and GivenUp at once."""
+        return await (work if self.begun else self.turns.waiting(work))
 
     async def begin(self, old_is_silent: Callable[[], bool]) -> None:
         """Return when it is its turn, or at once where the old side publishes nothing any more. Raises GivenUp."""
         self.ready = True
-        while not (old_is_silent() or self.turns.is_next(self)):
+        while not self.begun:
             self.turns.check()
-            await asyncio.sleep(INTERVAL)
-        self.turns.check()
+            if old_is_silent() or self.turns.is_next(self):
+                self.begun = True
+            else:
+                await asyncio.sleep(INTERVAL)
 
 
 def only_turn() -> CutTurn:

@@ -223,7 +223,7 @@ class LiveHandover:
     async def _await_turn(self, swaps: Iterable[Swap], old_is_silent: Callable[[], bool]) -> None:
         """Wait for the probation of the new publishers, and then until it is their turn. Raises GivenUp."""
         for swap in swaps:
-            await self.turn.turns.waiting(self._new.await_probation(swap))
+            await self.turn.prepare(self._new.await_probation(swap))
         ready = self.fences.now()
         await self.turn.begin(old_is_silent)
         self._deadline += self.fences.now() - ready
