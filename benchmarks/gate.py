@@ -1,7 +1,8 @@
 """What the gate in a node without Midstride's API costs per message: processor time, beside the same node without it.
 
-The node publishes in a loop through a library that stands in for librcl, so nothing but the gate differs. The runs are
-interleaved; a figure is the median over the runs, with the lowest and the highest.
+The node publishes in a loop through a library that stands in for librcl, so nothing but the gate differs. With
+`--rcl` it is one on rcl, whose throughput and calls are timed. The runs are interleaved; a figure is the
+median over the runs, with the lowest and the highest.
 """
 
 from __future__ import annotations
@@ -11,51 +12,99 @@ import json
 import os
 import statistics
 import subprocess
+import sys
+import sysconfig
 import tempfile
 from pathlib import Path
 
-from midstride.foreign import build
-from midstride.foreign.page import OPEN, OUTPUT, Page, PortFlag
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.append(str(ROOT))
 
-SOURCES = Path(__file__).resolve().parents[1] / "tests" / "foreign"
+from midstride.foreign import build  # noqa: E402
+from midstride.foreign.page import OPEN, OUTPUT, Page, PortFlag  # noqa: E402
+from tests.native import compiled  # noqa: E402
+
+SOURCES = ROOT / "tests" / "foreign"
 LOG_SIZE = 16 + 24 * 4_000_000
+KINDS = ("bare", "library, no page", "gate")
 
 
-def measure(folder: Path, runs: int, messages: int) -> dict[str, list[float]]:
-    compiler = build.compiler()
-    assert compiler is not None, "there is no C compiler"
-    options = [*compiler, "-std=c11", "-O2"]
-    subprocess.run([*options, "-shared", "-fPIC", "-o", folder / "librcl.so", SOURCES / "fake_rcl.c"], check=True)
-    subprocess.run([*options, "-o", folder / "node", SOURCES / "fake_node.c", "-L", folder, "-lrcl"], check=True)
+def variables(folder: Path) -> list[dict[str, str]]:
+    """What each of KINDS has in its environment: the library, and a page with an open gate and its baton."""
     library = build.library()
     page = Page(folder / "page", library)
     index = page.allocate("node")
     page.set_ports(index, [("/chat", OUTPUT)])
     port = page.layout.nodes[index].ports[0]
     port.flags, port.baton, port.gate = PortFlag.RATED | PortFlag.LAYS, page.new_baton(index), OPEN
+    loaded = {"LD_PRELOAD": str(library)}
+    return [{}, loaded, {**loaded, "MIDSTRIDE_GATE_PAGE": str(page.path), "MIDSTRIDE_GATE_NODE": str(index)}]
+
+
+def measure(folder: Path, runs: int, messages: int) -> dict[str, list[float]]:
+    """The processor time of a message (ns)."""
+    compiler = build.compiler()
+    assert compiler is not None, "there is no C compiler"
+    options = [*compiler, "-std=c11", "-O2"]
+    subprocess.run([*options, "-shared", "-fPIC", "-o", folder / "librcl.so", SOURCES / "fake_rcl.c"], check=True)
+    subprocess.run([*options, "-o", folder / "node", SOURCES / "fake_node.c", "-L", folder, "-lrcl"], check=True)
     log = folder / "log"
     base = {**os.environ, "LD_LIBRARY_PATH": str(folder), "FAKE_LOG": str(log)}
-    loaded = {**base, "LD_PRELOAD": str(library)}
-    gated = {**loaded, "MIDSTRIDE_GATE_PAGE": str(page.path), "MIDSTRIDE_GATE_NODE": str(index)}
-    figures: dict[str, list[float]] = {"bare": [], "library, no page": [], "gate": []}
+    kinds = dict(zip(KINDS, variables(folder), strict=True))
+    figures: dict[str, list[float]] = {kind: [] for kind in KINDS}
     for _ in range(runs):
-        for (_, found), environment in zip(figures.items(), (base, loaded, gated), strict=True):
+        for kind, more in kinds.items():
             log.write_bytes(b"")
             os.truncate(log, LOG_SIZE)
             command = [str(folder / "node"), "1", "/chat", "0", str(messages), "time"]
-            done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-            found.append(float(done.stdout))
+            done = subprocess.run(command, env={**base, **more}, capture_output=True, text=True, check=True)
+            figures[kind].append(float(done.stdout))
     return figures
+
+
+def measure_rcl(folder: Path, runs: int, messages: int) -> dict[str, list[list[float]]]:
+    """The time of a message in the mean, and the median and 99 % of a call (ns), of a node on rcl that nobody hears."""
+    import rclpy  # noqa: F401  # it sets the paths of the libraries
+
+    program = compiled(folder, Path(__file__).with_name("_rcl_publisher.c"), "rcl_publisher")
+    paths = f"{os.environ.get('LD_LIBRARY_PATH', '')}:{sysconfig.get_config_var('LIBDIR')}"
+    kinds = dict(zip(KINDS, variables(folder), strict=True))
+    figures: dict[str, list[list[float]]] = {kind: [] for kind in KINDS}
+    for _ in range(runs):
+        for kind, more in kinds.items():
+            command = [str(program), "/chat", str(messages)]
+            environment = {**os.environ, "LD_LIBRARY_PATH": paths, **more}
+            done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+            figures[kind].append([float(word) for word in done.stdout.split()])
+    return figures
+
+
+def interval(values: list[float]) -> str:
+    return f"{statistics.median(values):.4g} ({min(values):.4g} to {max(values):.4g})"
+
+
+def print_rcl(figures: dict[str, list[list[float]]]) -> None:
+    print("| node on rcl | messages per second | a call, median, ns | a call, 99 %, ns |\n|---|---|---|---|")
+    for name, found in figures.items():
+        means, medians, tails = (list(column) for column in zip(*found, strict=True))
+        print(f"| {name} | {interval([1e9 / each for each in means])} | {interval(medians)} | {interval(tails)} |")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=11)
-    parser.add_argument("--messages", type=int, default=2_000_000)
+    parser.add_argument("--messages", type=int)
+    parser.add_argument("--rcl", action="store_true")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        figures = measure(Path(folder), options.runs, options.messages)
+        if options.rcl:
+            found = measure_rcl(Path(folder), options.runs, options.messages or 200_000)
+            print_rcl(found)
+            if options.json:
+                options.json.write_text(json.dumps(found))
+            return
+        figures = measure(Path(folder), options.runs, options.messages or 2_000_000)
     bare = figures["bare"]
     print("| | ns per message, median | more than bare: median | lowest to highest |\n|---|---|---|---|")
     for name, found in figures.items():

@@ -24,8 +24,8 @@ _LIBRARIES = (
 )
 
 
-def compiled(folder: Path) -> Path:
-    """The talker of tests/foreign/talker.c as a program in ``folder``. Skips the test where it cannot be compiled."""
+def compiled(folder: Path, source: Path = SOURCE, name: str = "c_talker") -> Path:
+    """A node on rcl as a program ``name`` in ``folder``. Skips the test where it cannot be compiled."""
     compiler = build.compiler()
     if compiler is None:
         pytest.skip("no C compiler here")
@@ -42,8 +42,8 @@ def compiled(folder: Path) -> Path:
     ).exists():  # libraries of the wheels need it, without naming it
         libraries += [f"-L{folder_of_python}", f"-lpython{version}"]
     libraries.append("-Wl,--allow-shlib-undefined")
-    program = folder / "c_talker"
-    command = [*compiler, "-std=gnu11", "-O2", *headers, str(SOURCE), "-o", str(program), *libraries]
+    program = folder / name
+    command = [*compiler, "-std=gnu11", "-O2", *headers, str(source), "-o", str(program), *libraries]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return program

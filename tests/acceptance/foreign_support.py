@@ -8,12 +8,12 @@ from __future__ import annotations
 import asyncio
 import re
 import time
-from collections.abc import AsyncIterator, Awaitable
+from collections.abc import AsyncIterator, Awaitable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from midstride import backends
 from midstride.lang.load import load
@@ -88,6 +88,27 @@ def talkers(folder: Path, first: str = "Plain", rate: float = 50, timing: str = 
     return load(path).require()
 
 
+class Hole(NamedTuple):
+    """Messages of one writer that are missing between two that were heard."""
+
+    writer: str
+    last: int
+    next: int
+
+    @property
+    def missing(self) -> int:
+        """How many; negative where it has come twice, or late."""
+        return self.next - self.last - 1
+
+
+def holes(heard: Sequence[tuple[float, str, int]]) -> list[Hole]:
+    return [
+        Hole(name, last, number)
+        for (_, before, last), (_, name, number) in pairwise(heard)
+        if name == before and number != last + 1
+    ]
+
+
 @dataclass
 class Robot:
     """A system that runs, and what a bare recorder hears of it: when (monotonic, s), from which instance, number."""
@@ -120,10 +141,17 @@ class Robot:
         report: Outcome = await self.meanwhile(self.manager.change(PlanRequest(replace=(("talker", component),))))
         return report
 
-    async def replaced(self, component: str) -> None:
+    async def replaced(self, component: str, messages: int = 20) -> dict[str, float]:
+        """Replace the talker, and hear so many messages more; how long each kind of step took (s)."""
         report = await self.change(component)
         assert (report.outcome, report.because) == ("done", None), report
-        await self.hears()
+        await self.hears(messages)
+        assert report.plan is not None
+        took: dict[str, float] = {"in all": report.seconds}
+        for step in report.steps:
+            kind = report.plan.steps[step.step - 1].action
+            took[kind] = took.get(kind, 0.0) + step.seconds
+        return took
 
     async def another_manager(self) -> None:
         """The manager ends; the nodes go on, and the next one goes on with them."""
@@ -136,13 +164,8 @@ class Robot:
         """Each change of the writer that was heard."""
         return [(old, new) for (_, old, _), (_, new, _) in pairwise(self.heard) if old != new]
 
-    def holes(self) -> list[str]:
-        """Messages that are missing between two of one writer."""
-        return [
-            f"{name}: {last} to {number}"
-            for (_, before, last), (_, name, number) in pairwise(self.heard)
-            if name == before and number != last + 1
-        ]
+    def holes(self) -> list[Hole]:
+        return holes(self.heard)
 
 
 def manager_of(specification: Specification, folder: Path) -> Manager:

@@ -1,4 +1,7 @@
-"""A publisher in plain rclpy hangs: what relies on it is degraded within the stated window, and restored later."""
+"""A publisher in plain rclpy hangs: what relies on it is degraded within the stated window, and restored later.
+
+Each of the two, the publisher and the node that relies on it, may have a library preloaded, or be behind a relay.
+"""
 
 from __future__ import annotations
 
@@ -51,8 +54,18 @@ node guard : Guard { scan <- /scan }
 """
 
 
+def program_of(pid: int) -> int:
+    """The process of the program behind the relay ``pid``."""
+    children = [path.read_text(encoding="ascii") for path in Path(f"/proc/{pid}/task").glob("*/children")]
+    (found,) = " ".join(children).split()
+    return int(found)
+
+
+@pytest.mark.parametrize(
+    ("lidar", "driver"), [("preload", "preload"), ("relay", "preload"), ("preload", "relay"), ("relay", "relay")]
+)
 def test_dependants_of_a_hung_publisher_are_degraded_and_restored(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lidar: str, driver: str
 ) -> None:
     """One in plain rclpy, whose next mode is a set of parameters, and one that uses Midstride's API."""
     monkeypatch.setenv("AMENT_PREFIX_PATH", planted(tmp_path / "prefix", "drive_nodes", "start"))
@@ -60,7 +73,9 @@ def test_dependants_of_a_hung_publisher_are_degraded_and_restored(
     start.write_text(f'#!/bin/sh\nexec {sys.executable} node.py "$@"\n', encoding="utf-8")
     (tmp_path / "node.py").write_text(PROGRAM, encoding="utf-8")
     (tmp_path / "guard.py").write_text(OURS, encoding="utf-8")
-    (tmp_path / "drive.stride").write_text(TEXT + GUARD, encoding="utf-8")
+    text = TEXT.replace('"drive_nodes" gate preload', f'"drive_nodes" gate {lidar}')
+    text = text.replace('driver" gate preload', f'driver" gate {driver}')
+    (tmp_path / "drive.stride").write_text(text + GUARD, encoding="utf-8")
     (tmp_path / "system").mkdir()
     workspace = Workspace(tmp_path / "system")
     manager = Manager(load(tmp_path / "drive.stride").require(), backends.make("ros2", workspace), workspace, tmp_path)
@@ -85,6 +100,8 @@ def test_dependants_of_a_hung_publisher_are_degraded_and_restored(
 
             await bare.until(lambda: heard[-5:] == ["1.0 2"] * 5, 60)
             pid = (await manager.peek("lidar")).pid
+            if lidar == "relay":
+                pid = program_of(pid)
             begun = time.monotonic()
             os.kill(pid, signal.SIGSTOP)
             try:

@@ -94,14 +94,16 @@ node driver : Driver { scan <- /scan   cmd -> /cmd }
 """
 
 
+@pytest.mark.parametrize("gate", ["preload", "relay"])
 def test_a_mode_sets_parameters_and_one_that_is_refused_is_not_entered(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gate: str
 ) -> None:
     monkeypatch.setenv("AMENT_PREFIX_PATH", planted(tmp_path / "prefix", "drive_nodes", "start"))
     start = tmp_path / "prefix" / "lib" / "drive_nodes" / "start"
     start.write_text(f'#!/bin/sh\nexec {sys.executable} node.py "$@"\n', encoding="utf-8")
     (tmp_path / "node.py").write_text(PROGRAM, encoding="utf-8")
-    (tmp_path / "drive.stride").write_text(TEXT, encoding="utf-8")
+    text = TEXT.replace('driver" gate preload', f'driver" gate {gate}')
+    (tmp_path / "drive.stride").write_text(text, encoding="utf-8")
     (tmp_path / "system").mkdir()
     workspace = Workspace(tmp_path / "system")
     manager = Manager(load(tmp_path / "drive.stride").require(), backends.make("ros2", workspace), workspace, tmp_path)

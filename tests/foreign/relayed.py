@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -17,6 +17,7 @@ from typing import Any, ClassVar, TypeVar
 from midstride.backends.naming import full
 from midstride.backends.ros2.foreign_nodes import ForeignNodes
 from midstride.backends.simulator import Simulator
+from midstride.backends.simulator.clock import SimulatedTimer
 from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.relay import RelayComponent, RelayPlatform
 from midstride.foreign.relayed_program import RelayOrder
@@ -52,17 +53,27 @@ class Program:
     """How the nodes of a component behave: they publish at ``rate`` (Hz).
 
     ``hung``: the instances that write nothing now; all do so after ``most`` messages. ``type``: of the subscriptions.
+    ``set``: what was set at once of their parameters, in order; ``rejects``: by parameter, why it cannot be.
     """
 
     rate: float = 50.0
     hung: set[str] = field(default_factory=set)
     most: float = math.inf
     type: str = "std_msgs/msg/String"
+    set: list[dict[str, Any]] = field(default_factory=list)
+    rejects: dict[str, str] = field(default_factory=dict)
+
+    async def set_parameters(self, values: Mapping[str, Any], timeout: float) -> str | None:
+        if refused := [self.rejects[name] for name in values if name in self.rejects]:
+            return refused[0]
+        self.set.append(dict(values))
+        return None
 
 
 class SimulatedRelays(Simulator):
     """A simulator with relays. ``programs``: by component. ``heard``: by instance, when (ns) and what it received.
 
+    ``written``: by instance, when its program has published each of its messages (ns).
     ``exits``: by instance, to be called when its program has exited.
     """
 
@@ -74,6 +85,7 @@ class SimulatedRelays(Simulator):
         SimulatedRelays.current = self
         self.programs = programs
         self.heard: dict[str, list[tuple[int, str]]] = {}
+        self.written: dict[str, list[int]] = {}
         self.exits: dict[str, Callable[[], None]] = {}
         transport: Any = self.control
         self._foreign = ForeignNodes(folder, transport, lambda _: None)
@@ -99,7 +111,10 @@ class SimulatedRelay(RelayComponent):
         self.instance = find().instance or ""
         running: Any = SimpleNamespace(status=lambda: None, watch=partial(lab.exits.__setitem__, self.instance))
         graph = partial(self._endpoints, program)
-        super().__init__(order, running, RelayPlatform(joined, lambda _: Text, lambda _: Read, lambda *_: graph()))
+        platform = RelayPlatform(
+            joined, lambda _: Text, lambda _: Read, lambda *_: graph(), parameters=lambda *_: program
+        )
+        super().__init__(order, running, platform)
         heard = lab.heard.setdefault(self.instance, [])
         for port in self.parts.inputs.values():
             port.listeners = (lambda message, _: heard.append((lab.time.ros_now(), message.data)),)
@@ -115,15 +130,21 @@ class SimulatedRelay(RelayComponent):
         super()._set_up(node)
 
     def _publish(self, host: Host, topic: str, qos: QoS, program: Program) -> None:
-        publisher, written = host.create_publisher(topic, Text, qos), 0
+        lab, publisher, written = SimulatedRelays.current, host.create_publisher(topic, Text, qos), 0
+        times = lab.written[self.instance] = []
 
         def write(first: int, last: int) -> None:
             nonlocal written
             if self.instance not in program.hung and written < program.most:
                 written += 1
+                times.append(lab.time.ros_now())
                 publisher.publish(Text(f"{self.instance} {written}"))
 
-        host.create_timer(1 / program.rate, None, write)
+        def begin() -> None:
+            """It goes on while its relay is frozen, or hangs."""
+            SimulatedTimer(lab.time, lambda call: call(), round(1e9 / program.rate), None, write)
+
+        lab.time.loop.call_later(2 * lab.network.discovery, begin)
 
 
 def managed(

@@ -16,12 +16,14 @@ from midstride.foreign.node import ForeignNode
 from midstride.foreign.page import Page
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.reflex import broken_assumptions
+from midstride.foreign.reported_writes import FRESH, ReportedWrites
 from midstride.lang.load import load
 from midstride.node.baton import BatonStep
 from midstride.runtime.clock import SystemClock
 from midstride.runtime.component_client import ComponentClient
 from midstride.wire import commands
 from midstride.wire.sockets import SocketFolder
+from midstride.wire.state import ComponentState, GateState, LinkState, Measured
 
 TEXT = """system drive
 
@@ -146,6 +148,54 @@ def test_one_that_may_not_publish_is_not_judged(robot: Robot) -> None:
     assert broken_assumptions(robot.driver)
     robot.page.step(lidar.baton("scan"), BatonStep.GIVE, 100)
     assert broken_assumptions(robot.driver) == {}
+
+
+def report(
+    instance: str, topic: str, age: float | None, gate: GateState = "open", simulated: bool = False
+) -> ComponentState:
+    link = LinkState(gate=gate, count=1, measured=Measured(window=1.0, age=age))
+    return ComponentState(
+        instance=instance,
+        uuid="1",
+        pid=1,
+        revision=0,
+        functionalities={},
+        ports={"out": {topic: link}},
+        parameters={},
+        stopping=0.0,
+        simulated_time=simulated,
+    )
+
+
+def test_publishers_that_report_are_judged_as_well(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As relays do: the topic is silent if none of its publishers writes."""
+    writes = ReportedWrites()
+    robot.driver.reported = writes.silence
+    robot.gates["Lidar"].set_gate("scan", False)
+    robot.received(30)
+    writes.note(report("relay", "/scan", 30.0))
+    assert "received nothing on /scan for 30" in broken_assumptions(robot.driver)["drive"][1]
+    writes.note(report("other", "/scan", 0.1))
+    assert broken_assumptions(robot.driver) == {}
+    writes.note(report("other", "/scan", 0.1, gate="closed"))
+    assert broken_assumptions(robot.driver)
+    robot.gates["Lidar"].set_gate("scan", True)
+    robot.wrote(1)
+    assert broken_assumptions(robot.driver) == {}
+    robot.wrote(30)
+    assert broken_assumptions(robot.driver)
+    robot.gates["Lidar"].set_gate("scan", False)
+    for state in (
+        report("relay", "/cmd", 30.0),
+        report("relay", "/scan", None),
+        report("relay", "/scan", 30.0, simulated=True),
+    ):
+        writes.note(state)
+        assert broken_assumptions(robot.driver) == {}
+    writes.note(report("relay", "/scan", 30.0))
+    now = time.monotonic()
+    monkeypatch.setattr(time, "monotonic", lambda: now + FRESH)  # it has stopped reporting
+    assert writes.silence("/scan") is None
 
 
 def test_on_simulated_time_nothing_is_judged(robot: Robot) -> None:

@@ -18,6 +18,7 @@ from midstride.foreign.relayed_program import RelayedProgram, RelayOrder, differ
 from midstride.lang.load import load
 from midstride.model.contract import QoS
 from midstride.plan.request import PlanRequest
+from midstride.runtime.handover import LEADS
 from midstride.runtime.manager import Manager
 from midstride.runtime.reaper import process_info
 from tests.foreign.chat import chat
@@ -57,6 +58,33 @@ def test_one_program_is_heard_at_each_moment_and_no_slot_is_missed(tmp_path: Pat
         gap = max(b - a for (a, _), (b, _) in pairwise(heard))
         assert gap <= 1.3 * 20e6, gap
         assert (await manager.status()).valid
+
+    managed(tmp_path, TEXT, programs(), body)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.004, 0.03, 0.1])
+def test_a_relay_that_runs_late_is_not_heard_after_its_successor(tmp_path: Path, late: float) -> None:
+    """What the old program published before the cut waits in its relay until ``late`` (s) after it, and is heard."""
+
+    async def body(manager: Manager, simulator: SimulatedRelays) -> None:
+        async def stall(instance: str, command: str) -> None:
+            """As soon as both sides know the cut."""
+            if command == "cut_in":
+                (old,) = (name for name in manager.configuration.instances if name not in (instance, "listener"))
+                simulator.faults.hang(old, LEADS[0] + late)
+
+        await asyncio.sleep(2)
+        simulator.control.before_request = stall
+        for number in range(4):
+            await asyncio.sleep(1 + number * 0.0053)  # at another phase of the old program's grid
+            outcome = await manager.change(PlanRequest(replace=(("talker", ("Other", "Talker")[number % 2]),)))
+            assert (outcome.outcome, outcome.because) == ("done", None)
+            found = writers(simulator.heard["listener"])
+            assert len([1 for (old, _), (new, _) in pairwise(found) if old != new]) == number + 1
+            assert all(b == a + 1 for (old, a), (new, b) in pairwise(found) if old == new)
+            (old, last), (new, first) = next((a, b) for a, b in pairwise(found[::-1]) if a[0] != b[0])[::-1]
+            # The one's next message, and the other's message before, were published on the other side of the cut.
+            assert simulator.written[old][last] > simulator.written[new][first - 2]
 
     managed(tmp_path, TEXT, programs(), body)
 

@@ -253,3 +253,31 @@ def test_of_one_publisher_a_newer_message_shows_that_all_older_have_arrived(in_o
     clocks.time += 1
     owner.watch(T + 1)
     assert side.passed() is in_order
+
+
+def test_a_data_thread_that_did_not_run_may_have_messages_waiting() -> None:
+    """So that none has come for long says nothing until it has looked again."""
+    owner, clocks = Owner(driven="message", rate=None), Clocks(T - 100)
+    link, published = link_of(owner)
+    side = OutgoingCut([link], T, clocks.host, PipeClaim({}, "cut"), in_order=True)
+    side.arm()
+    clocks.time = T + 300_000_000
+    assert not side.passed()
+    owner.info = T - 10
+    owner.watch(T - 10)
+    write(link, "late")
+    clocks.time += 60_000_000
+    assert [side.passed() for _ in range(3)] == [False, False, True]
+    assert published == ["late"]
+
+
+def test_what_comes_after_the_new_side_has_waited_for_it_is_left_out() -> None:
+    owner, clocks = Owner(driven="message", rate=None, info=T - 10), Clocks(T)
+    link, published = link_of(owner)
+    side = OutgoingCut([link], T, clocks.host, PipeClaim({}, "cut"), until=T + 1000)
+    side.arm()
+    clocks.time = T + 1000
+    write(link, "in time")
+    clocks.time += 1
+    write(link, "too late")
+    assert (published, link.gated) == (["in time"], 1)

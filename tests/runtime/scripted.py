@@ -304,6 +304,9 @@ class ScriptedBackend:
     def disconnected(self, instance: str) -> None:
         self.disconnections.append(instance)
 
+    def reported(self, state: ComponentState) -> None:
+        pass
+
     def middleware(self) -> Middleware:
         return Middleware(name="scripted")
 

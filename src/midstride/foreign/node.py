@@ -47,6 +47,8 @@ class ForeignNode:
         self.declared: dict[str, Any] = {}
         self.differences: list[str] = []  # in which way the graph shows another node than the declared one
         self.undeclared: list[str] = []  # its topics that are no ports
+        # For how long (s) the components with an agent inside that may publish on a topic have written nothing there.
+        self.reported: Callable[[str], float | None] = lambda topic: None
         self._folder = folder
         self._since = dict.fromkeys(record.modes, time.monotonic())
         self._because = dict.fromkeys(record.modes, "started")

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from midstride.errors import CommandRefused
+from midstride.foreign.mode_parameters import on_entry, set_parameters
 from midstride.foreign.node import ForeignNode
 from midstride.foreign.services import NoAnswer, NodeServices
 from midstride.wire import commands
 
-# How long the node may take to say the values of its parameters, and to set some (s).
+# How long the node may take to say the values of its parameters (s).
 READ_TIMEOUT: Final = 1.0
-SET_TIMEOUT: Final = 4.0
 # Parameters that ROS 2 itself declares, and that cannot be set.
 _OF_ROS: Final = ("qos_overrides.", "start_type_description_service")
 
@@ -61,30 +60,9 @@ class ForeignParameters:
 
     async def enter_modes(self, modes: Mapping[str, str]) -> None:
         """Set what these modes (by functionality) state. Raises CommandRefused with the node's reason."""
-        component, values = self._node.component, dict[str, Any]()
-        stated = {name: declared.value for name, declared in component.parameters.items()} | self._node.record.stated
-        for name, mode in modes.items():
-            functionality = component.functionalities[name]
-            values |= functionality.on_entry(functionality.modes[functionality.mode_index(mode)], stated)
-        await self.apply(values)
+        await self.apply(on_entry(self._node.component, modes, self._node.record.stated))
 
     async def apply(self, values: Mapping[str, Any]) -> None:
         """Set all of these, or none. Raises CommandRefused with the node's reason."""
-        if not values:
-            return
-        what, instance = ", ".join(f"{name} = {value!r}" for name, value in values.items()), self._node.record.instance
-        try:
-            refused = await self._services.set_parameters(self._typed(values), SET_TIMEOUT)
-        except NoAnswer as error:
-            raise CommandRefused(f"{instance} has not set {what}: {error}") from None
-        if refused is not None:
-            raise CommandRefused(f"{instance} refuses {what}: {refused or 'it gives no reason'}")
-
-    def _typed(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """An integer as a float where that is the parameter's type: a specification may state `1` for `1.0`."""
-        declared, known = self._node.component.parameters, self._node.parameters
-
-        def real(name: str) -> bool:
-            return isinstance(known.get(name, declared[name].value if name in declared else None), float)
-
-        return {name: float(value) if type(value) is int and real(name) else value for name, value in values.items()}
+        node = self._node
+        await set_parameters(self._services, node.record.instance, node.component, values, node.parameters)

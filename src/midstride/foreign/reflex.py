@@ -1,7 +1,7 @@
 """The reflex of a node without Midstride's API: its agent degrades what relies on a publisher that has fallen silent.
 
-docs/semantics.md section 7, *Nodes without Midstride's API*. Publishers behind gates are judged: the page shows when
-each of them wrote last, also while the node itself is too busy to take messages.
+docs/semantics.md section 7, *Nodes without Midstride's API*. Publishers are judged by when they wrote last, which the
+page shows of those with a preloaded library, and others report: the node itself may be too busy to take messages.
 """
 
 from __future__ import annotations
@@ -36,10 +36,11 @@ def _silence(node: ForeignNode, functionality: str, port: str) -> str | None:
     if port not in node.record.links or not rate or (received := gates.age(port)) is None:
         return None
     topic, tolerates = node.record.topics[port], node.component.tolerates.get(port)
-    if (written := gates.page.silence(topic)) is None:
+    publishers = [age for age in (gates.page.silence(topic), node.reported(topic)) if age is not None]
+    if not publishers:
         return None
     tolerated = tolerated_periods(rate, tolerates, LONG_FLOOR) / rate
-    if min(received, written, node.seconds_in_mode(functionality)) <= tolerated:
+    if min(received, *publishers, node.seconds_in_mode(functionality)) <= tolerated:
         return None
     words = f"input {port} received nothing on {topic} for {received:.2f} s"
     return f"{words} ({rate:g} Hz is assumed; silence is tolerated for {tolerated:.2g} s)"

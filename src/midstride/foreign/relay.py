@@ -15,16 +15,18 @@ import math
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
 from midstride.errors import MidstrideError, NodeError
 from midstride.foreign.graph_check import GraphEndpoint
+from midstride.foreign.mode_parameters import on_entry, set_parameters
 from midstride.foreign.reflex import inputs_of
 from midstride.foreign.relay_endpoints import ProgramEndpoints
 from midstride.foreign.relayed_program import RelayedProgram, RelayOrder
+from midstride.foreign.services import ParameterSetter
 from midstride.model.component import FunctionalitySpec, Mode
 from midstride.model.contract import Predicate, QoS
 from midstride.node.agent import Agent
@@ -51,6 +53,7 @@ class RelayPlatform:
     serialised. ``graph``: what the graph shows of the program's node; None if it shows no such node.
     ``decoder``: reads such messages of a type, of which only some are, and only where the contract constrains fields.
     ``advertises_late``: a program may create a publisher only when it has something to publish, so none is waited for.
+    ``parameters``: sets those of the program's node; called on the data thread. None where there is no such service.
     """
 
     host: Callable[[ProcessContext], Host]
@@ -58,6 +61,7 @@ class RelayPlatform:
     decoder: Callable[[str], Callable[[Any], Any]]
     graph: Callable[[Host, RelayOrder], Sequence[GraphEndpoint] | None]
     advertises_late: bool = False
+    parameters: Callable[[Host, RelayOrder], ParameterSetter] | None = None
 
 
 def patient(qos: QoS, rate: float | None) -> QoS:
@@ -125,6 +129,7 @@ class RelayComponent:
         self._type_of = type_of = platform.type_of
         self._fault: str | None = None  # why the relay must end
         self.host: Host | None = None
+        self._parameters: ParameterSetter | None = None
         self.parts = DeclaredParts()
         self.relays: dict[str, Relay] = {}
         for name in component.input_order:
@@ -138,6 +143,12 @@ class RelayComponent:
         for functionality in component:
             self.parts.functionalities[functionality.name] = self._functionality(functionality)
         self.parts.callbacks.setup = self._set_up
+        if any(functionality.parameters() for functionality in component):
+            if platform.parameters is None:
+                raise NodeError(
+                    f"{component.name} has modes that set parameters, and a node of ROS 1 has no service for that"
+                )
+            self.parts.callbacks.before_modes = self._before_modes
 
     def _relay(self, name: str) -> Relay:
         endpoint, owner = self.component.output_endpoint(name), self.component.owner(name)
@@ -187,7 +198,15 @@ class RelayComponent:
         assert self.host is not None
         for relay in self.relays.values():
             relay.subscribe(self.host)
+        if self._platform.parameters is not None and self.parts.callbacks.before_modes is not None:
+            self._parameters = self._platform.parameters(self.host, self.order)
         self._program_endpoints().wait()
+
+    async def _before_modes(self, modes: Mapping[str, str]) -> None:
+        """Set what these modes, by functionality, state. Raises CommandRefused with the node's reason."""
+        assert self.host is not None and self._parameters is not None
+        values = on_entry(self.component, modes, self.order.stated)
+        await set_parameters(self._parameters, self.host.instance, self.component, values)
 
     def _program_endpoints(self) -> ProgramEndpoints:
         host, platform = self.host, self._platform

@@ -10,7 +10,7 @@ import subprocess
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 
@@ -31,7 +31,8 @@ class RelayOrder(WireValue, frozen=True, kw_only=True):
 
     ``topics``: by port, the full name of the topic that the program uses, which for an output is private.
     ``real``: by output that is attached, the topic on which the relay publishes. ``environment``: the variables that
-    are others for the program than for the relay; None: it has none.
+    are others for the program than for the relay; None: it has none. ``stated``: the parameters that the specification
+    has for this node.
     """
 
     command: list[str]
@@ -40,6 +41,7 @@ class RelayOrder(WireValue, frozen=True, kw_only=True):
     topics: dict[str, str]
     environment: dict[str, str | None] = {}
     real: dict[str, str] = {}
+    stated: dict[str, Any] = {}
 
     def write(self, path: Path) -> None:
         """Raises BackendError."""

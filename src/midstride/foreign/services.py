@@ -12,7 +12,14 @@ class NoAnswer(BackendError):
     """The node has not answered a request in time, or does not serve it."""
 
 
-class NodeServices(Protocol):
+class ParameterSetter(Protocol):
+    """Sets the parameters of a node."""
+
+    async def set_parameters(self, values: Mapping[str, Any], timeout: float) -> str | None:
+        """Set all of these parameters or none, in ``timeout`` (s); None, or why the node refuses. Raises NoAnswer."""
+
+
+class NodeServices(ParameterSetter, Protocol):
     """The services that a node of ROS 2 has without code of its author. Times are in s; each raises NoAnswer."""
 
     def close(self) -> None:
@@ -26,6 +33,3 @@ class NodeServices(Protocol):
 
     async def parameters(self, timeout: float) -> dict[str, Any]:
         """The values of all parameters that have one."""
-
-    async def set_parameters(self, values: Mapping[str, Any], timeout: float) -> str | None:
-        """Set all of these parameters or none; None, or why the node refuses."""

@@ -277,11 +277,10 @@ MODEL: Final = (
         "E027: gate that cannot work",
         """A component with a `gate`, whose program does not use Midstride's API, has no `run` command, a parameter that
         is `changeable`, an input that is a `condition`, or a mode between the first and the last that sets no
-        parameter; with `gate lifecycle`, it has several functionalities; with `gate relay`, a mode between the first
-        and the last, one with parameters, or an output for which no mode states a type; its node attaches a port to
-        several topics; or a component without a `gate` has a name for the topic of a port (`as`), or a mode with
-        parameters. A parameter of a mode is declared in the component, with a value of the same type, and belongs to
-        the modes of one functionality.""",
+        parameter; with `gate lifecycle`, it has several functionalities; with `gate relay`, an output for which no mode
+        states a type; its node attaches a port to several topics; or a component without a `gate` has a name for the
+        topic of a port (`as`), or a mode with parameters. A parameter of a mode is declared in the component, with a
+        value of the same type, and belongs to the modes of one functionality.""",
         "correct the statement that the message names",
         STARTED.replace("output out", "output out as chat") + NODE,
         STARTED.replace('talker"', 'talker" gate preload').replace("mode silent", "mode quiet { }\n    mode silent")
@@ -300,10 +299,6 @@ MODEL: Final = (
         .replace("produces out", "produces out, log")
         + NODE,
         STARTED.replace('talker"', 'talker" gate relay').replace("mode silent", "mode quiet { }\n    mode silent")
-        + NODE,
-        STARTED.replace('talker"\n', 'talker" gate relay\n  parameters { volume = 1 }\n').replace(
-            "mode silent { }", "mode silent { parameters { volume = 0 } }"
-        )
         + NODE,
         STARTED.replace('talker"\n', 'talker" gate none\n  parameters { changeable volume = 1 }\n') + NODE,
         STARTED.replace('talker"', 'talker" gate preload').replace(

@@ -36,7 +36,7 @@ def gate_problems(component: ComponentSpec, path: Path) -> Iterator[Problem]:
         yield Problem(_CODE, (*path, "gate"), message, help)
     for functionality in component:
         for mode in functionality.modes[1:-1]:
-            if not functionality.parameters() and component.gate != "relay":
+            if not functionality.parameters():
                 where = (*path, "functionalities", functionality.name, "modes", mode.name)
                 message = f"mode {mode.name} of {functionality.name} does the same as the normal mode"
                 help = "with a gate, state what differs: `parameters { … }`; the gate is closed in the last mode only"
@@ -51,23 +51,13 @@ def gate_problems(component: ComponentSpec, path: Path) -> Iterator[Problem]:
 
 
 def _relayed(component: ComponentSpec, path: Path) -> Iterator[Problem]:
-    """A relay passes messages of a known type on or not, and sets no parameters."""
+    """A relay passes messages of a known type on or not."""
     for functionality in component:
         for output in functionality.outputs:
             if all(mode.guarantees.get(output) is None for mode in functionality.modes):
                 message = f"output {output} of {component.name} has no type, and a relay needs it"
                 help = f"state it in a mode of {functionality.name}: `guarantee {output} : std_msgs/msg/String`"
                 yield Problem(_CODE, (*path, "functionalities", functionality.name), message, help)
-        where = (*path, "functionalities", functionality.name, "modes")
-        for mode in functionality.modes:
-            if mode in functionality.modes[1:-1]:
-                message = f"mode {mode.name} of {functionality.name} does the same as the normal mode"
-                help = "with `gate relay`, declare two modes: the relay is open in the first, and closed in the last"
-                yield Problem(_CODE, (*where, mode.name), message, help)
-            for name in sorted(mode.parameters):
-                message = f"mode {mode.name} of {functionality.name} sets {name}, and {component.name} has `gate relay`"
-                help = "modes set parameters with `gate preload`, `gate lifecycle` or `gate none`"
-                yield Problem(_CODE, (*where, mode.name, "parameters", name), message, help)
 
 
 def _mode_parameters(component: ComponentSpec, path: Path) -> Iterator[Problem]:

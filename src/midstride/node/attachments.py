@@ -37,6 +37,11 @@ class Attachments:
     host: Host
     data: DataExecutor
 
+    @property
+    def relays(self) -> bool:
+        """Whether messages of another program pass through an output."""
+        return any(output.relayed for output in self.parts.outputs.values())
+
     def port(self, name: str) -> Input | Output:
         found = self.parts.ports.get(name)
         if found is None:

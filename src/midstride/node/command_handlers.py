@@ -11,7 +11,7 @@ import bisect
 import contextlib
 import socket
 import threading
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, TypeVar
@@ -77,7 +77,8 @@ class CommandHandlers:
         self._under_way = 0
         self._hold: Hold | None = None
         self._expiry: asyncio.Task[None] | None = None  # of the hold
-        self.reflex = Reflex(self.host, self._runners, lambda: self._under_way > 0, self.degraded, self.changed)
+        before = self.parts.callbacks.before_modes
+        self.reflex = Reflex(self.host, self._runners, lambda: self._under_way > 0, self.degraded, self.changed, before)
         self._data = DataExecutor(self.host, self._busy_words)
         self._attachments = Attachments(self.parts, self.host, self._data)
         self._hooks = StateHooks(self.parts.callbacks, self._data)
@@ -235,6 +236,21 @@ class CommandHandlers:
 
     async def _modes(self, command: commands.ModesCommand, expected: int | None) -> commands.PreviousModes:
         indices = {name: self._mode_index(name, mode) for name, mode in command.modes.items()}
+        before = self.parts.callbacks.before_modes
+        if before is None:
+            return await self._switch_modes(command, indices, expected)
+        current = {runner.name: runner.current_mode() for runner in self._runners if runner.name in indices}
+        await before(command.modes)
+        try:
+            return await self._switch_modes(command, indices, expected)
+        except CommandRefused:
+            with contextlib.suppress(CommandRefused):
+                await before(current)
+            raise
+
+    async def _switch_modes(
+        self, command: commands.ModesCommand, indices: Mapping[str, int], expected: int | None
+    ) -> commands.PreviousModes:
         targets = {runner: indices[runner.name] for runner in self._runners if runner.name in indices}
         settled = asyncio.Event()
         on_settled = partial(asyncio.get_running_loop().call_soon_threadsafe, settled.set)

@@ -24,6 +24,9 @@ from midstride.wire.transport import CutClaim
 
 # How long after T a message published before it may still be in transit (s).
 GRACE: Final = 0.05
+# How often at least, between two messages, the data thread finds that none has come before that counts as silence: a
+# thread that has been kept from running has messages waiting.
+LOOKS: Final = 3
 
 Written = tuple[int, int]  # the publisher's number, and when
 
@@ -122,6 +125,8 @@ class OutgoingCut(_Side):
     """The old side. ``in_order``: whether all messages that drive it come from one publisher, and so in order."""
 
     in_order: bool = False
+    # From then on, what belongs before T is too late: the new side has waited for it no longer (ns, as T).
+    until: int | None = None
     over = False
     # When the new side was known to have taken over (steady, ns).
     taken_at: int | None = field(default=None, init=False)
@@ -129,6 +134,8 @@ class OutgoingCut(_Side):
     newer_at: int | None = field(default=None, init=False)
     # Since when its time grid seems to have stopped (steady, ns).
     _stopped_at: int | None = field(default=None, init=False)
+    # How often it was looked whether everything has been written, since the last input.
+    _looks: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -145,7 +152,9 @@ class OutgoingCut(_Side):
         return not (belongs_after(runner, self.at, self.host, clock=self.clock) or self._outdated(runner))
 
     def _outdated(self, runner: OutputOwner) -> bool:
-        """Whether the call of a time grid comes so late that its message must not be heard beside the new side's."""
+        """Whether a call comes so late that its message must not be heard beside the new side's."""
+        if self.until is not None and self.now() > self.until:
+            return True
         rate = runner.rate
         if rate is None or self.taken_at is None or self.host.steady() - self.taken_at < GRACE * 1e9:
             return False
@@ -156,6 +165,7 @@ class OutgoingCut(_Side):
 
     def passed(self) -> bool:
         """Whether everything that belongs before T has been written here. Then the gates close."""
+        self._looks += 1
         if not self.over and all(self._runner_passed(runner) for runner in self._runners):
             self.over = self.now() >= self.at
             if self.over:
@@ -200,7 +210,7 @@ class OutgoingCut(_Side):
         return found
 
     def _on_input(self, info: Any) -> None:
-        self._last_input = self.host.steady()
+        self._last_input, self._looks = self.host.steady(), 0
         time = source_of(info, self.host) if comparable(self.host, self.clock, "message") else self.now()
         if self.newer_at is None and time > self.at:
             self.newer_at = self._last_input
@@ -214,8 +224,8 @@ class OutgoingCut(_Side):
             # T may still be in transit.
             if self.in_order and self.newer_at is not None:
                 return True
-            quiet = self.host.steady() - self._last_input
-            return late > GRACE * 1e9 and (self.newer_at is not None or quiet > GRACE * 1e9)
+            quiet = self.host.steady() - self._last_input > GRACE * 1e9 and self._looks >= LOOKS
+            return late > GRACE * 1e9 and (self.newer_at is not None or quiet)
         rate = runner.rate
         if rate is None:
             return late >= 0

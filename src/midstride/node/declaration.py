@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -30,6 +30,8 @@ class Callbacks:
     import_state: Callable[[bytes], None] | None = None
     export_changes: Callable[[], bytes] | None = None
     import_changes: Callable[[bytes], None] | None = None
+    # What must be done before functionalities enter modes (by name). On the control thread; raises CommandRefused.
+    before_modes: Callable[[Mapping[str, str]], Awaitable[None]] | None = None
 
 
 @dataclass(frozen=True, slots=True)

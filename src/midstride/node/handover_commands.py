@@ -119,6 +119,8 @@ class HandoverCommands:
         export = None if command.state is None else self._export(command.state)
         in_order = export is not None and _in_order(links)
         side = OutgoingCut(links, command.at, self.host, self._claim(command), in_order=in_order, clock=command.clock)
+        if command.state is not None and command.state.order_only:
+            side.until = command.at + int(command.state.timeout * 1e9)
 
         def arm() -> None:
             side.arm()
@@ -227,12 +229,15 @@ class HandoverCommands:
                 await self.hooks.import_(state, command.timeout)
             return commands.StateOffer(exports="changes")
         offered = await self._ask(command, commands.OfferStateCommand(changes=self.hooks.imports_changes))
-        if offered.exports != "nothing":
+        if offered.exports in ("whole", "changes"):
             self.hooks.check_import()
         return offered
 
     async def offer_state(self, command: commands.OfferStateCommand) -> commands.StateOffer:
-        return commands.StateOffer(exports=self.hooks.exports(command.changes))
+        exports = self.hooks.exports(command.changes)
+        if exports == "nothing" and self.attachments.relays:
+            return commands.StateOffer(exports="order")
+        return commands.StateOffer(exports=exports)
 
     async def fetch_state(self, command: commands.FetchStateCommand) -> commands.FetchedState:
         return await self._exporting(command.transfer).fetch()

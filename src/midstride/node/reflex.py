@@ -9,11 +9,13 @@ the state shows the worse mode at once, and the change follows when the call ret
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterator, Sequence
+import contextlib
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Final
 
+from midstride.errors import CommandRefused
 from midstride.node.functionality_runner import FunctionalityRunner
 from midstride.node.host import Host
 from midstride.node.mode_switch import ModeSwitch
@@ -158,7 +160,8 @@ class Reflex:
 
     ``commanded``: whether a command of the manager is being carried out, which may keep the data thread busy.
     ``degraded`` is called once a functionality has degraded, or its state shows so; on either thread. ``turned`` is
-    called on the control thread when a condition has begun or ceased to hold.
+    called on the control thread when a condition has begun or ceased to hold. ``before`` is awaited before a
+    functionality enters a mode, by name; where it raises CommandRefused, the last mode is entered instead.
     """
 
     host: Host
@@ -166,6 +169,7 @@ class Reflex:
     commanded: Callable[[], bool]
     degraded: Callable[[FunctionalityRunner], None]
     turned: Callable[[], None]
+    before: Callable[[Mapping[str, str]], Awaitable[None]] | None = None
     _watches: dict[FunctionalityRunner, Watch] = field(default_factory=dict)
     _turn: asyncio.Event = field(default_factory=asyncio.Event)
 
@@ -271,7 +275,8 @@ class Reflex:
             return None if runner.entered == watch.entered else "its mode has changed meanwhile"
 
         def settled() -> None:
-            if runner.index == index and runner.because == because and not fall.shown:
+            index = fall.switch.targets[runner]
+            if runner.index == index and runner.because == fall.switch.because and not fall.shown:
                 fall.shown = True
                 self.degraded(runner)
 
@@ -288,7 +293,21 @@ class Reflex:
 
     def _post(self, fall: Fall) -> None:
         fall.attempted = False
-        asyncio.ensure_future(self.host.on_data(fall.attempt)).add_done_callback(self._log_failure)
+        attempt = self.host.on_data(fall.attempt) if self.before is None else self._prepared(fall, self.before)
+        asyncio.ensure_future(attempt).add_done_callback(self._log_failure)
+
+    async def _prepared(self, fall: Fall, before: Callable[[Mapping[str, str]], Awaitable[None]]) -> None:
+        """Attempt ``fall`` once what must come before it is done."""
+        switch = fall.switch
+        try:
+            await before({runner.name: runner.chain[index].name for runner, index in switch.targets.items()})
+        except CommandRefused as error:
+            switch.because = f"{switch.because}; {error}"
+            switch.targets = {runner: runner.last for runner in switch.targets}
+            with contextlib.suppress(CommandRefused):  # its gate closes all the same
+                await before({runner.name: runner.chain[runner.last].name for runner in switch.targets})
+        fall.posted = self.host.steady()
+        await self.host.on_data(fall.attempt)
 
     def _follow(self, watch: Watch, fall: Fall) -> None:
         if fall.late:  # messages may be waiting behind the call that kept the data thread

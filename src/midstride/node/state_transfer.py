@@ -291,6 +291,8 @@ class StateImport(_Transfer):
         else:
             publisher, source = origin
             included = self._imported and source <= self._handled.get(publisher, self._since)
+        if included and self.transfer.order_only:
+            return "make"  # behind the gate, where the last one is kept
         if not self._open:
             return "drop" if included and origin is None else "hold"
         return "drop" if included else "make"

@@ -16,6 +16,7 @@ from typing import Final, Protocol
 from midstride.codec.form import Form
 from midstride.model.component import ComponentSpec
 from midstride.runtime.clock import Clock
+from midstride.wire.state import ComponentState
 from midstride.wire.transport import Transport
 
 # What the name of a relay's node has after the name of its instance, which is that of the program's node.
@@ -135,6 +136,9 @@ class Backend(Protocol):
 
     def disconnected(self, instance: str) -> None:
         """A component that was started by hand has exited, as its control connection shows."""
+
+    def reported(self, state: ComponentState) -> None:
+        """A component has reported its state."""
 
     def middleware(self) -> Middleware:
         """The middleware, and what is set for it. To be asked after ``open``."""

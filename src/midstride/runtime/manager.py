@@ -170,6 +170,7 @@ class Manager:
 
     def _on_component_event(self, event: ComponentEvent) -> None:
         if isinstance(event, ComponentState):
+            self._backend.reported(event)
             self._programs.on_report(event)
         if self._session.modes is not None:
             self._session.modes.on_component_event(event)

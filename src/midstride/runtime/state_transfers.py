@@ -20,6 +20,8 @@ from midstride.wire.commands import CutResult, PrepareStateCommand, StateTransfe
 
 # How long state may take to move at a cut (s): the topic is silent meanwhile.
 STATE_TIMEOUT: Final = 2.0
+# How long a new side may wait at a cut until the old one, a relay, has passed on what was published before (s).
+ORDER_TIMEOUT: Final = 1.0
 # How long the bulk of a state, which moves while the old component works, may take (s).
 BULK_TIMEOUT: Final = 30.0
 
@@ -82,17 +84,19 @@ class StateTransfers:
             await self.client.change(new, structs.replace(prepare, bulk=True, timeout=BULK_TIMEOUT))
             self._bulks[new] = begun
         if offer.exports != "nothing":
+            order_only = offer.exports == "order"
             self.agreed[old, new] = StateTransfer(
                 id="",
                 cuts=0,
                 at=0,
                 changes=changes,
-                required=self.required,
-                timeout=STATE_TIMEOUT,
+                required=self.required and not order_only,
+                timeout=ORDER_TIMEOUT if order_only else STATE_TIMEOUT,
                 new=new,
                 address=self.client.address(new),
+                order_only=order_only,
             )
-        elif old in self.keeping:
+        if offer.exports in ("nothing", "order") and old in self.keeping:
             self.note_own_state(old, new, "it does not use Midstride's API")
 
     def note_own_state(self, old: str, new: str, because: str) -> None:
@@ -101,13 +105,14 @@ class StateTransfers:
 
     def note_exit(self, old: str, new: str, *, hangs: bool) -> None:
         """``old`` has exited, or ``hangs``, before its state moved, if it keeps any."""
-        if old in self.keeping or (old, new) in self.agreed:
+        agreed = self.agreed.get((old, new))
+        if old in self.keeping or (agreed is not None and not agreed.order_only):
             how = "hangs" if hangs else "exited before it had exported its state"
             self.note_own_state(old, new, f"{old} {how}")
 
     def ended(self, cut: Cut, incoming: CutResult) -> None:
         """A cut is done on its new side: note what is missing, and a first slot that was late by more than a period."""
-        if incoming.because is not None:
+        if incoming.because is not None and (cut.state is None or not cut.state.order_only):
             self.note_own_state(cut.old, cut.new, incoming.because)
         written = [write.source for write in incoming.first.values() if write is not None and write.source is not None]
         if cut.state is None or cut.trigger != "rate" or not cut.period or not written:

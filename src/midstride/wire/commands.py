@@ -97,9 +97,12 @@ class FetchedState(WireValue, frozen=True, kw_only=True):
 
 
 class StateOffer(WireValue, frozen=True, kw_only=True):
-    """What a component exports at a cut: of ``changes``, the bulk has to move before."""
+    """What a component exports at a cut: of ``changes``, the bulk has to move before.
 
-    exports: Literal["nothing", "whole", "changes"]
+    ``order``: no state, but what it is to publish may still be waiting in it, and nothing newer may be published first.
+    """
+
+    exports: Literal["nothing", "order", "whole", "changes"]
 
 
 class GatedWrites(WireValue, frozen=True, kw_only=True):
@@ -445,7 +448,8 @@ class StateTransfer(WireValue, frozen=True, kw_only=True):
 
     That is at ``at`` on ``clock``. ``changes``: a bulk has moved before, and only what has changed since follows. It
     may take ``timeout`` seconds. If it fails, the new side does not take over where the state is ``required``; else it
-    continues with its own. ``new`` at ``address`` is the new side.
+    continues with its own. ``new`` at ``address`` is the new side. ``order_only``: no state moves; the new side waits,
+    for as long, until all that belongs before the cuts has been published.
     """
 
     id: str
@@ -457,6 +461,7 @@ class StateTransfer(WireValue, frozen=True, kw_only=True):
     timeout: Seconds = 2.0
     new: str = ""
     address: str = ""
+    order_only: bool = False
 
 
 class PrepareStateCommand(Command[StateOffer], frozen=True, kw_only=True, tag="prepare_state"):

@@ -26,6 +26,7 @@ from midstride.runtime.backend import RELAY_SUFFIX, Endpoints, Exited, Handle, L
 from midstride.runtime.process import Process
 from midstride.runtime.reaper import Reaper
 from midstride.runtime.timeouts import within
+from midstride.wire.state import ComponentState
 
 # How long taking back the registrations of a dead node may delay the report of its end (s).
 _TIDY: Final = 1.0
@@ -147,6 +148,9 @@ class Ros1Backend(processes.ProcessBackend):
 
     def disconnected(self, instance: str) -> None:
         self._begin(self._died(instance))
+
+    def reported(self, state: ComponentState) -> None:
+        pass  # every component has its agent inside
 
     def _begin(self, tidying: Coroutine[Any, Any, None]) -> None:
         task = asyncio.get_running_loop().create_task(tidying)

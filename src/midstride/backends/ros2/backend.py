@@ -42,6 +42,7 @@ from midstride.runtime.process import Process
 from midstride.runtime.reaper import Reaper
 from midstride.runtime.timeouts import within
 from midstride.wire.environment import ENV_SHARED_NAME
+from midstride.wire.state import ComponentState
 
 # A manager that has just joined knows no other node yet: that long it listens before it says that a name is free (s).
 _LISTEN: Final = 0.3
@@ -209,6 +210,9 @@ class Ros2Backend(ProcessBackend):
     def disconnected(self, instance: str) -> None:
         if self._context is not None:
             self._graph.forget(names.full(instance))
+
+    def reported(self, state: ComponentState) -> None:
+        self._foreign_nodes.reported.note(state)
 
     def middleware(self) -> Middleware:
         return self.settings.described(os.environ, self.warnings)

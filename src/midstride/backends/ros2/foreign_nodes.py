@@ -28,6 +28,7 @@ from midstride.foreign.lifecycle_cuts import LifecyclePeers
 from midstride.foreign.page import PAGE, Page
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.relayed_program import RelayOrder, order_file, private_topics
+from midstride.foreign.reported_writes import ReportedWrites
 from midstride.foreign.services import NodeServices
 from midstride.model.component import ComponentSpec
 from midstride.runtime.backend import Handle, Launch
@@ -57,6 +58,7 @@ class ForeignNodes:
         self._services = services
         self._graph = graph
         self._peers = LifecyclePeers()
+        self.reported = ReportedWrites()
         self._page: Page | None = None
         self._agents: dict[str, ForeignAgent] = {}
         self._relayed: dict[str, str] = {}  # by instance that has a relay, the full name of its program's node
@@ -114,6 +116,7 @@ class ForeignNodes:
             topics=topics,
             environment=dict(environment),
             real={port: topic for port, topic in launch.topics.items() if component.has_output(port)},
+            stated=dict(launch.parameters),
         )
         path = order_file(self._folder, launch.instance)
         order.write(path)
@@ -164,7 +167,7 @@ class ForeignNodes:
         self.names.add(record.node)
         services = self._services(record.node)
         graph = None if self._graph is None else partial(self._graph, record.node)
-        agent = ForeignAgent(record, self._folder, gates, services, self._peers, graph)
+        agent = ForeignAgent(record, self._folder, gates, services, self._peers, graph, self.reported)
         self._agents[record.instance] = agent
         await agent.open(self._transport)
 

@@ -140,6 +140,10 @@ class Ros2Host:
             subscription, self._destroy(self.ros_node.destroy_subscription), self.ros_node.count_publishers
         )
 
+    def leave_out(self, endpoint: Any) -> None:
+        """It is Midstride's own: :meth:`extra_endpoints` does not name it."""
+        self._ports.add(id(endpoint))
+
     def _destroy(self, destroy: Callable[[Any], object]) -> Callable[[Any], None]:
         def forget(endpoint: Any) -> None:
             self._ports.discard(id(endpoint))

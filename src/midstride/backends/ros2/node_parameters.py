@@ -113,7 +113,7 @@ def endpoints(node: Any, control: str, ports: Collection[int]) -> list[Endpoint]
     for serves, services in ((False, node.clients), (True, node.services)):  # a node that does both serves it
         for service in services:
             name = _service_name(node, service)
-            if not name.endswith(_SERVICES_OF_ROS):
+            if id(service) not in ports and not name.endswith(_SERVICES_OF_ROS):
                 found["service", name] = serves
     for name, serves in _actions(node, control):
         found["ROS action", name] = serves or bool(found.get(("ROS action", name)))

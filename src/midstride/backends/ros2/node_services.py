@@ -19,20 +19,30 @@ INTERVAL: Final = 0.002
 # ended, or the new one before it could answer.
 AGAIN: Final = 1.0
 Lost: TypeAlias = Callable[[], Awaitable[bool]]
+_SETTING: Final = (parameter_srv.SetParametersAtomically, "set_parameters_atomically")
 _TRANSITIONS: Final = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4, "shutdown": 5}
 
 
 class RosNodeServices:
     """Those of the node with the full name ``name``: a :class:`midstride.foreign.services.NodeServices`.
 
-    ``node`` is the manager's, which no executor spins: a response is taken as soon as the middleware has it.
+    No executor takes the responses: they are taken here, as soon as the middleware has them. The manager's ``node`` is
+    not spun; of one that is, ``group`` keeps the executor away, and clients are made by :meth:`connect`.
     """
 
-    def __init__(self, node: Any, name: str) -> None:
+    def __init__(self, node: Any, name: str, group: Any = None) -> None:
         self._node = node
+        self._group = group
         self._name = name
         self._clients: dict[str, Any] = {}
         self._waiting: dict[str, dict[int, asyncio.Future[Any]]] = {}  # by service, and number of the request
+
+    def connect(self) -> Any:
+        """Make the client that sets parameters, in the thread that may create endpoints, and return it."""
+        type_, service = _SETTING
+        client = self._node.create_client(type_, f"{self._name}/{service}", callback_group=self._group)
+        self._clients[service] = client
+        return client
 
     def close(self) -> None:
         for client in self._clients.values():
@@ -65,7 +75,7 @@ class RosNodeServices:
     async def set_parameters(self, values: Mapping[str, Any], timeout: float) -> str | None:
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         request = parameter_srv.SetParametersAtomically.Request(parameters=parameters)
-        type_, service = parameter_srv.SetParametersAtomically, "set_parameters_atomically"
+        type_, service = _SETTING
         result = (await self._call(type_, service, timeout, request)).result
         return None if result.successful else str(result.reason)
 
@@ -81,7 +91,7 @@ class RosNodeServices:
         name = f"{self._name}/{service}"
         client = self._clients.get(service)
         if client is None:
-            client = self._clients[service] = self._node.create_client(type_, name)
+            client = self._clients[service] = self._node.create_client(type_, name, callback_group=self._group)
         while not client.service_is_ready():
             if loop.time() >= deadline:
                 raise NoAnswer(f"it offers no service {name}")

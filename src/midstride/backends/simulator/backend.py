@@ -158,6 +158,9 @@ class Simulator:
     def disconnected(self, instance: str) -> None:
         pass  # it has left the simulated graph
 
+    def reported(self, state: ComponentState) -> None:
+        pass  # every component has its agent inside
+
     def middleware(self) -> Middleware:
         return Middleware(name="none: messages stay in the manager's process")
 

@@ -1,0 +1,60 @@
+"""Modes as sets of parameters, for programs that do not use Midstride's API (docs/semantics.md section 7)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from midstride.errors import CommandRefused
+from midstride.foreign.services import NoAnswer, ParameterSetter
+from midstride.model.component import ComponentSpec, ParameterValue
+
+# How long the node may take to set its parameters (s).
+SET_TIMEOUT: Final = 4.0
+
+
+def on_entry(
+    component: ComponentSpec, modes: Mapping[str, str], stated: Mapping[str, ParameterValue]
+) -> dict[str, ParameterValue]:
+    """What is set when these modes (by functionality) are entered.
+
+    ``stated``: the values of the node in the specification, which come before those of its component.
+    """
+    values = {name: declared.value for name, declared in component.parameters.items()} | dict(stated)
+    found: dict[str, ParameterValue] = {}
+    for name, mode in modes.items():
+        functionality = component.functionalities[name]
+        found |= functionality.on_entry(functionality.modes[functionality.mode_index(mode)], values)
+    return found
+
+
+async def set_parameters(
+    services: ParameterSetter,
+    instance: str,
+    component: ComponentSpec,
+    values: Mapping[str, Any],
+    known: Mapping[str, Any] | None = None,
+) -> None:
+    """Set all of these, or none. ``known``: the parameters of the node, where it has said them.
+
+    Raises CommandRefused with the node's reason.
+    """
+    if not values:
+        return
+    what = ", ".join(f"{name} = {value!r}" for name, value in values.items())
+    try:
+        refused = await services.set_parameters(_typed(component, values, known or {}), SET_TIMEOUT)
+    except NoAnswer as error:
+        raise CommandRefused(f"{instance} has not set {what}: {error}") from None
+    if refused is not None:
+        raise CommandRefused(f"{instance} refuses {what}: {refused or 'it gives no reason'}")
+
+
+def _typed(component: ComponentSpec, values: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
+    """An integer as a float where that is the parameter's type: a specification may state `1` for `1.0`."""
+    declared = component.parameters
+
+    def real(name: str) -> bool:
+        return isinstance(known.get(name, declared[name].value if name in declared else None), float)
+
+    return {name: float(value) if type(value) is int and real(name) else value for name, value in values.items()}
