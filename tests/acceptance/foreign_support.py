@@ -14,7 +14,7 @@ from contextlib import ExitStack, asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TextIO
 
 from midstride import backends
 from midstride.lang.load import load
@@ -192,10 +192,10 @@ def manager_of(specification: Specification, folder: Path) -> Manager:
 
 
 class Recorded:
-    """What a recorder in C writes into its file."""
+    """What a recorder in C writes into ``file``."""
 
-    def __init__(self, path: Path) -> None:
-        self._file = path.open(encoding="utf-8")
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
         self._rest = ""
 
     def more(self) -> list[tuple[float, str, int]]:
@@ -211,9 +211,9 @@ def recorder_in_c(folder: Path, topic: str) -> Iterator[Recorded]:
     path.touch()
     program = compiled(folder, LISTENER, "listener")
     environment = environment_of_compiled(without_midstride())
-    with subprocess.Popen([str(program), topic, str(path)], env=environment) as process:
+    with path.open(encoding="utf-8") as file, subprocess.Popen([program, topic, path], env=environment) as process:
         try:
-            yield Recorded(path)
+            yield Recorded(file)
         finally:
             process.kill()
 
