@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +72,7 @@ def opened(context: ExitStack, url: str, groups: list[str]) -> Page:
     browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
     context.callback(browser.close)
     page = browser.new_context(viewport={"width": 1920, "height": 1080}).new_page()
-    page.set_default_timeout(180_000)
+    page.set_default_timeout(600_000)
     page.goto(url)
     for group in groups:
         page.locator(f'.collapsed[data-group="{group}"]').dispatch_event("click")
@@ -127,9 +127,10 @@ def measured(options: argparse.Namespace) -> list[dict[str, float]]:
         session.send("HeapProfiler.enable")
         rows: list[dict[str, float]] = []
         begun = time.monotonic()
-        while (at := time.monotonic() - begun) <= options.seconds:
-            rows.append({"at": at, **sample(page, session, manager.pid, gateway.pid)})
-            page.wait_for_timeout(max(0.0, options.every - (time.monotonic() - begun - at)) * 1000)
+        with suppress(KeyboardInterrupt):  # what has been seen by then is shown
+            while (at := time.monotonic() - begun) <= options.seconds:
+                rows.append({"at": at, **sample(page, session, manager.pid, gateway.pid)})
+                time.sleep(max(0.0, options.every - (time.monotonic() - begun - at)))
         if not changes(page):
             raise SystemExit("the page does not follow the system any more")
     return rows

@@ -1,8 +1,9 @@
 """What open dashboards cost the data plane: the swap of benchmarks/swap.py on real ROS 2, with and without five tabs.
 
-One system, one manager, one recorder; swaps in blocks that alternate, so that what else the machine does strikes both.
-The tabs are Chromium's, through the gateway that `midstride dashboard` runs, and are closed in the blocks without.
-Browser and gateway have a lower priority (nice 10) than the system: usually they run on another machine.
+One system, one manager, one recorder; swaps in blocks that take turns, so that what else the machine does strikes all:
+without a client; with five clients of the live view that draw nothing, as a robot has them whose page is open
+elsewhere; and with five tabs of Chromium on the same machine, through the gateway that `midstride dashboard` runs.
+Clients, browser and gateway have a lower priority (nice 10) than the system.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ import tempfile
 import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from playwright.sync_api import Browser, BrowserContext, sync_playwright
+from playwright.sync_api import Browser, sync_playwright
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
@@ -36,6 +37,8 @@ SYSTEM = "swap_benchmark"
 COLUMNS = ("way", "swaps", "gap_median", "gap_p99", "gap_max", "missed", "lost", "duplicates")
 # How long a page may take to show its graph on a busy machine, and rests before it is measured (s).
 PATIENCE, SETTLE = 60.0, 3.0
+# Longer than any block (s).
+FOREVER = 3600
 
 
 class System:
@@ -60,6 +63,10 @@ class System:
         finally:
             down = self.command("down", "--system", SYSTEM)
             subprocess.run(down, env=self._environment, check=False, stdout=subprocess.DEVNULL, timeout=120)
+
+    @property
+    def socket(self) -> Path:
+        return self._folder / "manager.sock"
 
     @property
     def manager(self) -> int:
@@ -104,19 +111,37 @@ def change(url: str, document: dict[str, Any]) -> dict[str, Any]:
         return dict(json.load(answer))
 
 
-def open_tabs(browser: Browser, url: str, number: int) -> BrowserContext:
+@contextmanager
+def streams(system: System, number: int) -> Iterator[None]:
+    """So many clients of the live view that draw nothing."""
+    command = ["nice", "-n", "10", sys.executable, str(HERE / "dashboard.py"), "--clients", str(system.socket)]
+    process = subprocess.Popen([*command, str(number), str(FOREVER)], stdout=subprocess.DEVNULL)
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+@contextmanager
+def tabs(browser: Browser, url: str, number: int) -> Iterator[None]:
     context = browser.new_context(viewport={"width": 1280, "height": 800})
     for _ in range(number):
         page = context.new_page()
         page.goto(url)
         page.wait_for_selector(".graph .component[transform]", timeout=PATIENCE * 1000)
-    return context
+    yield
+    shown = [page.locator("#connection").inner_text() for page in context.pages]
+    if shown != ["● live"] * number:
+        raise SystemExit(f"the tabs were not live: {shown}")
+    context.close()
 
 
 def measure(options: argparse.Namespace, platform: Platform, chromium: str) -> tuple[list[Way], list[float]]:
-    """The ways without and with tabs, and the share of a core that the manager took in each."""
-    ways = [Way("no tab"), Way(f"{options.tabs} tabs")]
-    taken, lasted = [0.0, 0.0], [0.0, 0.0]
+    """The ways, and the share of a core that the manager took in each."""
+    number = options.tabs
+    ways = [Way("no tab"), Way(f"{number} streams"), Way(f"{number} tabs")]
+    taken, lasted = [0.0] * len(ways), [0.0] * len(ways)
     with ExitStack() as context:
         folder = Path(context.enter_context(tempfile.TemporaryDirectory(prefix="ms")))
         system = System(platform, folder)
@@ -129,21 +154,22 @@ def measure(options: argparse.Namespace, platform: Platform, chromium: str) -> t
         playwright = context.enter_context(sync_playwright())
         browser = playwright.chromium.launch(executable_path=launcher, args=["--no-sandbox"])
         context.callback(browser.close)
-        for block in range(2 * options.blocks):
-            place = (block + block // 2) % 2  # without, with, with, without, ...
-            tabs = open_tabs(browser, url, options.tabs) if place else None
-            time.sleep(SETTLE)
-            begun, before = time.monotonic(), spent(system.manager)
-            for _ in range(options.swaps):
-                system.swap(ways[place], url)
-            taken[place] += spent(system.manager) - before
-            lasted[place] += time.monotonic() - begun
-            if tabs is not None:
-                shown = [page.locator("#connection").inner_text() for page in tabs.pages]
-                if shown != ["● live"] * options.tabs:
-                    raise SystemExit(f"the tabs were not live: {shown}")
-                tabs.close()
-    ways[1].rows = ways[0].rows
+        for block in range(len(ways) * options.blocks):
+            place = (block + block // len(ways)) % len(ways)  # each round begins with another one
+            watching: AbstractContextManager[None] = [
+                nullcontext(),
+                streams(system, number),
+                tabs(browser, url, number),
+            ][place]
+            with watching:
+                time.sleep(SETTLE)
+                begun, before = time.monotonic(), spent(system.manager)
+                for _ in range(options.swaps):
+                    system.swap(ways[place], url)
+                taken[place] += spent(system.manager) - before
+                lasted[place] += time.monotonic() - begun
+    for way in ways:
+        way.rows = ways[0].rows
     return ways, [one / other for one, other in zip(taken, lasted, strict=True)]
 
 

@@ -56,6 +56,15 @@ def test_fifty_components_are_shown_one_by_one(page: Page) -> None:
         expect(page.locator(".component")).to_have_count(50)
 
 
+def test_a_collapsed_group_lists_a_topic_whose_contract_is_not_satisfied(page: Page) -> None:
+    synthetic = Synthetic([in_mode(each, "normal") for each in large(60, 90, groups=3)])
+    synthetic.topics = [msgspec.structs.replace(each, satisfied=each.name != "/topic_0") for each in synthetic.topics]
+    with serving(synthetic):
+        show(page, synthetic)
+        expect(page.locator('.collapsed[data-group="g:/area_00"]')).to_contain_text("▲ /topic_0: contract")
+        expect(page.locator(".collapsed .listed", has_text="contract")).to_have_count(1)
+
+
 def test_a_collapsed_group_shows_and_lists_what_deviates(page: Page) -> None:
     calm = [in_mode(each, "normal") for each in large(60, 90, groups=3)]
     with serving(Synthetic(calm)) as synthetic:

@@ -86,7 +86,7 @@ export class Form {
    */
   offer(specification, choice, { versions, parameters }) {
     const { kind } = choice;
-    const nodes = Object.keys(specification?.nodes ?? {}).sort();
+    const nodes = Object.keys(specification?.nodes ?? {}).sort().filter((each) => kind !== "param" || parameters(each).length > 0);
     const node = nodes.includes(choice.node) ? choice.node : (nodes[0] ?? "");
     const adding = kind === "add";
     const found = adding ? Object.keys(specification?.components ?? {}).sort().map((name) => ({ name, words: "" })) : replacements(specification, node);

@@ -94,7 +94,7 @@ export class ComponentShape {
     const group = s("g", { class: "figures" }, back, text);
     const wire = s("path", { class: "wire", d: incoming ? `M${x - FIGURES} ${y}H${x}` : `M${x} ${y}h${STUB}` });
     // What an output writes is measured at its topic; its gate is shown here.
-    const port = s("g", { class: "port-row", "data-direction": direction }, wire, mark, label, incoming ? group : null);
+    const port = s("g", { class: isService(name) ? "port-row service" : "port-row", "data-direction": direction }, wire, mark, label, incoming ? group : null);
     this.element.append(port);
     set(back, "x", middle);
     this.#ports.set(`${direction} ${name}`, { mark: port, figures: { group, text, back } });

@@ -67,7 +67,7 @@ export function componentSize({ entry, label, ins, outs }) {
   const widest = (/** @type {string[]} */ texts, /** @type {string} */ font) =>
     Math.max(0, ...texts.map((text) => textWidth(short(text), font)));
   const modes = entry.functionalities.map(
-    ({ name, modes: all }) => 42 + textWidth(short(name), SMALL) + widest(all, SMALL),
+    ({ name, modes: all }) => 42 + textWidth(short(name), SMALL) + widest(all, `600 ${SMALL}`),
   );
   const labels = (/** @type {string[]} */ names) => names.map((name) => rowLabel(name, entry));
   const ports = widest(labels(ins), SMALL) + widest(labels(outs), SMALL) + 40;
