@@ -84,8 +84,8 @@ LASTING: Final = 20
 # For how long a call of an old side hangs that is to agree on a cut (s): longer than the moments that it is offered are
 # ahead, so that the hand-over is tried again; and less long than a change waits for it.
 BUSY: Final = 3.0
-# How many requests a step makes at most, where that is more than three.
-REQUESTS_OF: Final = {"handover": 18, "create": 6}
+# How many requests a step makes at most, or two hand-overs at once, where that is more than three.
+REQUESTS_OF: Final = {"handover": 36, "create": 6}
 
 
 @dataclass(frozen=True, slots=True)
