@@ -67,8 +67,8 @@ CRITICAL: Final = ("meet", "cut_out", "cut_in", "await_cut", "taken", "cancel_cu
 LOSSES: Final[tuple[FaultKind, ...]] = ("lost request", "lost reply", "unreachable")
 STALLS: Final[tuple[FaultKind, ...]] = (*LOSSES, "freeze")
 LASTING: Final = 20
-# How many requests a step makes at most, where that is more than three.
-REQUESTS_OF: Final = {"handover": 18, "create": 6}
+# How many requests a step makes at most, or two hand-overs at once, where that is more than three.
+REQUESTS_OF: Final = {"handover": 36, "create": 6}
 
 
 @dataclass(frozen=True, slots=True)
