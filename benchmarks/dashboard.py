@@ -2,9 +2,10 @@
 
 A process serves a system whose components are not there: their reports are made up, and handed to the manager as its
 control connections hand them over, 10 times a second of the nodes that change (their rate, reason and a parameter
-differ each time) and twice a second of the others. So what is counted is the view, the server and its sockets, and not
-what components and their connections cost. Clients are in another process. Processor time is that of the whole serving
-process, beside the same without a view; the delay is from a step's event to its arrival at each client.
+differ each time, with `--modes` also their mode) and twice a second of the others. So what is counted is the view, the
+server and its sockets, and not what components and their connections cost. Clients are in another process. Processor
+time is that of the whole serving process, beside the same without a view; the delay is from a step's event to its
+arrival at each client.
 """
 
 from __future__ import annotations
@@ -68,10 +69,10 @@ def document(nodes: int) -> dict[str, Any]:
 class Reports:
     """Makes up what the components report."""
 
-    def __init__(self, watched: Any, changing: int, rate: float) -> None:
+    def __init__(self, watched: Any, changing: int, rate: float, modes: bool) -> None:
         from midstride.wire.state import ComponentState, FunctionalityState
 
-        self._watched, self._changing, self._rate = watched, changing, rate
+        self._watched, self._changing, self._rate, self._modes = watched, changing, rate, modes
         self._begun = time.monotonic()
         self._count = 0
         configuration = watched.system.configuration
@@ -112,7 +113,9 @@ class Reports:
         changes = index < self._changing
         count = state.parameters["count"] + changes
         because = f"message {count} of the plan" if changes else "the plan asked for it"
-        mode = FunctionalityState(mode="normal", since=time.monotonic() - self._begun, because=because)
+        name = "degraded" if changes and self._modes and count % 2 else "normal"
+        began = time.monotonic() if changes and self._modes else self._begun
+        mode = FunctionalityState(mode=name, since=time.monotonic() - began, because=because)
         state = structs.replace(
             state,
             functionalities={"work": mode},
@@ -188,7 +191,7 @@ class Manager:
         pass
 
 
-def serving(nodes: int, changing: int, rate: float, view: bool) -> None:
+def serving(nodes: int, changing: int, rate: float, modes: bool, view: bool) -> None:
     """The serving process: until SIGTERM."""
     from midstride.runtime.workspace import Workspace
     from midstride.server.serve import serve
@@ -200,7 +203,7 @@ def serving(nodes: int, changing: int, rate: float, view: bool) -> None:
         if not view:
             manager.watched.on_report = lambda _: None
             manager.events.listeners.clear()
-        reports = asyncio.ensure_future(Reports(manager.watched, changing, rate).run())
+        reports = asyncio.ensure_future(Reports(manager.watched, changing, rate, modes).run())
         await asyncio.wait({server, reports}, return_when=asyncio.FIRST_COMPLETED)
         reports.cancel()
 
@@ -258,7 +261,7 @@ def measured(options: argparse.Namespace, number: int | None) -> dict[str, Any]:
     """With so many clients; None: without a view."""
     with tempfile.TemporaryDirectory(prefix="ms") as folder:
         environment = {**os.environ, "XDG_RUNTIME_DIR": folder}
-        shape = [str(options.nodes), str(options.changing), str(options.rate)]
+        shape = [str(options.nodes), str(options.changing), str(options.rate), "modes" if options.modes else ""]
         command = [sys.executable, __file__, "--serving", *shape, "" if number is None else "view"]
         server = subprocess.Popen(command, env=environment)
         try:
@@ -304,6 +307,7 @@ def main() -> None:
     parser.add_argument("--nodes", type=int, default=500)
     parser.add_argument("--changing", type=int, default=150, help="of the nodes")
     parser.add_argument("--rate", type=float, default=10.0, help="how often these change (Hz)")
+    parser.add_argument("--modes", action="store_true", help="they change their modes as well")
     parser.add_argument("--clients-each", type=int, nargs="+", default=[0, 1, 5])
     parser.add_argument("--out", type=Path, default=HERE / "results" / "dashboard.json")
     options = parser.parse_args()
@@ -333,8 +337,8 @@ def main() -> None:
 
 if __name__ == "__main__":
     match sys.argv[1:]:
-        case ["--serving", nodes, changing, rate, view]:
-            serving(int(nodes), int(changing), float(rate), bool(view))
+        case ["--serving", nodes, changing, rate, modes, view]:
+            serving(int(nodes), int(changing), float(rate), bool(modes), bool(view))
         case ["--clients", socket, number, seconds]:
             clients(Path(socket), int(number), float(seconds))
         case _:

@@ -13,7 +13,6 @@ import os
 import statistics
 import subprocess
 import sys
-import sysconfig
 import tempfile
 from pathlib import Path
 
@@ -22,7 +21,7 @@ sys.path.append(str(ROOT))
 
 from midstride.foreign import build  # noqa: E402
 from midstride.foreign.page import OPEN, OUTPUT, Page, PortFlag  # noqa: E402
-from tests.native import compiled  # noqa: E402
+from tests.native import compiled, environment_of_compiled  # noqa: E402
 
 SOURCES = ROOT / "tests" / "foreign"
 LOG_SIZE = 16 + 24 * 4_000_000
@@ -67,13 +66,12 @@ def measure_rcl(folder: Path, runs: int, messages: int) -> dict[str, list[list[f
     import rclpy  # noqa: F401  # it sets the paths of the libraries
 
     program = compiled(folder, Path(__file__).with_name("_rcl_publisher.c"), "rcl_publisher")
-    paths = f"{os.environ.get('LD_LIBRARY_PATH', '')}:{sysconfig.get_config_var('LIBDIR')}"
     kinds = dict(zip(KINDS, variables(folder), strict=True))
     figures: dict[str, list[list[float]]] = {kind: [] for kind in KINDS}
     for _ in range(runs):
         for kind, more in kinds.items():
             command = [str(program), "/chat", str(messages)]
-            environment = {**os.environ, "LD_LIBRARY_PATH": paths, **more}
+            environment = {**environment_of_compiled(os.environ), **more}
             done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
             figures[kind].append([float(word) for word in done.stdout.split()])
     return figures

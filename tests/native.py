@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import sysconfig
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from midstride.foreign import build
 # What tools/rust builds.
 RUST_TALKER = Path(__file__).parents[1] / ".cache" / "rust" / "debug" / "rust_talker"
 SOURCE = Path(__file__).parent / "foreign" / "talker.c"
+LISTENER = SOURCE.with_name("listener.c")
 _LIBRARIES = (
     "rcl",
     "rcutils",
@@ -22,6 +24,12 @@ _LIBRARIES = (
     "std_msgs__rosidl_typesupport_c",
     "std_msgs__rosidl_generator_c",
 )
+
+
+def environment_of_compiled(base: Mapping[str, str]) -> dict[str, str]:
+    """That of a program that :func:`compiled` has made. With wheels, rclpy has set the path of their libraries."""
+    paths = [base.get("LD_LIBRARY_PATH", ""), sysconfig.get_config_var("LIBDIR")]
+    return {**base, "LD_LIBRARY_PATH": os.pathsep.join(filter(None, paths))}
 
 
 def compiled(folder: Path, source: Path = SOURCE, name: str = "c_talker") -> Path:

@@ -9,10 +9,12 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import multiprocessing
 import statistics
 import sys
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -36,6 +38,8 @@ HERE: Final = {
     "metacontrol": "Metacontrol, here",
     "midstride": "**Midstride**",
 }
+# The system, the experiment, and which of its runs.
+Mission = tuple[str, int, int]
 # The rows of each system, of each experiment.
 Rows = dict[int, dict[str, list[dict[str, Any]]]]
 
@@ -106,6 +110,15 @@ def table(rows: Rows) -> str:
     return "\n".join(lines)
 
 
+def fly(mission: Mission, metacontrol: Path | None = None) -> tuple[dict[str, Any], Computing]:
+    """The row of one mission, with which one it is; and how long this machine computed in its reactions."""
+    system, experiment, number = mission
+    computing = Computing()
+    watch = computing.watch if system == "midstride" else lambda simulator: None
+    row = simulate(scenario(experiment, number), managing(system, experiment, number, metacontrol), watch)
+    return {"system": system, "experiment": experiment, "number": number, **row}, computing
+
+
 def main(arguments: Sequence[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else "")
     parser.add_argument("--runs", type=int, default=RUNS, help="missions of each experiment (30)")
@@ -114,27 +127,44 @@ def main(arguments: Sequence[str]) -> None:
         "--systems", nargs="+", choices=HERE, default=["none", "tree", "midstride"], help="what runs here"
     )
     parser.add_argument("--metacontrol", type=Path, help="the folder of Metacontrol's reasoner and ontologies")
-    parser.add_argument("--json", type=Path, help="write the row of each mission to this file")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument(
+        "--out",
+        type=Path,
+        help="append each mission to this file, a line of JSON; those in it are not flown again",
+    )
     options = parser.parse_args(arguments)
-    rows: Rows = {}
-    computing = Computing()
-    for experiment in options.experiments:
-        rows[experiment] = {system: [] for system in options.systems}
-        for system, missions in rows[experiment].items():
-            watch = computing.watch if system == "midstride" else lambda simulator: None
-            for number in range(options.runs):
-                managed = managing(system, experiment, number, options.metacontrol)
-                missions.append(simulate(scenario(experiment, number), managed, watch))
-                words = f"\rexperiment {experiment}, {system}: {number + 1} of {options.runs} "
-                print(words, end="", file=sys.stderr, flush=True)
+    wanted = [
+        (system, experiment, number)
+        for number in range(options.runs)
+        for experiment in options.experiments
+        for system in options.systems
+    ]
+    found: dict[Mission, dict[str, Any]] = {}
+    if options.out is not None and options.out.exists():
+        for row in map(json.loads, options.out.read_text(encoding="utf-8").splitlines()):
+            found[row["system"], row["experiment"], row["number"]] = row
+    left = [mission for mission in wanted if mission not in found]
+    processor: list[float] = []
+    seconds: list[float] = []
+    with multiprocessing.get_context("fork").Pool(options.jobs) as pool:
+        for row, computing in pool.imap(partial(fly, metacontrol=options.metacontrol), left):
+            found[row["system"], row["experiment"], row["number"]] = row
+            processor += computing.processor
+            seconds += computing.seconds
+            if options.out is not None:
+                with options.out.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(row) + "\n")
+            print(f"\r{len(found)} of {len(wanted)} missions ", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
+    rows: Rows = {experiment: {system: [] for system in options.systems} for experiment in options.experiments}
+    for mission in wanted:
+        rows[mission[1]][mission[0]].append(found[mission])
     print(table(rows))
-    if computing.seconds:
-        for words, found in (("processor time", computing.processor), ("with waiting for it", computing.seconds)):
-            median, longest = statistics.median(found) * 1e3, max(found) * 1e3
+    for words, times in (("processor time", processor), ("with waiting for it", seconds)):
+        if times:
+            median, longest = statistics.median(times) * 1e3, max(times) * 1e3
             print(f"Computing in a reaction, {words}: {median:.1f} ms (median), {longest:.1f} ms (longest).")
-    if options.json is not None:
-        options.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

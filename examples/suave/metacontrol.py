@@ -15,7 +15,7 @@ from types import SimpleNamespace
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Bool, Float64
 
-from midstride import Component, at_least, guarantee
+from midstride import Component, Output, at_least, guarantee
 
 PERIOD = 1.5
 NEEDS = {"fd_spiral_high": 3.25, "fd_spiral_medium": 2.25, "fd_spiral_low": 1.25}
@@ -25,6 +25,7 @@ diagnostics = comp.create_input("diagnostics", DiagnosticArray, qos=100)
 visibility = comp.create_output("visibility", Float64)
 thrusters_ok = comp.create_output("thrusters_ok", Bool)
 folder = Path(comp.parameter("folder", "").value)
+chosen: dict[Output, Float64 | Bool] = {}
 listen = comp.create_functionality("listen", inputs=[diagnostics])
 choose = comp.create_functionality("choose", outputs=[visibility, thrusters_ok])
 
@@ -68,10 +69,12 @@ def loop() -> None:
     time.sleep(time.perf_counter() - began)
     for objective, design in desired.items():
         if design in NEEDS:
-            visibility.write(Float64(data=NEEDS[design]))
+            chosen[visibility] = Float64(data=NEEDS[design])
         else:
-            thrusters_ok.write(Bool(data=design == "fd_all_thrusters"))
+            chosen[thrusters_ok] = Bool(data=design == "fd_all_thrusters")
         reasoner.set_new_grounding(design, objective)
+    for port, message in chosen.items():  # also where nothing is new: a component whose calls take long and that writes
+        port.write(message)  # nothing hangs, as far as its reflex knows
 
 
 best = {visibility: guarantee(where={"data": at_least(3.25)}), thrusters_ok: guarantee(where={"data": True})}

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import asyncio
 import re
+import subprocess
 import time
-from collections.abc import AsyncIterator, Awaitable, Sequence
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
+from contextlib import ExitStack, asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TextIO
 
 from midstride import backends
 from midstride.lang.load import load
@@ -23,8 +24,8 @@ from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Outcome
 from midstride.runtime.workspace import Workspace
 from tests.acceptance.support import ROOT
-from tests.backends.ros2_support import Bare
-from tests.native import compiled
+from tests.backends.ros2_support import Bare, without_midstride
+from tests.native import LISTENER, compiled, environment_of_compiled
 
 PAGE = ROOT / "docs" / "how-to" / "unmodified-nodes.md"
 
@@ -111,12 +112,28 @@ def holes(heard: Sequence[tuple[float, str, int]]) -> list[Hole]:
 
 @dataclass
 class Robot:
-    """A system that runs, and what a bare recorder hears of it: when (monotonic, s), from which instance, number."""
+    """A system that runs, and what a bare recorder hears of it: when (monotonic, s), from which instance, number.
+
+    ``recorded``: reads on in what a recorder in C has written, where that is the recorder.
+    """
 
     folder: Path
     manager: Manager
     bare: Bare
     heard: list[tuple[float, str, int]] = field(default_factory=list)
+    recorded: Recorded | None = None
+
+    async def until(self, condition: Callable[[], bool], seconds: float = 60) -> None:
+        """Wait for what is heard, or for something else. A recorder in C leaves the loop to the manager meanwhile."""
+        if self.recorded is None:
+            await self.bare.until(condition, seconds)
+            return
+        deadline = time.monotonic() + seconds
+        self.heard += self.recorded.more()
+        while not condition():
+            assert time.monotonic() < deadline, "it did not come true in time"
+            await asyncio.sleep(0.005)
+            self.heard += self.recorded.more()
 
     def hear(self, message: Any) -> None:
         name, number = message.data.split()
@@ -126,14 +143,14 @@ class Robot:
         """Return when so many more have been heard."""
         count = len(self.heard)
         try:
-            await self.bare.until(lambda: len(self.heard) >= count + messages, 60)
+            await self.until(lambda: len(self.heard) >= count + messages)
         except AssertionError:
             status = await self.manager.status()
             raise AssertionError(f"heard last {self.heard[-3:]}; {status}") from None
 
     async def meanwhile(self, work: Awaitable[Any]) -> Any:
         task = asyncio.ensure_future(work)
-        await self.bare.until(task.done, 120)
+        await self.until(task.done, 120)
         return task.result()
 
     async def change(self, component: str) -> Outcome:
@@ -142,9 +159,12 @@ class Robot:
         return report
 
     async def replaced(self, component: str, messages: int = 20) -> dict[str, float]:
-        """Replace the talker, and hear so many messages more; how long each kind of step took (s)."""
+        """Replace the talker, and hear so many messages of the new one; how long each kind of step took (s)."""
         report = await self.change(component)
         assert (report.outcome, report.because) == ("done", None), report
+        instances = self.manager.configuration.instances.values()
+        (writer,) = (each.name for each in instances if each.role == "talker")
+        await self.until(lambda: self.heard[-1][1] == writer)
         await self.hears(messages)
         assert report.plan is not None
         took: dict[str, float] = {"in all": report.seconds}
@@ -173,16 +193,48 @@ def manager_of(specification: Specification, folder: Path) -> Manager:
     return Manager(specification, backends.make("ros2", workspace), workspace, folder)
 
 
+class Recorded:
+    """What a recorder in C writes into ``file``."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+        self._rest = ""
+
+    def more(self) -> list[tuple[float, str, int]]:
+        """What it has heard since the last time."""
+        *lines, self._rest = (self._rest + self._file.read()).split("\n")
+        return [(int(at) / 1e9, name, int(number)) for at, name, number in map(str.split, lines)]
+
+
+@contextmanager
+def recorder_in_c(folder: Path, topic: str) -> Iterator[Recorded]:
+    """One that hears ``topic`` meanwhile: a recorder in rclpy does not keep up with 1 kHz on a busy machine."""
+    path = folder / "recorded"
+    path.touch()
+    program = compiled(folder, LISTENER, "listener")
+    environment = environment_of_compiled(without_midstride())
+    with path.open(encoding="utf-8") as file, subprocess.Popen([program, topic, path], env=environment) as process:
+        try:
+            yield Recorded(file)
+        finally:
+            process.kill()
+
+
 @asynccontextmanager
-async def robot(specification: Specification, folder: Path, topic: str = "/chat") -> AsyncIterator[Robot]:
-    """Bring ``specification``, whose programs are in ``folder``, up, and down again."""
+async def robot(
+    specification: Specification, folder: Path, topic: str = "/chat", in_c: bool = False
+) -> AsyncIterator[Robot]:
+    """Bring ``specification``, whose programs are in ``folder``, up, and down again. ``in_c``: the recorder."""
     from std_msgs.msg import String
 
     (folder / "system").mkdir()
     manager = manager_of(specification, folder)
-    with Bare("recorder") as bare:
+    with Bare("watcher" if in_c else "recorder") as bare, ExitStack() as stack:
         made = Robot(folder, manager, bare)
-        bare.node.create_subscription(String, topic, made.hear, 1000)
+        if in_c:
+            made.recorded = stack.enter_context(recorder_in_c(folder, topic))
+        else:
+            bare.node.create_subscription(String, topic, made.hear, 1000)
         try:
             await made.meanwhile(manager.up())
             await made.hears()

@@ -8,7 +8,7 @@ import pytest
 
 from tests.acceptance.support import ended, managed
 from tests.backends.ros2_support import run
-from tests.runtime.cyclic import check_both_ways, cyclic
+from tests.runtime.cyclic import check_both_ways, check_members_replaced, cyclic
 
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
@@ -22,3 +22,14 @@ def test_a_cycle_comes_up_and_is_degraded_and_upgraded_in_one_step(tmp_path: Pat
 
     with ended():
         run(main())
+
+
+def test_a_member_is_replaced_while_the_other_relies_on_it(tmp_path: Path) -> None:
+    specification = cyclic(tmp_path / "programs")
+
+    async def main() -> None:
+        async with managed(tmp_path / "system", specification, tmp_path / "programs") as (manager, _):
+            await check_members_replaced(manager)
+
+    with ended():
+        run(main(), 180.0)

@@ -1,4 +1,7 @@
-"""A publisher that hangs in its code, and one that is stopped, are replaced on ROS 2; a bare recorder confirms it."""
+"""A publisher that hangs in its code, and one that is stopped, are replaced on ROS 2; a bare recorder confirms it.
+
+One that is stopped while it takes over costs a bounded time, and the old one goes on.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import asyncio
 import itertools
 import os
 import signal
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +17,9 @@ import pytest
 
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
+from midstride.runtime.component_client import STOPPED
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Outcome
+from midstride.runtime.reports import Event, Outcome
 from midstride.wire.commands import Receipt
 from tests.acceptance.support import BENCHMARKS, PERIOD, Recorder, ended, managed, swap_specification
 from tests.backends.ros2_support import run, until_async
@@ -111,3 +116,43 @@ def test_a_stopped_publisher_is_replaced_and_never_continues(tmp_path: Path) -> 
 
     with ended():
         run(main(), 120)
+
+
+def test_a_new_publisher_that_is_stopped_costs_a_bounded_time_and_the_old_one_goes_on(tmp_path: Path) -> None:
+    moments: dict[str, float] = {}
+
+    async def main() -> None:
+        async with managed(tmp_path / "system", swap_specification()) as (manager, _):
+            recorder = Recorder(tmp_path)
+            await asyncio.to_thread(recorder.wait_until_it_hears)
+            record = manager.events.on_event
+
+            def stop_the_new_one(event: Event) -> None:
+                record(event)
+                moments.setdefault(event.kind, time.monotonic())
+                if event.kind == "step" and getattr(event.step, "action", None) == "handover":
+                    moments["stopped"] = time.monotonic()
+                    os.kill(pids(manager)["source_2"], signal.SIGSTOP)
+
+            manager.events.on_event = stop_the_new_one
+            outcome = await manager.change(REPLACE, wait=WAIT)
+            manager.events.on_event = record
+            assert outcome.outcome == "rolled_back", outcome.because
+            assert outcome.because is not None and "source_2 did not answer" in outcome.because
+            assert pids(manager).keys() == {"source", "sink"} and (await manager.status()).valid
+            again = await manager.change(REPLACE, wait=WAIT)
+            assert again.outcome == "done", again.because
+            times = [row.received for row in recorder.stop()]
+            silences = [later - earlier for earlier, later in itertools.pairwise(times)]
+            assert max(silences) / 1e9 < 10 * PERIOD, "the old one resumes within ten periods"
+
+    with ended():
+        run(main(), 120)
+    assert moments["step_failed"] - moments["stopped"] < STOPPED + APART
+    assert moments["rolled_back"] - moments["step_failed"] < STOPPED
+
+
+def pids(manager: Manager) -> dict[str, int]:
+    """The processes of the components that run."""
+    found = {name: handle.pid for name, handle in manager._launcher.handles.items()}
+    return {name: pid for name, pid in found.items() if pid is not None}

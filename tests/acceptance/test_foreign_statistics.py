@@ -64,7 +64,7 @@ def test_nothing_is_missing_and_one_is_heard_at_each_moment(
 ) -> None:
     async def scenario() -> None:
         seconds: list[dict[str, float]] = []
-        async with robot(talkers(tmp_path, kinds[0], rate), tmp_path) as system:
+        async with robot(talkers(tmp_path, kinds[0], rate), tmp_path, in_c=True) as system:
             for number in range(SWAPS):
                 seconds.append(await system.replaced(kinds[1 - number % 2], messages=5))
             assert len(system.changes()) == SWAPS

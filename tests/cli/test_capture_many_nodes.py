@@ -1,6 +1,7 @@
 """`midstride capture --probe` on a system of 22 nodes in plain rclpy that was made up, and what it finds of it.
 
-MIDSTRIDE_CAPTURE_SEED says which of them (3). The figures are printed: `pytest -s`.
+MIDSTRIDE_CAPTURE_SEED says which of them (3), and MIDSTRIDE_CAPTURE_SECONDS for how long an input is closed at a time
+(3). The figures are printed: `pytest -s`.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from tests.capture.test_capture import ports
 from tests.cli.conftest import Midstride
 
 SEED = int(os.environ.get("MIDSTRIDE_CAPTURE_SEED", "3"))
+SECONDS = os.environ.get("MIDSTRIDE_CAPTURE_SECONDS", "3")
 pytestmark = [pytest.mark.ros2, pytest.mark.long, pytest.mark.timeout(1500)]
 
 
@@ -58,7 +60,7 @@ def test_a_system_of_many_nodes_is_captured(midstride: Midstride, tmp_path: Path
     up = midstride("up", str(file), "-d", "--backend", "ros2", timeout=300)
     assert up.status == 0, up.err
     try:
-        words = ("capture", "--into", str(file), "--seconds", "30", "--probe", "--yes")
+        words = ("capture", "--into", str(file), "--seconds", "30", "--probe", "--probe-seconds", SECONDS, "--yes")
         found = midstride("--json", *words, timeout=1200)
     finally:
         assert midstride("down", timeout=120).status == 0

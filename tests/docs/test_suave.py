@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -68,3 +69,20 @@ def test_the_table_has_the_published_rows_and_its_own(example: SimpleNamespace) 
     assert "| hand-written tree | 30 | 110 (51 to 114) | 38.1 (36.7 to 57.5) | 0.082 (0.069 to 0.092) |" in lines
     assert "| **Midstride** | 2 | 50 (50 to 50) | 55.0 (55.0 to 55.0) | 0.004 (0.004 to 0.004) |" in lines
     assert lines[-1] == "Midstride: 6 reactions, the longest took 0.0060 s."
+
+
+def test_missions_that_are_in_the_file_are_not_flown_again(
+    example: SimpleNamespace, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    row = {"time searching pipeline (s)": 50, "distance inspected (m)": 55.0, "mean reaction time (s)": 0.03}
+    flown = {"system": "tree", "experiment": 2, "number": 0, **row, "reactions": 3, "longest reaction (s)": 0.04}
+    out = tmp_path / "rows.jsonl"
+    out.write_text(json.dumps(flown) + "\n")
+    short = example.missions.Scenario(7, 2.8, failure=1.0, time_limit=3.0)
+    monkeypatch.setattr(example.campaign, "scenario", lambda experiment, number: short)
+    example.campaign.main(["--systems", "tree", "--experiments", "2", "--runs", "2", "--out", str(out)])
+    first, second = map(json.loads, out.read_text().splitlines())
+    assert first == flown
+    assert (second["system"], second["experiment"], second["number"]) == ("tree", 2, 1)
+    assert second["mission duration (s)"] == 3
+    assert "| hand-written tree, here | 2 | " in capsys.readouterr().out

@@ -76,7 +76,8 @@ class Work:
     def position(self) -> object:
         if self.waits is None:
             return None
-        places: list[object] = [self.waits.done]
+        # The value, too: a report that is lost leads elsewhere than one that is answered.
+        places: list[object] = [self.waits.done, str(self.waits.value)]
         each: Any = self.coroutine
         while (frame := getattr(each, "cr_frame", None)) is not None:
             places += [frame.f_lasti, frame.f_locals.get("passed_at"), frame.f_locals.get("_")]

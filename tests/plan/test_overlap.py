@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from random import Random
 
 import pytest
 
 from midstride.errors import PlanRefused
-from midstride.model.action import Create, Remove
+from midstride.model.action import Create, Degrade, Handover, Remove, Upgrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.rules import violations
-from midstride.model.specification import initial
+from midstride.model.specification import Specification, initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.disruption import Levels
-from midstride.plan.overlap import duration, one_by_one, overlap
+from midstride.plan.overlap import CUT, WIDEST, duration, one_by_one, overlap
 from midstride.plan.plan import Plan
 from midstride.plan.registry import STRATEGIES, planner
 from tests.plan import systems
@@ -185,15 +186,17 @@ def test_what_would_be_valid_and_disrupt_more_keeps_its_order(seed: int, strateg
 
 @FEW_AND_MANY
 def test_rounds_are_the_steps_in_order_and_start_no_process_too_early(seeds: range) -> None:
-    several = ahead = 0
+    several: Counter[str] = Counter()
+    ahead = 0
     for which, plan in plans(seeds, sorted(STRATEGIES)):
         found, configurations = overlap(plan), list(plan.configurations())
         assert [index for some in found.rounds for index in some] == list(range(len(plan.steps)))
         for some in found.rounds:
-            several += len(some) > 1
-            for index in some[1:]:
-                assert not set(plan.dependencies[index]) & set(some)
-                assert isinstance(plan.steps[index].action, Remove)
+            actions = [plan.steps[index].action for index in some]
+            if len(some) > 1:
+                several[type(actions[0]).__name__] += 1
+                assert any({*map(type, actions)} <= kind for kind in ({Remove}, {Degrade, Upgrade}, {Handover}))
+            assert not {waits for index in some for waits in plan.dependencies[index]} & set(some)
         created = [index for index, step in enumerate(plan.steps) if isinstance(step.action, Create)]
         assert sorted(index for starts in found.starts.values() for index in starts) == created
         most = peak(configurations)
@@ -205,7 +208,8 @@ def test_rounds_are_the_steps_in_order_and_start_no_process_too_early(seeds: ran
                         ahead += done < index
             assert violations(configuration) == [], which
             assert all(amount <= most[what] for what, amount in held(configuration).items())
-    assert several > len(seeds) / 10 and ahead > len(seeds)
+    assert min(several[kind.__name__] for kind in (Remove, Upgrade)) > len(seeds) / 10, several
+    assert ahead > len(seeds)
 
 
 def test_processes_start_beside_each_other_also_where_other_steps_are_between_their_creations() -> None:
@@ -238,7 +242,8 @@ def test_how_long_a_plan_takes_follows_from_what_overlaps() -> None:
     plan = sound(changed(start, target, "minimal"))
     kinds = [step.action.kind for step in plan.steps]
     assert kinds[:2] == ["create", "create"] and kinds[-2:] == ["remove", "remove"]
-    others = sum(step.seconds for step in plan.steps[2:-2])
+    assert [type(step.action) for step in plan.steps[2:-2]] == [Upgrade, Upgrade, Handover, Handover]
+    others = plan.steps[2].seconds + sum(step.seconds for step in plan.steps[4:-2])
     seconds: dict[int, tuple[float, tuple[float, float] | None]] = {
         0: (1.0, (0.5, 1.5)),
         1: (2.0, (1.0, 9.0)),
@@ -251,6 +256,97 @@ def test_how_long_a_plan_takes_follows_from_what_overlaps() -> None:
     found = duration(dataclasses.replace(plan, steps=tuple(steps)))
     assert found.seconds == pytest.approx(2.0 + others + 0.75)
     assert found.between == pytest.approx((1.0 + others + 0.5, 9.0 + others + 0.75))
+
+
+def in_rounds(plan: Plan, seconds: Sequence[float]) -> Times:
+    """As the executor takes them: the hand-overs of a round are cut one after another once all are ready."""
+    times: dict[int, tuple[float, float]] = {}
+    now = 0.0
+    for some in overlap(plan).rounds:
+        ends = {index: now + seconds[index] for index in some}
+        if isinstance(plan.steps[some[0]].action, Handover):
+            at = max(ends.values()) - CUT
+            for index in some:
+                ends[index] = at = at + CUT
+        times |= {index: (now, end) for index, end in ends.items()}
+        now = max(ends.values())
+    return [times[index] for index in range(len(plan.steps))]
+
+
+@FEW_AND_MANY
+def test_in_rounds_nothing_is_below_its_baseline_for_longer_than_in_the_sequence(seeds: range) -> None:
+    """Whatever of the steps is long; a hand-over takes at least as long as its cut."""
+    shorter = 0
+    for which, plan in plans(seeds, sorted(STRATEGIES)):
+        rng = Random(which)
+        seconds = [
+            rng.choice((1.0, 10.0, 100.0, 3000.0)) + CUT * isinstance(step.action, Handover) for step in plan.steps
+        ]
+        sequence, rounds = in_sequence(seconds), in_rounds(plan, seconds)
+        assert all(
+            earlier <= later + 1e-6 for (_, earlier), (_, later) in zip(ends(rounds), ends(sequence), strict=True)
+        )
+        before = missing_levels(plan, sequence)
+        for ref, loss in missing_levels(plan, rounds).items():
+            assert loss <= before.get(ref, 0.0) + 1e-6, f"{which}: {ref}"
+        shorter += bool(rounds) and ends(rounds)[-1] < ends(sequence)[-1]
+    assert shorter > len(seeds) / 2
+
+
+def ends(times: Times) -> Times:
+    """Of each step, when all up to it have ended."""
+    return [(0.0, max(end for _, end in times[: index + 1])) for index in range(len(times))]
+
+
+def rounds_of(start: Specification, target: Specification) -> list[list[str]]:
+    """The steps of each round with several, in words."""
+    plan = sound(changed(start, target, "minimal"))
+    return [[plan.steps[index].describe() for index in some] for some in overlap(plan).rounds if len(some) > 1]
+
+
+def test_independent_replacements_are_taken_kind_by_kind() -> None:
+    parts = [work(name, outputs=["out"]) for name in ("A", "B", "A2", "B2")]
+    start = system(parts, {"a": ("A", {"out": "/x"}), "b": ("B", {"out": "/y"})})
+    target = system(parts, {"a": ("A2", {"out": "/x"}), "b": ("B2", {"out": "/y"})})
+    assert rounds_of(start, target) == [
+        ["upgrade a_2.work from degraded to normal", "upgrade b_2.work from degraded to normal"],
+        ["hand over /x from a.out to a_2.out", "hand over /y from b.out to b_2.out"],
+        ["remove a", "remove b"],
+    ]
+
+
+def test_what_hears_a_topic_is_not_handed_over_beside_its_publisher_but_may_be_before_it() -> None:
+    """Its new side would be on probation with what the old publisher writes. The order is that of the names."""
+    parts = [work(name, outputs=["out"]) for name in ("A", "A2")]
+    parts += [work(name, inputs=["in"], outputs=["out"]) for name in ("B", "B2")]
+
+    def of(first: str, second: str, generation: str) -> Specification:
+        nodes = {first: (f"A{generation}", {"out": "/x"}), second: (f"B{generation}", {"in": "/x", "out": "/y"})}
+        return system(parts, nodes)
+
+    handed = "hand over /x from a.out to a_2.out", "hand over /y from z.out to z_2.out"
+    assert not any(set(handed) & set(some) for some in rounds_of(of("a", "z", ""), of("a", "z", "2")))
+    reverse = "hand over /y from a.out to a_2.out", "hand over /x from z.out to z_2.out"
+    assert list(reverse) in rounds_of(of("z", "a", ""), of("z", "a", "2"))
+
+
+def test_publishers_of_one_topic_are_not_handed_over_at_once() -> None:
+    """Each of the two new ones would be counted for the other."""
+    parts = [work(name, outputs=["out"]) for name in ("A", "A2")]
+    start, target = (system(parts, {role: (name, {"out": "/x"}) for role in "ab"}) for name in ("A", "A2"))
+    assert not any("hand over" in words for some in rounds_of(start, target) for words in some)
+
+
+def test_a_round_of_commands_is_of_so_many_components_at_most() -> None:
+    parts = [work(name, outputs=["out"]) for name in ("A", "A2")]
+    roles = [f"n{number:03}" for number in range(2 * WIDEST + 2)]
+    start, target = (system(parts, {role: (name, {"out": f"/{role}"}) for role in roles}) for name in ("A", "A2"))
+    plan = sound(changed(start, target, "minimal"))
+    sizes: dict[type, list[int]] = defaultdict(list)
+    for some in overlap(plan).rounds:
+        sizes[type(plan.steps[some[0]].action)].append(len(some))
+    assert sizes[Upgrade] == sizes[Handover] == [WIDEST, WIDEST, 2]
+    assert sizes[Remove] == [len(roles)], "a process ends without being asked for more than that"
 
 
 def test_one_by_one_only_processes_of_creations_in_a_row_start_at_once() -> None:

@@ -116,3 +116,23 @@ async def check_both_ways(manager: Manager, specification: Specification, within
         print(f"{kind}: within {1000 * skew.seconds:.2f} ms")
         for name in ("estimator", "corrector"):
             assert (await manager.peek(name)).functionalities["work"].mode == mode
+
+
+async def check_members_replaced(manager: Manager) -> None:
+    """Each member in turn, and then both in one change: the other one relies on it throughout, and misses nothing."""
+    for roles in (("estimator",), ("corrector",), ("corrector", "estimator")):
+        outcome = await manager.change(PlanRequest(restart=roles))
+        assert (outcome.outcome, outcome.because, outcome.fallen) == ("done", None, {})
+        assert outcome.plan is not None
+        actions = [step.action for step in outcome.plan.steps]
+        assert actions.count("handover") == len(roles)
+        hears = {"estimator": "corrector", "corrector": "estimator"}
+        topics = {"estimator": "/estimate", "corrector": "/correction"}
+        expected = {topics[role] for role in roles if hears[role] not in roles}
+        assert {swap.topic for swap in outcome.swaps} == expected, "of those that are there before and after"
+        assert [(swap.missed, swap.lost, swap.duplicates) for swap in outcome.swaps] == [(0, 0, 0)] * len(expected)
+        status = await manager.status()
+        assert status.valid, status
+        for name in manager.configuration.instances:
+            for view in (await manager.peek(name)).functionalities.values():
+                assert view.mode == "normal", name

@@ -26,6 +26,7 @@ from midstride.runtime.manager import Manager
 from midstride.runtime.options import SystemOptions
 from midstride.runtime.state_store import SavedState, StateStore
 from midstride.runtime.workspace import Workspace
+from tests.runtime.side_by_side import all_replaced, three
 from tests.runtime.systems import EXAMPLES, example
 
 When = Literal["before", "after"]
@@ -42,6 +43,8 @@ class MortalDisk(Disk):
     dies_at: int = 0
     when: When = "before"
     writes: int = 0
+    dies_at_request: int = 0  # or at that request to a component
+    requests: int = 0
     dead: bool = False
     files: dict[Path, Database] = field(default_factory=dict)
 
@@ -63,7 +66,14 @@ class MortalDisk(Disk):
 
     def revive(self) -> None:
         """The next manager has the same disk."""
-        self.dies_at, self.dead = 0, False
+        self.dies_at, self.dies_at_request, self.dead = 0, 0, False
+
+    def on_request(self) -> None:
+        """Raises Killed."""
+        self.requests += 1
+        self.dead = self.dead or self.requests == self.dies_at_request
+        if self.dead:
+            raise Killed
 
 
 class MortalDatabase(Database):
@@ -103,9 +113,12 @@ async def until_killed(manager: Manager, work: Coroutine[Any, Any, object], disk
     send = manager._client._send
 
     async def mortal(*arguments: Any) -> Any:
-        if disk.dead:
-            raise Killed
-        return await send(*arguments)
+        if disk.when == "before":
+            disk.on_request()
+            return await send(*arguments)
+        reply = await send(*arguments)
+        disk.on_request()
+        return reply
 
     manager._client._send = mortal  # type: ignore[method-assign, assignment]
     doing = asyncio.ensure_future(work)
@@ -181,32 +194,42 @@ async def assert_whole(manager: Manager, simulator: Simulator, disk: MortalDisk,
     assert all(change.outcome is not None for change in (await manager.history(99)).changes)
 
 
-def killed_at_each_write(target: Specification, folder: Path, *, finish: bool) -> set[str]:
-    """Kill the manager at each write of the change to ``target``; returns how the changes ended, by the journal."""
+@dataclass(frozen=True)
+class Case:
+    """A change from ``start`` to ``target``, with the programs in that folder."""
+
+    target: Specification
+    start: Specification = START
+    programs: Path = EXAMPLES / "talker"
+
+
+def killed_at_each_write(case: Case, folder: Path, *, finish: bool) -> set[str]:
+    """Kill the manager at each write of the change; returns how the changes ended, by the journal."""
     outcomes: set[str] = set()
     number = 0
     while True:
         number += 1
         for when in ("before", "after"):
-            workspace = Workspace(folder / f"{number}{when}")
-            workspace.path.mkdir()
-            outcome = killed_once(target, workspace, number, when, finish=finish)
+            disk = MortalDisk(when=when)
+            outcome = killed_once(case, folder / f"{number}{when}", disk, finish=finish, at_write=number)
             if outcome is None:
                 assert number > 10, "a change has more writes than that"
                 return outcomes
             outcomes.add(outcome)
 
 
-def killed_once(target: Specification, workspace: Workspace, number: int, when: When, *, finish: bool) -> str | None:
-    """How the change ended, by the journal; None if it has fewer writes than ``number``."""
-    simulator, disk = Simulator(), MortalDisk(when=when)
-    programs = EXAMPLES / "talker"
+def killed_once(
+    case: Case, folder: Path, disk: MortalDisk, *, finish: bool, at_write: int = 0, at_request: int = 0
+) -> str | None:
+    """How the change ended, by the journal; None if it has fewer writes, or requests, than that."""
+    simulator, workspace = Simulator(), Workspace(folder)
+    workspace.path.mkdir()
 
     async def main() -> str | None:
-        first = Manager(START, simulator, workspace, programs, disk=disk)
+        first = Manager(case.start, simulator, workspace, case.programs, disk=disk)
         await first.up()
-        disk.dies_at = disk.writes + number
-        await until_killed(first, first.change(PlanRequest(to=target)), disk)
+        disk.dies_at, disk.dies_at_request = at_write and disk.writes + at_write, at_request
+        await until_killed(first, first.change(PlanRequest(to=case.target)), disk)
         with suppress(Killed):
             await first.close()
         if not disk.dead:
@@ -215,20 +238,20 @@ def killed_once(target: Specification, workspace: Workspace, number: int, when: 
         options = SystemOptions(finish_interrupted=finish)
         disk.revive()
         specification = disk.saved(workspace).specification
-        second = Manager(specification, simulator, workspace, programs, options=options, disk=disk)
+        second = Manager(specification, simulator, workspace, case.programs, options=options, disk=disk)
         await second.up()
         try:
             end = second.specification
-            assert end in (START, target)
+            assert end in (case.start, case.target)
             await asyncio.sleep(1)
             await assert_whole(second, simulator, disk, end)
             change = (await second.history(99)).changes[1:2]
             if not change:  # it was killed before it had begun
-                assert end == START
+                assert end == case.start
                 return "not begun"
-            assert change[0].outcome == ("done" if end == target else "rolled_back"), "journal and world disagree"
+            assert change[0].outcome == ("done" if end == case.target else "rolled_back"), "journal and world disagree"
             if finish:
-                assert end == target
+                assert end == case.target
             return str(change[0].outcome)
         finally:
             await second.close()
@@ -247,8 +270,40 @@ def killed_once(target: Specification, workspace: Workspace, number: int, when: 
 )
 @pytest.mark.parametrize("finish", [False, True], ids=["rolled back", "finished"])
 def test_the_next_manager_leaves_a_whole_system(name: str, finish: bool, tmp_path: Path) -> None:
-    outcomes = killed_at_each_write(CHANGES[name], tmp_path, finish=finish)
+    outcomes = killed_at_each_write(Case(CHANGES[name]), tmp_path, finish=finish)
     assert outcomes == ({"not begun", "done"} if finish else {"not begun", "done", "rolled_back"})
+
+
+def side_by_side(folder: Path) -> Case:
+    """Three publishers are handed over in one round."""
+    start = three(folder, probation=0.2, watch_after=0.2)
+    target = all_replaced().target(start)
+    plan = planner("minimal")(change_between(initial(start), start, target))
+    kinds = [{plan.steps[index].action.kind for index in some} for some in overlap(plan).rounds if len(some) == 3]
+    assert kinds == [{"upgrade"}, {"handover"}, {"remove"}]
+    return Case(target, start, folder)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("finish", [False, True], ids=["rolled back", "finished"])
+def test_the_same_where_steps_are_taken_at_once(finish: bool, tmp_path: Path) -> None:
+    outcomes = killed_at_each_write(side_by_side(tmp_path), tmp_path, finish=finish)
+    assert outcomes == ({"not begun", "done"} if finish else {"not begun", "done", "rolled_back"})
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+@pytest.mark.parametrize("every", [17, pytest.param(1, marks=pytest.mark.full)])
+def test_the_same_at_every_request_of_such_a_change(every: int, when: When, tmp_path: Path) -> None:
+    """Before it is sent, and after its reply has come: between the cuts, and between the sides of each."""
+    case, outcomes, number = side_by_side(tmp_path), list[str](), 1
+    while True:
+        folder, disk = tmp_path / str(number), MortalDisk(when=when)
+        outcome = killed_once(case, folder, disk, finish=False, at_request=number)
+        if outcome is None:
+            break
+        outcomes.append(outcome)
+        number += every
+    assert number > 80 and outcomes.count("rolled_back") > 3, (number, outcomes)
 
 
 def test_a_manager_that_is_killed_while_it_brings_the_system_up_leaves_nothing_in_the_way(tmp_path: Path) -> None:

@@ -6,16 +6,18 @@ import asyncio
 from pathlib import Path
 
 import pytest
+from immutables import Map
 
 from midstride.errors import BackendError, StartFailed, StepFailed
-from midstride.model.action import Attach, Create, Remove
+from midstride.model.action import Attach, Create, Remove, Upgrade
 from midstride.model.configuration import Configuration
 from midstride.plan.overlap import Overlap, one_by_one
 from midstride.runtime.backend import Exited, Handle, Launch
 from midstride.runtime.journal import Journal
 from midstride.runtime.journal_records import NewChange
+from midstride.wire.commands import ModesCommand, PreviousModes
 from tests.model import build
-from tests.runtime.scripted import LISTENER, TALKER, Bench, ScriptedBackend, bench, instance
+from tests.runtime.scripted import LISTENER, REFUSED, TALKER, Bench, ScriptedBackend, bench, instance
 
 OLD = {name: instance(name, TALKER) for name in ("first", "second", "third")}
 REMOVALS = [Remove(name) for name in OLD]
@@ -130,6 +132,50 @@ def test_a_crash_is_responded_to_when_the_round_has_ended(tmp_path: Path) -> Non
         b.executor.on_performed = respond
         await b.executor.run(REMOVALS, overlap=AT_ONCE)
         assert performed == [str(each) for each in REMOVALS]
+
+    bench(idle(), tmp_path, body)
+
+
+UPGRADES = [Upgrade(Map({build.work(name): 0})) for name in OLD]
+
+
+def changing_modes(b: Bench, seconds: dict[str, float]) -> list[tuple[str, float]]:
+    """Each talker changes its modes when its call has returned; what is returned lists when."""
+    changed: list[tuple[str, float]] = []
+
+    def reply(name: str) -> object:
+        async def enter() -> PreviousModes:
+            await asyncio.sleep(seconds[name])
+            changed.append((name, round(b.clock.steady(), 1)))
+            return PreviousModes(before={})
+
+        return lambda _: enter()
+
+    for name in OLD:
+        b.client.reply(name, ModesCommand, reply(name))
+    return changed
+
+
+def test_components_whose_modes_change_in_one_round_are_commanded_at_once(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        changed, begun = changing_modes(b, {"first": 3.0, "second": 1.0, "third": 2.0}), b.clock.steady()
+        await b.executor.run(UPGRADES, overlap=AT_ONCE)
+        assert [(name, round(at - begun)) for name, at in changed] == [("second", 1), ("third", 2), ("first", 3)]
+        assert set(b.system.configuration.modes.values()) == {0}
+
+    bench(idle(), tmp_path, body)
+
+
+def test_where_one_of_them_refuses_the_others_go_back_to_their_modes(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        changing_modes(b, {"first": 3.0, "second": 1.0, "third": 2.0})
+        b.client.reply("second", ModesCommand, REFUSED)
+        with pytest.raises(StepFailed, match=r"^upgrade second\.work from degraded to normal: ") as failed:
+            await b.executor.run(UPGRADES, overlap=AT_ONCE)
+        assert failed.value.outcome == "rolled_back"
+        assert b.system.configuration == idle()
+        last = {name: b.client.of(ModesCommand, name)[-1].modes for name in ("first", "third")}
+        assert last == {name: {"work": "degraded"} for name in ("first", "third")}
 
     bench(idle(), tmp_path, body)
 

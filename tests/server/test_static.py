@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from pathlib import Path
 
 import httpx
@@ -71,6 +72,20 @@ def test_a_file_is_sent_again_only_if_it_has_changed(client: Client, tmp_path: P
     (tmp_path / "dashboard" / "index.html").write_text("<!DOCTYPE html>")  # of the same length
     changed = client.get("/dashboard/", headers={"If-None-Match": first.headers["etag"]})
     assert (changed.status_code, changed.text) == (200, "<!DOCTYPE html>")
+
+
+def test_the_script_is_made_of_the_modules_as_they_are(client: Client, tmp_path: Path) -> None:
+    assert client.get("/dashboard/page.js").status_code == 404  # there is no module that it begins with
+    folder = tmp_path / "dashboard"
+    (folder / "main.js").write_text('import { one } from "./graph/one.js";\nconsole.log(one);\n')
+    (folder / "graph" / "one.js").write_text("export const one = 1;\n")
+    first = client.get("/dashboard/page.js")
+    assert first.headers["content-type"] == "text/javascript; charset=utf-8" and CSP in first.headers
+    assert first.text.index("const one = 1;") < first.text.index("console.log(one);") and "import" not in first.text
+    (folder / "graph" / "one.js").write_text("export const one = 2;\n")
+    os.utime(folder / "graph" / "one.js", (2_000_000_000, 2_000_000_000))
+    changed = client.get("/dashboard/page.js", headers={"If-None-Match": first.headers["etag"]})
+    assert changed.status_code == 200 and "const one = 2;" in changed.text
 
 
 def test_head_has_the_headers_alone(client: Client) -> None:

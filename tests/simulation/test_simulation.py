@@ -51,6 +51,7 @@ print([run.digest for run in simulate_many({seeds!r})])
     [
         ("gate opened early", "both"),
         ("resumed without claim", "both"),
+        ("acknowledgement dropped", "resumed before it learned"),
         ("dependants not lowered", "although what it assumes there is broken"),
         ("removal not recorded", "saved are"),
     ],

@@ -409,7 +409,9 @@ class Input(_Port[InputLink]):
     @property
     def denied(self) -> bool:
         """Whether it is a condition that does not hold, by the last message on every topic that it has received."""
-        received = [link for link in self.links if link.count] if self.condition else []
+        if not self.condition:
+            return False
+        received = [link for link in self.links if link.count]
         return bool(received) and all(link.fields.violated for link in received)
 
     def remove(self, link: InputLink) -> None:

@@ -108,13 +108,18 @@ class Watch:
     def broken_assumption(self, speed: float) -> list[Input]:
         """The inputs of the first assumption of the mode that does not hold any more; none if all do."""
         for group in self.runner.mode.assumptions:
-            broken = [port for port in group if self._broken(port, self.tolerated(port, speed))]
+            broken = [port for port in group if self._broken(port, speed)]
             if broken and all(port in broken or not port.count for port in group):
                 return broken
         return []
 
-    def _broken(self, port: Input, periods: float) -> bool:
-        return port.denied or self.inputs[port].exceeds(periods, slow=port.tolerates is not None)
+    def _broken(self, port: Input, speed: float, share: float = 1.0) -> bool:
+        """Whether its condition does not hold, or it lacks more than that share of what is tolerated."""
+        shortfall = self.inputs[port]
+        if shortfall.in_order:  # in most cases, and then what is tolerated need not be known
+            return port.denied
+        periods = share * self.tolerated(port, speed)
+        return port.denied or shortfall.exceeds(periods, slow=port.tolerates is not None)
 
     def why(self, port: Input, speed: float) -> str:
         """Why ``port``, which is broken, is, in words."""
@@ -141,7 +146,7 @@ class Watch:
                 return False
             if port.rate is None:
                 return port.attached and (port in relied or (port.condition and port.count > 0))
-            return port.count > 0 and not self._broken(port, self.tolerated(port, speed) / 2)
+            return port.count > 0 and not self._broken(port, speed, 0.5)
 
         for index in range(self.runner.index + 1, self.runner.last):
             if all(any(map(in_order, group)) for group in self.runner.chain[index].assumptions):
@@ -150,8 +155,10 @@ class Watch:
 
     def silent_output(self, speed: float, share: float) -> Output | None:
         """An output on which nothing was written for more than that share of what is tolerated."""
-        late = (port for port in self.outputs if self.outputs[port].silent > share * self.due(port, speed))
-        return next(late, None)
+        for port, shortfall in self.outputs.items():
+            if shortfall.silent and shortfall.silent > share * self.due(port, speed):
+                return port
+        return None
 
 
 @dataclass

@@ -67,6 +67,11 @@ class Shortfall:
         if self._lacking <= 0:
             self._clear()
 
+    @property
+    def in_order(self) -> bool:
+        """Whether a message has come since it was last asked for, and nothing is lacking."""
+        return not self.silent and not self._lacking
+
     def halve(self) -> None:
         """Part of it was not the stream's fault."""
         self._lacking /= 2
@@ -98,24 +103,30 @@ class Stopwatch:
         self.grace = 0.0
         # How much of the time gone by has not been counted: ``/clock`` may move in large steps (s).
         self._room = 0.0
-        # The last laps, on the steady and on the ROS clock (s).
-        self._laps: deque[tuple[float, float]] = deque(maxlen=_LAPS)
+        # The last laps, on the steady and on the ROS clock (ns).
+        self._laps: deque[tuple[int, int]] = deque(maxlen=_LAPS)
         # The seconds of its clock in a second of the steady one, at least 1; a jump of ``/clock`` is no speed.
         self.speed = 1.0
 
     def _measured_speed(self) -> float:
         if not self._host.simulated_time or len(self._laps) < _LAPS:
             return 1.0
-        jump = max(range(_LAPS), key=lambda index: self._laps[index][1])
-        rest = [lap for index, lap in enumerate(self._laps) if index != jump]
-        return max(1.0, sum(ros for _, ros in rest) / max(1e-9, sum(steady for steady, _ in rest)))
+        longest, largest = 0, -1  # the lap with the largest step of the ROS clock
+        steady = ros = 0
+        for gone, moved in self._laps:
+            steady += gone
+            ros += moved
+            if moved > largest:
+                longest, largest = gone, moved
+        return max(1.0, (ros - largest) / max(1, steady - longest))
 
     def lap(self, expected: float) -> float:
         """The seconds since the last lap; if that took more than twice the ``expected`` ones, no more than these."""
         steady, ros = self._host.steady(), self._host.now()
-        gone, moved = (steady - self._steady) / 1e9, max(0.0, (ros - self._ros) / 1e9)
+        lap = (steady - self._steady, max(0, ros - self._ros))
         self._steady, self._ros = steady, ros
-        self._laps.append((gone, moved))
+        self._laps.append(lap)
+        gone, moved = lap[0] / 1e9, lap[1] / 1e9
         self.speed = self._measured_speed()
         # What was sent to a process that was stopped may have to be sent again, or its peers have to find it again.
         self.grace = LONG_FLOOR if gone >= FLOOR else max(0.0, self.grace - gone)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, ClassVar, TypeAlias
 
-from msgspec import UNSET, UnsetType
+from msgspec import UNSET, UnsetType, structs
 
 from midstride.codec.form import Document, FiniteNumber, encode, field
 from midstride.codec.parameter import values_of
@@ -164,10 +164,11 @@ class PlanForm(PlanCosts, frozen=True, kw_only=True):
     measured: Measured | UnsetType = UNSET
 
     @classmethod
-    def of(cls, plan: Plan, **more: Any) -> PlanForm:
-        """Linear in the system, since both specifications are written."""
+    def of(cls, plan: Plan, preview: PlanPreview | None = None, **more: Any) -> PlanForm:
+        """Linear in the system, since both specifications are written. ``preview``: that of ``plan``, if known."""
         start, target = (SpecificationForm.of(found) for found in (plan.change.specification, plan.change.target))
-        return cls(**_fields(plan), start=start, target=target, **more)
+        fields = _fields(plan) if preview is None else structs.asdict(preview)
+        return cls(**fields, start=start, target=target, **more)
 
 
 def _fields(plan: Plan) -> dict[str, Any]:

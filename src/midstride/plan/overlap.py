@@ -1,19 +1,29 @@
 """What of a plan overlaps when it is carried out (docs/semantics.md section 6).
 
-The steps keep the order of the plan. Two things overlap: a process starts as soon as everything is done that its
-``create`` step must wait for, and steps next to each other that remove instances are taken at once. How long the plan
-takes follows from that.
+The steps keep the order of the plan. What overlaps: a process starts as soon as everything is done that its ``create``
+step must wait for; and steps next to each other are taken at once, in a round, if they are all removals, all mode
+changes or all hand-overs. The hand-overs of a round are prepared and watched at once, and their cuts follow one
+another. How long the plan takes follows from that.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
-from midstride.model.action import Action, Create, Remove
+from midstride.model.action import Action, Create, Degrade, Handover, Remove, Upgrade
 from midstride.plan.disruption import DIGITS
 from midstride.plan.estimate import Estimate
 from midstride.plan.plan import Plan
+from midstride.plan.state import without_outputs
+
+# How many components answer commands at once, on however small a machine: of mode changes and hand-overs, so many steps
+# are taken at once.
+WIDEST: Final = 16
+# How much of a hand-over its cut is (s): the moment is agreed 0.1 s ahead, and both sides report a few periods later.
+CUT: Final = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +51,12 @@ def one_by_one(actions: Sequence[Action]) -> Overlap:
 
 def overlap(plan: Plan) -> Overlap:
     """What overlaps, by the plan's dependencies: whatever steps are done at a time, the configuration is valid."""
+    neighbours = _Neighbours(plan)
     rounds: list[tuple[int, ...]] = []
     starts: dict[int, list[int]] = {}
     for index, (step, waits) in enumerate(zip(plan.steps, plan.dependencies, strict=True)):
         last = rounds[-1] if rounds else ()
-        beside = all(_may_overlap(plan.steps[each].action, step.action) for each in last)
-        if last and beside and not set(last).intersection(waits):
+        if last and not set(last).intersection(waits) and neighbours.admit(last, index):
             rounds[-1] = (*last, index)
         else:
             rounds.append((index,))
@@ -65,10 +75,10 @@ def duration(plan: Plan) -> Estimate:
     between = [step.between or (step.seconds, step.seconds) for step in plan.steps]
     expected = [step.seconds for step in plan.steps]
     shortest, longest = ([each[end] for each in between] for end in (0, 1))
-    return Estimate(*(round(_last_end(found, seconds), DIGITS) for seconds in (expected, shortest, longest)))
+    return Estimate(*(round(_last_end(plan, found, seconds), DIGITS) for seconds in (expected, shortest, longest)))
 
 
-def _last_end(found: Overlap, seconds: Sequence[float]) -> float:
+def _last_end(plan: Plan, found: Overlap, seconds: Sequence[float]) -> float:
     """When the last round ends, if the steps take so long; the process of a creation may have begun before its step."""
     now, looked = 0.0, 0
     started: dict[int, float] = {}
@@ -76,9 +86,75 @@ def _last_end(found: Overlap, seconds: Sequence[float]) -> float:
         for number in range(looked, some[0] + 1):
             started.update(dict.fromkeys(found.starts.get(number, ()), now))
         looked = some[0] + 1
-        now = max(now, *(started.get(index, now) + seconds[index] for index in some))
+        if isinstance(plan.steps[some[0]].action, Handover):
+            cuts = [min(CUT, seconds[index]) for index in some]
+            now += sum(cuts) + max(seconds[index] - cut for index, cut in zip(some, cuts, strict=True))
+        else:
+            now = max(now, *(started.get(index, now) + seconds[index] for index in some))
     return now
 
 
-def _may_overlap(one: Action, other: Action) -> bool:
-    return isinstance(one, Remove) and isinstance(other, Remove)
+class _Neighbours:
+    """Which steps of a plan may be in one round, where none waits for another."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan, self._change = plan, plan.change
+        # Between two instances without outputs, state moves beside a step of either (midstride.runtime.state_moves).
+        replaced = without_outputs(plan.change)
+        self._partners = {**replaced, **{old: new for new, old in replaced.items()}}
+        self._attached: dict[str, set[str]] = defaultdict(set)  # by instance: the connectors that it is attached to
+        for port, connector in plan.change.attached:
+            self._attached[port.instance].add(connector)
+
+    def admit(self, earlier: Sequence[int], index: int) -> bool:
+        """Whether a step may be in the round of those ``earlier`` ones."""
+        kind = self._kind(index)
+        if kind is None or any(self._kind(each) != kind for each in earlier):
+            return False
+        if kind == "removals":
+            return True
+        # A component refuses the second of two changes at one revision.
+        commanded = self._commanded(index)
+        if len(earlier) >= WIDEST or any(commanded & self._commanded(each) for each in earlier):
+            return False
+        return kind == "mode changes" or self._is_independent(earlier, index)
+
+    def _kind(self, index: int) -> str | None:
+        """The kind of the rounds that a step may be in; None if it is always alone."""
+        shifts = self._plan.schedule.shifts[index]
+        match self._plan.steps[index].action:
+            case Remove():
+                return "removals"
+            case Upgrade():
+                return "mode changes"
+            case Degrade() if not any(shift.after > shift.before for shift in shifts):
+                return "mode changes"  # else what falls would have fallen for as long as the slowest beside it takes
+            case Handover() if not shifts:
+                return "handovers"  # else what rises by it would wait for the slowest beside it
+        return None
+
+    def _commanded(self, index: int) -> set[str]:
+        names = self._plan.steps[index].action.instances()
+        return {*names, *(self._partners[name] for name in names if name in self._partners)}
+
+    def _is_independent(self, earlier: Sequence[int], index: int) -> bool:
+        """Whether the two sides of a hand-over write and hear nothing that ``earlier`` ones hand over.
+
+        On a topic that they shared, new publishers would be counted for each other's. What a new side hears is to be,
+        during its probation, what it hears after its cut.
+        """
+        topic = self._change.start.topic
+        exchanged = {
+            topic(swap.connector)
+            for each in earlier
+            if isinstance(action := self._plan.steps[each].action, Handover)
+            for swap in action.swaps
+        }
+        own = self._plan.steps[index].action.instances()
+        return not any(topic(connector) in exchanged for name in own for connector in self._connectors(name))
+
+    def _connectors(self, instance: str) -> set[str]:
+        """Those that an instance is attached to at some time during the plan."""
+        live = instance in self._change.start.instances
+        before = self._change.start.attached_ports(instance) if live else ()
+        return {*self._attached[instance], *(connector for _, connector in before)}

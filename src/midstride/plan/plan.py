@@ -14,7 +14,7 @@ from midstride.plan.change import Change
 from midstride.plan.disruption import DIGITS, Levels, follow
 from midstride.plan.explain import Degradation, LevelShift
 from midstride.plan.runtime_values import RuntimeValue
-from midstride.plan.schedule import dependencies, makespan
+from midstride.plan.schedule import Schedule, makespan, schedule
 from midstride.plan.step import Step
 
 _EPSILON: Final = 1e-6
@@ -109,6 +109,11 @@ class Plan:
         return explain.level_shifts(self.change, self.steps)
 
     @cached_property
+    def schedule(self) -> Schedule:
+        """Which steps commute, and what falls or rises by each."""
+        return schedule(self.steps, Levels(self.change))
+
+    @property
     def dependencies(self) -> tuple[tuple[int, ...], ...]:
         """For each step, the earlier ones with which it does not commute, and for which it must wait."""
-        return dependencies(self.steps, Levels(self.change))
+        return self.schedule.dependencies

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Hashable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from enum import Enum, auto
 from itertools import islice
 from typing import Final
@@ -24,7 +25,7 @@ from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.specification import Order
 from midstride.plan.change import Attachment, Change
 from midstride.plan.constraints import in_force
-from midstride.plan.disruption import DIGITS, Levels, follow
+from midstride.plan.disruption import DIGITS, LevelChange, Levels, follow
 from midstride.plan.step import Step
 
 
@@ -164,35 +165,44 @@ class _Marker:
         return self._consumers[connector]
 
 
-def _marks(steps: Sequence[Step], levels: Levels) -> Iterator[tuple[Iterable[Mark], bool]]:
-    """The marks of each step, and whether a functionality falls below its baseline by it."""
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """For each step: ``dependencies`` are the earlier ones that it must wait for, it commutes with the others.
+
+    ``shifts`` are the functionalities that fall below their baselines by it, or rise towards them.
+    """
+
+    dependencies: tuple[tuple[int, ...], ...]
+    shifts: tuple[tuple[LevelChange, ...], ...]
+
+
+def schedule(steps: Sequence[Step], levels: Levels) -> Schedule:
+    """The schedule of ``steps``, which are valid one after another."""
     marker = _Marker(levels.change)
-    for step, (_, meter) in zip(steps, islice(follow(levels, steps), 1, None), strict=True):
-        yield dict.fromkeys(marker.of(step)), any(moved.after > moved.before for moved in meter.changes)
-
-
-def dependencies(steps: Sequence[Step], levels: Levels) -> tuple[tuple[int, ...], ...]:
-    """For each step the earlier ones that it must wait for; the others it commutes with."""
     earlier: dict[Mark, list[int]] = defaultdict(list)
-    found: list[tuple[int, ...]] = []
+    dependencies: list[tuple[int, ...]] = []
+    shifts: list[tuple[LevelChange, ...]] = []
     last_fall = 0
-    for index, (marks, falls) in enumerate(_marks(steps, levels)):
+    for index, (step, (_, meter)) in enumerate(zip(steps, islice(follow(levels, steps), 1, None), strict=True)):
+        marks = dict.fromkeys(marker.of(step))
         waits: set[int] = set()
         for thing, claim in marks:
             for awaited in _WAITS_FOR.get(claim, ()):
                 waits.update(earlier.get((thing, awaited), ()))
-        if falls:  # for every earlier one: the last such step waits for those before it
+        if any(shift.after > shift.before for shift in meter.changes):
+            # For every earlier one: the last step by which something falls waits for those before it.
             waits.update(range(last_fall, index))
             last_fall = index
-        found.append(tuple(sorted(waits)))
+        dependencies.append(tuple(sorted(waits)))
+        shifts.append(meter.changes)
         for mark in marks:
             earlier[mark].append(index)
-    return tuple(found)
+    return Schedule(tuple(dependencies), tuple(shifts))
 
 
 def makespan(steps: Sequence[Step], levels: Levels) -> float:
     """The critical path (s): each step begins as soon as all those it waits for are done."""
     ends: list[float] = []
-    for step, awaited in zip(steps, dependencies(steps, levels), strict=True):
+    for step, awaited in zip(steps, schedule(steps, levels).dependencies, strict=True):
         ends.append(max((ends[index] for index in awaited), default=0.0) + step.seconds)
     return round(max(ends, default=0.0), DIGITS)

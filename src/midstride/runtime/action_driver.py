@@ -35,6 +35,7 @@ from midstride.plan.state import left_behind, without_outputs
 from midstride.runtime.answering import have_answer
 from midstride.runtime.backend import Backend
 from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.cut_turns import CutTurn, only_turn
 from midstride.runtime.events import EventLog
 from midstride.runtime.fencing import Fences, StepBudget
 from midstride.runtime.handover import LiveHandover
@@ -94,10 +95,11 @@ class ActionDriver:
     def configuration(self) -> Configuration:
         return self.system.configuration
 
-    async def perform(self, action: Action, because: str) -> None:
+    async def perform(self, action: Action, because: str, turn: CutTurn | None = None) -> None:
         """Carry out ``action``, whose precondition holds. Raises MidstrideError.
 
-        ``because`` is the reason that components report for their new modes.
+        ``because`` is the reason that components report for their new modes; ``turn`` is that of a hand-over beside
+        others.
         """
         budget = self.fences.budget(self._may_fence(action))
         if any(self.fences.hangs_already(name) for name in action.instances()):
@@ -107,7 +109,7 @@ class ActionDriver:
                 gone = {name for name in self.configuration.instances if self._is_gone(name)} | {*self.fences.fenced}
                 await self.moves.before(action, self.configuration.instances, gone)
             try:
-                await self._perform(action, because, budget)
+                await self._perform(action, because, budget, turn)
             except (CommandRefused, CallTimeout):
                 if not await self._fence_leaving(action, budget.until):
                     raise
@@ -173,7 +175,7 @@ class ActionDriver:
         attachments = specification.attachments_of(instance.role) if instance.role in specification.nodes else []
         return {port.port: specification.connectors[connector].topic for port, connector in attachments}
 
-    async def _perform(self, action: Action, because: str, budget: StepBudget) -> None:
+    async def _perform(self, action: Action, because: str, budget: StepBudget, turn: CutTurn | None = None) -> None:
         if not isinstance(action, Attach):
             await self.settle()
         match action:
@@ -190,7 +192,7 @@ class ActionDriver:
             case Degrade() | Upgrade():
                 await self.modes.enter(action, because, budget)
             case Handover():
-                await self._hand_over(action)
+                await self._hand_over(action, turn)
             case SetParameters(instance, parameters):
                 await self._set_parameters(instance, dict(parameters))
             # The others need no command where a process has exited, or where a port keeps its endpoint because it is
@@ -352,7 +354,7 @@ class ActionDriver:
             await self.client.undo(instance, undo)
             raise
 
-    async def _hand_over(self, action: Handover) -> None:
+    async def _hand_over(self, action: Handover, turn: CutTurn | None) -> None:
         configuration = self.configuration
         pairs = {(swap.old.instance, swap.new.instance) for swap in action.swaps}
         roles = {name: instance.role for name, instance in configuration.instances.items()}
@@ -360,9 +362,11 @@ class ActionDriver:
             await self.before_handover(configuration, action)
         # Where the outputs of other roles are swapped, nothing is replaced.
         replaced = [(old, new) for old, new in pairs if old != new and roles[old] == roles[new]]
-        await self._live_handover(action.swaps, replaced)
+        await self._live_handover(action.swaps, replaced, turn)
 
-    async def _live_handover(self, swaps: Sequence[Swap], replaced: Collection[tuple[str, str]]) -> None:
+    async def _live_handover(
+        self, swaps: Sequence[Swap], replaced: Collection[tuple[str, str]], turn: CutTurn | None = None
+    ) -> None:
         """Hand over what is swapped, and the state of ``replaced``, pairs of old and new."""
         states = StateTransfers(self.client, self.events, replaced, required=not self.rolling_back, lost=self.own_state)
         self._keeping.update(old for old, _ in replaced if keeps_state(self.client, old))
@@ -379,6 +383,7 @@ class ActionDriver:
             self.fences,
             self._carry_parameters,
             Map() if self.rolling_back else self.timing,
+            turn or only_turn(),
         )
         self.last_numbers |= await handover.run()
         self.late |= states.late

@@ -115,9 +115,10 @@ class BringUp:
         self.store.begin(self.backend, self.client.token, running, self.options, self.file)
         if plan.steps or specification != running:
             before = None if is_new else running
-            new = NewChange("up", None, before, specification, len(plan.steps), PlanPreview.of(plan))
+            preview = await asyncio.to_thread(PlanPreview.of, plan)
+            new = NewChange("up", None, before, specification, len(plan.steps), preview)
             entry = await self.journal.begin(new, required=False)
-            outcome = await self.session.carry_out(plan, specification, entry)
+            outcome = await self.session.carry_out(plan, specification, preview, entry)
             if outcome.outcome != "done":
                 raise StepFailed(str(outcome.because), outcome.outcome)
         else:

@@ -130,14 +130,16 @@ class ChangeSession:
                 return self._refuse(verdict.words, verdict)
             seen = tuple(plan.configurations())
             step_verifier = StepVerifier(self.verifier, seen, self.client, self.system.crashed, self._verified)
-        preview = PlanPreview.of(plan)
+        preview = await asyncio.to_thread(PlanPreview.of, plan)  # which steps of a large plan commute takes a while
         new = NewChange(request.describe(), by, self.system.specification, target, len(plan.steps), preview)
         try:
             entry = await self.journal.begin(new)
         except ManagerError as error:
             return self._refuse(str(error), verdict)
         keep = not request.declared_parameters
-        return await self.carry_out(plan, target, entry, step_verifier, verdict, keep=keep, brief=brief, wait=wait)
+        return await self.carry_out(
+            plan, target, preview, entry, step_verifier, verdict, keep=keep, brief=brief, wait=wait
+        )
 
     def _verified(self, verdict: Verdict) -> None:
         self.events.add("verified", str(verdict), verdict=verdict)
@@ -150,6 +152,7 @@ class ChangeSession:
         self,
         plan: Plan,
         target: Specification,
+        preview: PlanPreview,
         entry: JournalEntry,
         verifier: StepVerifier | None = None,
         verdict: Verdict | UnsetType = UNSET,
@@ -158,7 +161,7 @@ class ChangeSession:
         brief: bool = False,
         wait: float = DEFAULT_WAIT,
     ) -> Outcome:
-        """Carry out ``plan``, measure, report, and record it in ``entry``; ``verdict`` is reported with it.
+        """Carry out ``plan``, measure, report, and record it in ``entry``; ``preview`` and ``verdict`` are reported.
 
         ``keep``: with the parameter values that were set at run time. ``brief``: the next command does not wait for the
         whole measurement. ``wait``: after how long a component that hangs, and is to go, is fenced (s).
@@ -168,7 +171,7 @@ class ChangeSession:
         since, before = time.time(), self.events.last
         modes = self._record_modes(plan)
         try:
-            outcome = await self._carry_out(plan, target, entry, recording, transfer, verifier, wait)
+            outcome = await self._carry_out(plan, target, preview, entry, recording, transfer, verifier, wait)
         finally:
             self.modes = None
             self.reconciler.on_failure = lambda _: None
@@ -198,6 +201,7 @@ class ChangeSession:
         self,
         plan: Plan,
         target: Specification,
+        preview: PlanPreview,
         entry: JournalEntry,
         recording: Recording,
         transfer: ParameterTransfer,
@@ -205,7 +209,6 @@ class ChangeSession:
         wait: float,
     ) -> Outcome:
         system = self.system
-        preview = await asyncio.to_thread(PlanPreview.of, plan)  # which steps of a large plan commute takes a while
         silent_before = {fault.words for fault in self.monitor.faults(system.configuration)}
         afterwards = "".join(
             f"; afterwards {wording.lowered(shift.functionality, shift.after, shift.before)}"
@@ -288,7 +291,7 @@ class ChangeSession:
         self.events.add("outcome", f"{said}; afterwards {in_words(lowered)}" if lowered else said, outcome=outcome)
         return Outcome(
             outcome=outcome,
-            plan=PlanForm.of(plan),
+            plan=PlanForm.of(plan, preview),
             seconds=round(seconds, 6),
             steps=executor.times,
             skews=executor.driver.modes.skews,

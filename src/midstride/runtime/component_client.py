@@ -312,15 +312,16 @@ class ComponentClient:
         """One request. Raises CallTimeout once the component has neither answered nor reported for too long."""
         channel = await self._channel(instance)
         sent = self.clock.steady()
-        request = asyncio.ensure_future(channel.request(command, revision=revision, timeout=timeout, id=id))
+        exchange = channel.begin(command, revision=revision, id=id)
         try:
-            while not request.done():
-                latest = self._latest.get(instance)  # None: it has not registered yet
-                given_up = sent + timeout if latest is None else max(latest.at + STOPPED, sent + ANSWER_TIMEOUT)
+            while not exchange.done():
+                given_up = sent + timeout
+                if (latest := self._latest.get(instance)) is not None:  # None: it has not registered yet
+                    given_up = min(given_up, max(latest.at + STOPPED, sent + ANSWER_TIMEOUT))
                 left = given_up - self.clock.steady()
                 if left <= 0:
-                    raise CallTimeout(f"{instance} has reported nothing for {STOPPED:g} s")
-                await asyncio.wait({request}, timeout=left)
-            return request.result()
+                    raise CallTimeout(f"{instance} has neither answered nor reported in time")
+                await asyncio.wait({exchange}, timeout=left)
+            return exchange.result()
         finally:
-            request.cancel()
+            exchange.cancel()

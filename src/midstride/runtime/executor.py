@@ -25,6 +25,7 @@ from midstride.plan.overlap import Overlap, one_by_one
 from midstride.plan.step_forms import AnyStep
 from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.backend import Exited
+from midstride.runtime.cut_turns import CutTurn, CutTurns, GivenUp
 from midstride.runtime.early_starts import EarlyStarts, StartFailedEarly
 from midstride.runtime.journal import JournalEntry
 from midstride.runtime.mode_changes import by_instance
@@ -76,8 +77,9 @@ class Executor:
     ``on_moved`` is called with the configuration after each step and the instances that the step changed.
     ``after_step`` checks the configuration after each step of a plan: if it raises, the step has failed. ``entry``
     records the steps in the journal. ``on_performed`` is called after each action of a plan and of its roll-back;
-    ``commanding`` is held while an action sends commands to components that run already: a component refuses the second
-    of two changes at one revision.
+    ``commanding`` is held while an action sends commands to components that run already, and to which the response to a
+    crash may send some: a component refuses the second of two changes at one revision. It sends none to those of the
+    plan's hand-overs (:mod:`.crash_during_change`).
     """
 
     driver: ActionDriver
@@ -143,6 +145,8 @@ class Executor:
 
         If cancelled, or if one fails, it waits for the others to end, in bounded time, so that none is left incomplete.
         """
+        if isinstance(run.actions[indices[0]], Handover):
+            return await self._hand_over(indices, run)
         if len(indices) == 1:
             await self._take(indices[0], run)
             return {}
@@ -156,29 +160,56 @@ class Executor:
             await self._performed(run.actions[index])
         return {index: error for index, error in zip(indices, errors, strict=True) if error is not None}
 
-    async def _take(self, index: int, run: _Run, place: int | None = None) -> None:
+    async def _hand_over(self, indices: Sequence[int], run: _Run) -> dict[int, BaseException]:
+        """Take hand-overs: prepare all of them at once, cut one after another, and watch all. Returns which failed.
+
+        If cancelled, or as soon as one fails, no further cut begins, and those that are only waited for are given up.
+        """
+        turns = CutTurns()
+
+        async def take(index: int, place: int | None, turn: CutTurn) -> None:
+            try:
+                await self._take(index, run, place, turn)
+            except BaseException:
+                turns.give_up()
+                raise
+
+        places: Sequence[int | None] = range(len(indices)) if len(indices) > 1 else [None]
+        taking = [
+            asyncio.ensure_future(take(index, place, turns.add())) for index, place in zip(indices, places, strict=True)
+        ]
+        try:
+            await asyncio.wait(taking)
+        finally:
+            turns.give_up()
+            errors = await asyncio.gather(*map(asyncio.shield, taking), return_exceptions=True)
+        return {index: error for index, error in zip(indices, errors, strict=True) if error is not None}
+
+    async def _take(self, index: int, run: _Run, place: int | None = None, turn: CutTurn | None = None) -> None:
         """Carry out one step until everything is done that belongs to it; ``place``: in its round, unless alone."""
         action, clock = run.actions[index], self.driver.backend.clock
         key = _estimates(action, self.system.configuration, run.actions) if place is None else None
         begun = clock.steady()
-        await self._step(action, run.done, alone=place is None)
+        await self._step(action, run.done, held=turn is None and place is not None, turn=turn)
         if self.entry is not None:
             self.entry.took(clock.steady() - begun, key, place or 0)
-        await self.driver.watch(action)
+        if turn is not None:
+            turn.ended = True
+            await turn.turns.waiting(self.driver.watch(action))
         if index == len(run.actions) - 1:
             await self.driver.settle()
         if self.after_step is not None:
             await self.after_step(self.system.configuration)
         run.times[index] = StepTime(index + 1, round(begun - run.began, 6), round(clock.steady() - begun, 6))
 
-    async def _step(self, action: Action, done: Done, *, alone: bool) -> None:
-        """Perform ``action`` and append it to ``done``.
+    async def _step(self, action: Action, done: Done, *, held: bool, turn: CutTurn | None) -> None:
+        """Perform ``action`` and append it to ``done``; ``held``: its round holds the lock for commands.
 
         If cancelled, it first waits for the action to end, in bounded time, so that no step is left incomplete. Only a
         creation is interrupted: it cleans up after itself. So it is as soon as a process started ahead has failed: this
         one may be waiting for that one, and would be blamed.
         """
-        performing = asyncio.ensure_future(self.perform(action) if alone else self._perform(action))
+        performing = asyncio.ensure_future(self._perform(action) if held else self.perform(action, turn))
         try:
             if isinstance(action, Create):
                 await self._starts.wait(performing)
@@ -191,7 +222,7 @@ class Executor:
                 done.append((action, performing.result()))
             raise
         done.append((action, before))
-        if alone:
+        if not held:
             await self._performed(action)
 
     async def _performed(self, action: Action) -> None:
@@ -200,12 +231,12 @@ class Executor:
 
     async def _fail(self, indices: Sequence[int], failures: Mapping[int, BaseException], run: _Run) -> None:
         """Roll back, and raise StepFailed: the steps ``failures`` have failed while those at ``indices`` were taken."""
-        reasons = {index: _words(error) for index, error in failures.items()}
-        for index, why in reasons.items():
-            words = f"{run.name(index)} failed: {why}"
+        reasons = {index: _words(error) for index, error in failures.items() if not isinstance(error, GivenUp)}
+        for index in failures:
+            words = f"{run.name(index)} failed: {reasons[index]}" if index in reasons else f"{run.name(index)} given up"
             self.driver.events.add("step_failed", words, **run.position(index))
         because = "; ".join(f"{run.name(index)}: {why}" for index, why in reasons.items())
-        errors = list(failures.values())
+        errors = [failures[index] for index in reasons]
         error = next((each for each in errors if isinstance(each, asyncio.CancelledError | Superseded)), errors[0])
         failed = [place for place, index in enumerate(indices) if index in failures]
         if isinstance(error, Superseded) or not (self.entry is None or await self.entry.failed(failed)):
@@ -220,18 +251,18 @@ class Executor:
             raise StepFailed(because, "rolled_back") from error
         raise StepFailed(f"{because}; and the roll-back failed: {'; '.join(problems)}", "failed") from error
 
-    async def perform(self, action: Action) -> Configuration:
+    async def perform(self, action: Action, turn: CutTurn | None = None) -> Configuration:
         """Check the precondition of one action, carry it out, and update the model. Raises MidstrideError.
 
-        Returns the configuration that it was applied to.
+        Returns the configuration that it was applied to. ``turn``: of a hand-over beside others.
         """
-        async with contextlib.nullcontext() if isinstance(action, Create) else self.commanding:
-            return await self._perform(action)
+        async with contextlib.nullcontext() if isinstance(action, Create | Handover) else self.commanding:
+            return await self._perform(action, turn)
 
-    async def _perform(self, action: Action) -> Configuration:
+    async def _perform(self, action: Action, turn: CutTurn | None = None) -> Configuration:
         before = self.system.configuration
         action.apply(before)
-        await self.driver.perform(action, f"the plan asked for it: {action.describe(before)}")
+        await self.driver.perform(action, f"the plan asked for it: {action.describe(before)}", turn)
         before = self.system.configuration  # steps beside it may have been done meanwhile
         after = action.effect(before)
         self._moved(after, action.instances())

@@ -34,6 +34,7 @@ from midstride.runtime.agreed_cut import (
 )
 from midstride.runtime.answering import have_answer
 from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.cut_turns import CutTurn, only_turn
 from midstride.runtime.events import EventLog
 from midstride.runtime.fencing import Fences
 from midstride.runtime.new_publishers import DETACH_TIMEOUT, NewPublishers
@@ -85,6 +86,7 @@ class LiveHandover:
     ``fences`` is for old sides that hang. ``lingering_readers`` says how many readers on a topic the middleware still
     counts although their processes have exited, ``is_gone`` whether a component has exited. ``states`` moves their
     state; there may be state to move without any swap. ``before_cut(old, new)`` is called when both are ready for it.
+    It is cut when it is its ``turn``: others may be prepared at the same time.
     """
 
     client: ComponentClient
@@ -97,10 +99,12 @@ class LiveHandover:
     fences: Fences
     before_cut: Callable[[str, str], Awaitable[None]] | None = None
     timing: Mapping[str, float] = field(default_factory=Map)  # of the specification
+    turn: CutTurn = field(default_factory=only_turn)
     _new: NewPublishers = field(init=False)
     _cuts: list[Cut] = field(default_factory=list)
     _too_slow: bool = False  # the old side was not free until the last moment that was tried
     _published: bool = False  # the new side has published after the cut
+    _deadline: float = 0.0  # until when an old side that hangs may become free (steady s)
 
     def __post_init__(self) -> None:
         self._new = NewPublishers(
@@ -136,10 +140,10 @@ class LiveHandover:
     async def _exchange(self) -> dict[PortRef, int | None]:
         """Hand over at an agreed moment; or take over from old sides that have exited, or that are fenced.
 
-        One that hangs has until ``fences.wait`` seconds from now to become free; then it is tried once more, with more
-        time ahead.
+        One that hangs has until ``fences.wait`` seconds from now to become free, not counting the time in which it is
+        not asked since it is the turn of others; then it is tried once more, with more time ahead.
         """
-        deadline = self.fences.now() + self.fences.wait
+        self._deadline = self.fences.now() + self.fences.wait
         olds = sorted({old for old, _ in self._pairs})
         attempt: Callable[[], Awaitable[dict[PortRef, int | None]]] = partial(self._agree, LEADS)
         while True:
@@ -151,22 +155,22 @@ class LiveHandover:
             hung: dict[str, str] = {}
             if isinstance(failure, OldSideFailed) and not await self._have_exited():
                 if self._published:
-                    deadline = asked  # nothing is gained by waiting: it may only disturb the new one
-                found = await asyncio.gather(*(self.fences.unresponsive(old, deadline) for old in olds))
+                    self._deadline = asked  # nothing is gained by waiting: it may only disturb the new one
+                found = await asyncio.gather(*(self.fences.unresponsive(old, self._deadline) for old in olds))
                 hung = {old: words for old, words in zip(olds, found, strict=True) if words is not None}
             if await self._have_exited():
                 return await self._take_over()
             slow = self._too_slow or self.fences.now() - asked > AT_ONCE
             if not isinstance(failure, OldSideFailed) or not (hung or slow):
                 raise failure
-            if hung or self.fences.now() >= deadline:
+            if hung or self.fences.now() >= self._deadline:
                 return await self._take_over(hung or {old: f"{old} is too slow: {failure}" for old in olds})
             if self._published:
                 attempt = self._await_cuts
             else:
                 await self._undo()
                 self._cuts = []
-                attempt = partial(self._agree, (max(LEADS[-1], min(LONGEST_LEAD, deadline - self.fences.now())),))
+                attempt = partial(self._agree, (max(LEADS[-1], min(LONGEST_LEAD, self._deadline - self.fences.now())),))
 
     async def _have_exited(self) -> bool:
         return all([await self._has_exited(old) for old, _ in self._pairs])
@@ -203,8 +207,7 @@ class LiveHandover:
             await self._new.attach_beside(swap, readers, ids)
         for connector in connectors:
             await require_found(self.client, self.configuration, self.swaps, connector, found[connector], self.is_gone)
-        for swap in self.swaps:
-            await self._new.await_probation(swap)
+        await self._await_turn(self.swaps, lambda: any(self.is_gone(old) for old, _ in pairs))
         for old, new in pairs:
             with _old_side_needed():
                 await self._meet(new, old)
@@ -216,6 +219,14 @@ class LiveHandover:
                 if await self._announce(last_try=lead == leads[-1]):
                     break
         return await self._await_cuts()
+
+    async def _await_turn(self, swaps: Iterable[Swap], old_is_silent: Callable[[], bool]) -> None:
+        """Wait for the probation of the new publishers, and then until it is their turn. Raises GivenUp."""
+        for swap in swaps:
+            await self.turn.prepare(self._new.await_probation(swap))
+        ready = self.fences.now()
+        await self.turn.begin(old_is_silent)
+        self._deadline += self.fences.now() - ready
 
     async def _before_cut(self) -> None:
         for old, new in self._pairs:
@@ -237,8 +248,7 @@ class LiveHandover:
         for swap in waiting:
             if not self._new.attached(swap):
                 await self._new.attach(swap)
-        for swap in waiting:
-            await self._new.await_probation(swap)
+        await self._await_turn(waiting, lambda: True)
         if hung and not last:
             await self._before_cut()
             last = await self._fence(hung)

@@ -50,6 +50,7 @@ class NewPublishers:
     # The swaps whose new publisher may be attached, and those where it is.
     _begun: list[Swap] = field(default_factory=list)
     _attached: list[Swap] = field(default_factory=list)
+    _proved: list[Swap] = field(default_factory=list)  # those that have passed their probation
 
     async def attach_beside(self, swap: Swap, readers: int, ids: Sequence[str]) -> None:
         """As :meth:`attach`, and note if the new publisher does not find the :meth:`readers` of the old one."""
@@ -98,13 +99,13 @@ class NewPublishers:
         """Detach those that have been attached, as far as they can be reached."""
         for swap in self._begun:
             await self.client.undo(swap.new.instance, self._detachment(swap))
-        self._begun, self._attached = [], []
+        self._begun, self._attached, self._proved = [], [], []
 
     async def await_probation(self, swap: Swap) -> None:
-        """Wait until the new publisher has written behind its gate. Raises StepFailed with what it lacks."""
+        """Wait until the new publisher has written behind its gate, once. Raises StepFailed with what it lacks."""
         component = self.configuration.component(swap.new.instance)
-        if component.gate == "lifecycle":
-            return  # until it takes over it is inactive, and writes nothing
+        if component.gate == "lifecycle" or swap in self._proved:
+            return  # until it takes over it is inactive, and writes nothing; or the old side has exited since
         rate = self.configuration.rate(swap.new)
         duration = stretch_of(self.client, swap.old.instance)  # of a second of its clock (s)
         timeout = PROBATION + (10 / rate * duration if rate else 0.0)
@@ -124,6 +125,7 @@ class NewPublishers:
         if rate:
             foreign = component.gate is not None
             await require_rate(self.client, swap.new, self._topic(swap), rate, self.timing, duration, foreign)
+        self._proved.append(swap)
 
     async def waits_for(self, instance: str) -> str:
         """What the component waits for, if anything, as the end of a sentence."""

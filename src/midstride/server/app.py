@@ -13,6 +13,7 @@ from typing import Annotated, Final
 from fastapi import APIRouter, FastAPI, Header, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import HTMLResponse, StreamingResponse
+from msgspec import UNSET
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
@@ -239,8 +240,8 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
         found = await manager.plan(request)
 
         def response() -> Response:
-            more = {"alternatives": alternatives(found)} if request.explain else {}
-            return answer(PlannedChange.of(found, revision=revision, **more))
+            others = alternatives(found) if request.explain else UNSET
+            return answer(PlannedChange.of(found, revision=revision, alternatives=others))
 
         return await asyncio.to_thread(response)
 

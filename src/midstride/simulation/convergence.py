@@ -8,11 +8,14 @@ from typing import Any
 
 from midstride.model.component import FunctionalityRef
 from midstride.model.specification import initial
+from midstride.plan.step_forms import AttachStep, DetachStep, HandoverStep
 from midstride.runtime.manager import Manager
 from midstride.runtime.observed_configuration import reported_modes
 from midstride.runtime.state_store import SavedState
 from midstride.simulation.lives import ManagerKilled
 from midstride.simulation.platform import Platform
+from midstride.simulation.stand_in import StandIn
+from midstride.wire.state import ComponentState
 
 
 def differences(manager: Manager, platform: Platform, saved: SavedState | None) -> list[str]:
@@ -35,12 +38,7 @@ def differences(manager: Manager, platform: Platform, saved: SavedState | None) 
             best = expected.modes[FunctionalityRef(instance.role, ref.functionality)]
             if index != best:
                 found.append(f"{ref} is in mode {index}, the best is {best}")
-        shown = {
-            (port, topic)
-            for port, topics in process.state.ports.items()
-            for topic, link in topics.items()
-            if link.gate != "closed"
-        }
+        shown = attachments(process)
         modelled = {(port.port, configuration.topic(name)) for port, name in configuration.attached_ports(name)}
         if shown != modelled:
             found.append(f"{name} is attached to {sorted(shown)}, the model has {sorted(modelled)}")
@@ -49,6 +47,42 @@ def differences(manager: Manager, platform: Platform, saved: SavedState | None) 
         found.append(f"saved are {recorded}")
     if saved is not None and saved.specification != manager.specification:
         found.append("another specification is saved")
+    return found
+
+
+def attachments(process: StandIn) -> set[tuple[str, str]]:
+    """The ports that it shows to be attached, with their topics; an output behind a closed gate is not."""
+    ports = {} if process.state is None else process.state.ports
+    return {(port, topic) for port, topics in ports.items() for topic, link in topics.items() if link.gate != "closed"}
+
+
+def not_done(step: AttachStep | DetachStep, manager: Manager, platform: Platform) -> str | None:
+    """In which way a step that is done has not been: what its process shows, unless it has ended or is fenced."""
+    instance, _, port = step.port.rpartition(".")
+    process = platform.standing(instance)
+    if process is None or process.state is None or _is_fenced(process.state):
+        return None
+    attached = (port, manager.configuration.topic(step.connector)) in attachments(process)
+    if attached == isinstance(step, AttachStep):
+        return None
+    return f"{step.port} is {'' if attached else 'not '}attached to {step.connector} after `{step.action}` is done"
+
+
+def _is_fenced(state: ComponentState) -> bool:
+    """Whether it hangs, and was fenced for that: nothing more is asked of it but its end."""
+    return any(link.fenced for topics in state.ports.values() for link in topics.values())
+
+
+def left_attached(step: HandoverStep, manager: Manager, platform: Platform) -> list[str]:
+    """The new publishers of a hand-over that has failed which still have an endpoint on its topic."""
+    found = []
+    for swap in step.swaps:
+        instance, _, port = swap.new.rpartition(".")
+        process = platform.standing(instance)
+        if process is not None and process.state is not None:
+            topic = manager.configuration.topic(swap.connector)
+            if topic in process.state.ports.get(port, {}):
+                found.append(f"{swap.new} is still on {topic} after the hand-over has failed")
     return found
 
 

@@ -43,6 +43,20 @@ KINDS: Final[tuple[FaultKind, ...]] = get_args(FaultKind)
 LONGEST_DELAY: Final = 0.3
 # Faults that make calls of a component's code late.
 LATE: Final[frozenset[str]] = frozenset({"freeze", "hang", "clock jump"})
+# Faults that keep the two sides of a hand-over from hearing of each other in time: components of two machines, which
+# share no lock, may then both write.
+DEAFENING: Final[frozenset[str]] = LATE | {
+    "lost request",
+    "lost reply",
+    "unreachable",
+    "refused request",
+    "delayed request",
+    "delayed reply",
+}
+# Faults in spite of which a change is done, where calls hang for less time than it waits for them.
+HARMLESS: Final[frozenset[str]] = frozenset(
+    {"hang", "repeated request", "repeated reply", "lost messages", "delayed messages"}
+)
 # Faults that stop no component.
 OF_THE_MANAGER: Final[frozenset[str]] = frozenset(
     {"manager killed", "manager killed at a write", "torn write", "full disk", "manager superseded"}
@@ -65,10 +79,13 @@ REQUESTS: Final = 40
 CRITICAL: Final = ("meet", "cut_out", "cut_in", "await_cut", "taken", "cancel_cut")
 # What keeps one side of a hand-over from hearing of the other for longer than it waits; of requests, so many.
 LOSSES: Final[tuple[FaultKind, ...]] = ("lost request", "lost reply", "unreachable")
-STALLS: Final[tuple[FaultKind, ...]] = (*LOSSES, "freeze")
+STALLS: Final[tuple[FaultKind, ...]] = (*LOSSES, "freeze", "hang")
 LASTING: Final = 20
-# How many requests a step makes at most, where that is more than three.
-REQUESTS_OF: Final = {"handover": 18, "create": 6}
+# For how long a call of an old side hangs that is to agree on a cut (s): longer than the moments that it is offered are
+# ahead, so that the hand-over is tried again; and less long than a change waits for it.
+BUSY: Final = 3.0
+# How many requests a step makes at most, or two hand-overs at once, where that is more than three.
+REQUESTS_OF: Final = {"handover": 36, "create": 6}
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,8 +124,11 @@ def _draw(random: random.Random, steps: Sequence[str], kinds: Sequence[str]) -> 
     step = "handover" if op is not None else random.choice(steps) if steps and random.random() < 0.75 else None
     after = 0 if op is not None else random.randrange(REQUESTS if step is None else REQUESTS_OF.get(step, 3))
     stalls = op is not None and kinds is KINDS and random.random() < 0.4
+    kind = cast("FaultKind", random.choice(STALLS if stalls else kinds))
+    if stalls and kind == "hang":
+        return Fault(kind, "handover", 0, involved=True, seconds=BUSY, times=1, op="cut_out")
     return Fault(
-        kind=cast("FaultKind", random.choice(STALLS if stalls else kinds)),
+        kind=kind,
         step=step,
         after=after,
         involved=random.random() < 0.6,

@@ -47,6 +47,8 @@ class Invariants:
     # Since when the assumption of each functionality is broken, and since when the manager could have reacted (s).
     _broken: dict[FunctionalityRef, float] = field(default_factory=dict)
     _free: dict[FunctionalityRef, float] = field(default_factory=dict)
+    # What is shown has changed, or an assumption is broken.
+    due: bool = False
     _changed: bool = False
     _publishers: dict[tuple[str, str], tuple[StandIn, float]] = field(default_factory=dict)
     # By topic and the two processes: a hand-over that is rolled back and made again is one to another process.
@@ -56,15 +58,16 @@ class Invariants:
     def begin(
         self,
         reaction: Callable[[], float],
-        lateness: Callable[[], float],
+        lateness: Callable[[bool], float],
         uninterrupted: Callable[[], bool],
         violated: Callable[[str], None],
     ) -> None:
         """A new seed begins.
 
         ``reaction()``: how long the manager may take to react now (s), infinite while it cannot.
-        ``lateness()``: how long after a publisher was replaced its last message may be heard (s), because of a fault
-        that makes calls late; infinite where it may not know either that it was replaced.
+        ``lateness(apart)``: how long after a publisher was replaced its last message may be heard (s), because of a
+        fault that makes calls late; infinite where it may not know either that it was replaced. ``apart``: the two are
+        on two machines.
         ``uninterrupted()``: whether no plan and no fault has a reason to make a topic silent.
         ``violated`` is called once for each violation, with words.
         """
@@ -75,7 +78,8 @@ class Invariants:
     def on_change(self, process: StandIn) -> None:
         state = process.state
         if process.dead or state is None:
-            self._changed |= self._shown.pop(process.instance, None) is not None
+            if self._shown.pop(process.instance, None) is not None:
+                self.due = self._changed = True
             return
         modes = tuple((name, view.mode) for name, view in state.functionalities.items())
         links = tuple(
@@ -87,7 +91,7 @@ class Invariants:
         shown = Shown(process.instance, process.key, process.component, modes, links)
         if self._shown.get(process.instance) != shown:
             self._shown[process.instance] = shown
-            self._changed = True
+            self.due = self._changed = True
 
     def on_publish(self, writer: SimulatedWriter) -> None:
         """A message is heard on a topic: two instances of one role must not take turns there."""
@@ -101,7 +105,10 @@ class Invariants:
         self._publishers[key] = owner, now
         if before.instance == owner.instance:
             return
-        lateness = self.lateness()
+        apart = before.machine != owner.machine
+        lateness = self.lateness(apart)
+        if apart and lateness == math.inf:
+            return  # they share no lock, and cannot hear of each other
         if now - at < self.oracle.period(writer.topic) * SAME_SLOT and not lateness:
             self._violation(f"{before.instance} and {owner.instance} both write one slot of {writer.topic}")
         times = self._exchanged.setdefault(
@@ -115,12 +122,13 @@ class Invariants:
             self._violation(f"{before.instance} and {owner.instance} are both heard on {writer.topic}")
 
     def check(self) -> None:
-        """After each event."""
+        """After each event that makes it ``due``."""
         if self._changed:
             self._changed = False
             now = self.platform.time.steady()
             self._broken = {ref: self._broken.get(ref, now) for ref in self.oracle.broken(self._shown.values())}
             self._free = {ref: self._free.get(ref, now) for ref in self._broken}
+            self.due = bool(self._broken)
         if self._broken:
             self._check_reaction()
 

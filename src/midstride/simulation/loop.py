@@ -12,7 +12,7 @@ import contextvars
 import heapq
 import random
 from collections.abc import Callable, Coroutine
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 from midstride.errors import BackendError
 
@@ -46,15 +46,31 @@ class _Callback:
         return self.at
 
 
+class Observer(Protocol):
+    """``due``: something has happened that it has to look at."""
+
+    @property
+    def due(self) -> bool: ...
+
+    def check(self) -> None: ...
+
+
+class _Blind:
+    due: Final = False
+
+    def check(self) -> None:
+        pass
+
+
 class SeededLoop(asyncio.AbstractEventLoop):
-    """Starts at 0. ``after_each`` is called after all that was ready at once has run.
+    """Starts at 0. ``observer`` looks at the system after all that was ready at once has run.
 
     Work for an executor is run at once. ``deadlock`` is raised where every task waits and no timer is set.
     """
 
     def __init__(self, seed: int) -> None:
         self.random = random.Random(seed)
-        self.after_each: Callable[[], None] = lambda: None
+        self.observer: Observer = _Blind()
         self._now = 0.0
         self._ready: list[_Callback] = []
         self._timers: list[tuple[float, float, int, _Callback]] = []
@@ -152,7 +168,7 @@ class SeededLoop(asyncio.AbstractEventLoop):
     # -- running -----------------------------------------------------------------------------------
 
     def _run(self, done: asyncio.Future[Any]) -> None:
-        draw, after_each = self.random.random, self.after_each
+        draw, observer = self.random.random, self.observer
         at_once = 0
         while not done.done():
             batch = self._ready
@@ -176,7 +192,8 @@ class SeededLoop(asyncio.AbstractEventLoop):
                         handle.context.run(handle.callback, *handle.args)
                     except Exception as error:
                         self.call_exception_handler({"message": f"{handle.callback!r} raised", "exception": error})
-            after_each()
+            if observer.due:
+                observer.check()
 
     def _jump(self) -> None:
         """To the moment of the next timer; what is due then becomes ready."""

@@ -18,6 +18,8 @@ class Platform(Simulator):
         super().__init__(jitter=0.0005)
         # The next process to be started ends at once.
         self.next_start_fails = False
+        # On how many machines the processes run that are started from now on.
+        self.machines = 1
         self._on_change = on_change
 
     def reseed(self, seed: int) -> None:
@@ -65,7 +67,9 @@ class Platform(Simulator):
                 behaviour.clear()
 
     def _process(self, launch: Launch, log: Path | None) -> SimulatedProcess:
-        return StandIn(launch, self._pids, self.time, self._host, self._exited, log, self._published)
+        process = StandIn(launch, self._pids, self.time, self._host, self._exited, log, self._published)
+        process.machine = f"machine {self._pids % self.machines}"
+        return process
 
     def _published(self, process: SimulatedProcess) -> None:
         assert isinstance(process, StandIn)

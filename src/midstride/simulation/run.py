@@ -12,10 +12,11 @@ from typing import Any, Final
 
 from midstride.errors import BackendError, MidstrideError
 from midstride.plan.request import PlanRequest
+from midstride.plan.step_forms import AttachStep, DetachStep, HandoverStep
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Event
-from midstride.simulation.convergence import closed_outputs, differences, uncaught
-from midstride.simulation.faults import LATE, LOSSES, OF_THE_MANAGER, PROMPT, Fault, draw, strike
+from midstride.simulation.convergence import closed_outputs, differences, left_attached, not_done, uncaught
+from midstride.simulation.faults import DEAFENING, HARMLESS, LATE, LOSSES, OF_THE_MANAGER, PROMPT, Fault, draw, strike
 from midstride.simulation.lives import Life, ManagerKilled
 from midstride.simulation.scenario import Scenario
 from midstride.simulation.stand_in import StandIn
@@ -31,6 +32,10 @@ REACTION_IF_REFUSED: Final = 2.0
 # How long after a publisher was replaced a call of its may write that hung meanwhile (s): two periods of the slowest
 # topic, and the time of a few messages.
 LATE_WRITE: Final = 0.22
+# A change is done all the same where calls hang for so long altogether (s): that is less than it waits for.
+AWAITED: Final = 3.5
+# How often the processes that a change starts are on two machines.
+TWO_MACHINES: Final = 0.15
 # How long to wait after the last command, for reports and messages to arrive (s).
 SETTLING: Final = 0.4
 # Where a write kills the manager: at any, or at one that records what has just been started or removed, or is done.
@@ -43,6 +48,7 @@ class Struck:
 
     fault: str
     step: str
+    seconds: float
     branches: list[str] = field(default_factory=list)
 
 
@@ -82,6 +88,7 @@ class Simulation:
         # Whether another command waits for each change, which then measures for three periods instead of twenty.
         self._brief = self._random.random() < 0.8
         self._faults = draw(self._random, self._scenario.steps)
+        system.platform.machines = 2 if self._random.random() < TWO_MACHINES else 1
         self._loop, self._platform, self._disk = system.loop, system.platform, system.disk
         self._loop.random.seed(self._random.getrandbits(32))
         self._platform.reseed(self._random.getrandbits(32))
@@ -192,6 +199,8 @@ class Simulation:
             self._outcomes.append(outcome.outcome)
             self._note("outcome", f"{outcome.outcome}: {outcome.because}" if outcome.because else outcome.outcome)
             self._reached(outcome.outcome)
+            if outcome.outcome != "done" and self._is_undisturbed():
+                self._violated(f"the change is {outcome.outcome} although nothing has failed: {outcome.because}")
             return
         self._outcomes.append("killed" if life.cut_off is None else "superseded")
         await asyncio.sleep(self._random.choice((0.05, 0.5, 2.0)))
@@ -257,11 +266,18 @@ class Simulation:
             return math.inf
         return REACTION_IF_REFUSED if self._has_struck("refused request") else REACTION
 
-    def _lateness(self) -> float:
+    def _lateness(self, apart: bool) -> float:
+        if apart and self._has_struck(*DEAFENING):
+            return math.inf
         if not self._has_struck(*LATE):
             # A cut that was passed is cancelled if its manager hears nothing: the old side goes on, on its own grid.
             return LATE_WRITE if self._has_struck(*LOSSES) else 0.0
         return LATE_WRITE if {each.fault for each in self._struck} <= PROMPT else math.inf
+
+    def _is_undisturbed(self) -> bool:
+        """Whether nothing has struck that could keep a change from being done."""
+        hung = sum(each.seconds for each in self._struck if each.fault == "hang")
+        return all(each.fault in HARMLESS for each in self._struck) and hung <= AWAITED
 
     def _uninterrupted(self) -> bool:
         """Whether outputs are handed over, no node is moved away, and at most the manager has failed."""
@@ -293,6 +309,13 @@ class Simulation:
         if event.kind == "step" and hasattr(event.step, "action"):
             self._step = event.step.action
             self._since.setdefault(self._step, 0)
+        elif event.kind == "step_done" and isinstance(event.step, (AttachStep, DetachStep)):
+            if (words := not_done(event.step, self._manager, self._platform)) is not None:
+                self._violated(words)
+        elif event.kind == "step_failed" and isinstance(event.step, HandoverStep):
+            if not self._has_struck(*DEAFENING):
+                for words in left_attached(event.step, self._manager, self._platform):
+                    self._violated(words)
         elif event.kind in ("rollback", "rollback_failed", "degraded", "exited"):
             self._reached(event.kind)
         if "internal error" in event.words:
@@ -351,7 +374,7 @@ class Simulation:
                 where = strike(fault, self._platform, self._targets(fault, instance), self._random)
         if where is not None:
             self._note("fault", f"{fault.kind} ({where}, {fault.seconds:g} s, {fault.times} times)")
-            self._struck.append(Struck(fault.kind, self._step))
+            self._struck.append(Struck(fault.kind, self._step, fault.seconds))
 
     def _targets(self, fault: Fault, instance: str) -> list[str]:
         if fault.op is not None and fault.involved:

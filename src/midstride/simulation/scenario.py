@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Final
+
+from immutables import Map
 
 from midstride.lang.load import load_text
 from midstride.model.specification import Node, Specification, initial
@@ -152,6 +154,11 @@ _REPLACEABLE: Final = {
     "detector": ("Detector", "NewDetector"),
     "planner": ("Planner", "NewPlanner"),
 }
+# Without waits, and with such that faults strike in them; the specification keeps them for the next seeds.
+_TIMINGS: Final[Sequence[Mapping[str, float]]] = (
+    {},
+    {"probation": 0.5, "probation_timeout": 1.0, "watch_after": 0.7},
+)
 # By the roles with their components, and the change.
 _rover_steps: Final[dict[tuple[object, ...], list[str]]] = {}
 
@@ -172,7 +179,9 @@ def rover(random: random.Random, current: Specification | None = None) -> Scenar
 
 def _rover_change(random: random.Random, specification: Specification) -> PlanRequest:
     strategy = random.choice(["minimal"] * 4 + ["paper", "quiesce"])
-    kind = random.choice(["replace", "replace", "replace", "two", "restart", "restart", "remove", "add", "set"])
+    kind = random.choice(
+        ["replace", "replace", "replace", "two", "restart", "restart", "several", "several", "remove", "add", "set"]
+    )
     roles = sorted(specification.nodes)
     if missing := sorted(set(_rover().nodes) - set(roles)):
         return PlanRequest(add=(_rover().nodes[missing[0]],), strategy=strategy)
@@ -182,6 +191,10 @@ def _rover_change(random: random.Random, specification: Specification) -> PlanRe
             return PlanRequest(replace=tuple((role, _other(specification, role)) for role in chosen), strategy=strategy)
         case "restart":
             return PlanRequest(restart=(random.choice(roles),), strategy=strategy)
+        case "several":  # those of them that commute are handed over side by side
+            several = tuple(sorted(random.sample(roles, random.randint(2, 4))))
+            timed = replace(specification, timing=Map(random.choice(_TIMINGS)))
+            return PlanRequest(to=timed, restart=several, strategy=strategy)
         case "remove":
             return PlanRequest(remove=(random.choice(roles),), strategy=strategy)
         case "add" if "second_guard" in specification.nodes:

@@ -18,6 +18,7 @@ from typing import Any, Final
 from immutables import Map
 
 from midstride.backends.simulator.clock import SimulatedClock
+from midstride.backends.simulator.cooperative_thread import Yielded
 from midstride.backends.simulator.process import SimulatedProcess
 from midstride.backends.simulator.program import ProcessOutput, SimulatedProgram
 from midstride.codec.component import encode_component
@@ -158,6 +159,9 @@ class StandIn(ThreadlessProcess):
     def modes(self) -> dict[str, dict[str, Any]]:
         """The behaviour of each mode (:mod:`midstride.testing.puppet`)."""
         return self._stand_in.modes
+
+    def _run_thread(self, work: Callable[[], None] | None) -> Yielded:
+        return self._thread.resume(work)  # its program does not touch the interpreter's state
 
     def _new_program(self, launch: Launch) -> SimulatedProgram:
         self._stand_in = _Program(launch, self.log)

@@ -43,7 +43,7 @@ class System:
         self.platform.time.follow(self.loop)
         self.invariants = Invariants(self.platform, Oracle(specifications))
         self.platform.network.on_publish = self.invariants.on_publish
-        self.loop.after_each = self.invariants.check
+        self.loop.observer = self.invariants
         self.disk = SimulatedDisk()
         self.lives: list[Life] = []
         self.manager: Manager | None = None

@@ -71,15 +71,22 @@ class Channel:
 
         Raises CallTimeout where none comes within ``timeout`` seconds, Unreachable where the component is gone.
         """
-        request = frames.Request(id=id or uuid.uuid4().hex, revision=revision, command=frames.encode_value(command))
-        return await self.send(request, timeout)
+        return await self.send(_request(command, revision, id), timeout)
+
+    def begin(self, command: Command[R], *, revision: int | None = None, id: str = "") -> asyncio.Task[Reply]:
+        """The same without a limit of time: a task, to be cancelled where the reply is not waited for any longer."""
+        self._require_open()
+        return asyncio.get_running_loop().create_task(self._exchange(_request(command, revision, id)))
 
     async def send(self, request: frames.Request, timeout: float) -> Reply:
         """As :meth:`request`, for a complete request. Its id must not be that of one under way."""
-        name = self.greeting.instance
+        self._require_open()
+        words = f"{self.greeting.instance} did not answer within {timeout:g} s"
+        return await in_time(timeout, self._exchange(request), words)
+
+    def _require_open(self) -> None:
         if self.closed.is_set():
-            raise Unreachable(f"{name} has closed its control connection")
-        return await in_time(timeout, self._exchange(request), f"{name} did not answer within {timeout:g} s")
+            raise Unreachable(f"{self.greeting.instance} has closed its control connection")
 
     async def _exchange(self, request: frames.Request) -> Reply:
         waiting: asyncio.Future[Reply] = asyncio.get_running_loop().create_future()
@@ -144,6 +151,10 @@ async def _greet(connection: Connection, address: str, token: str) -> frames.Gre
     if line is None:
         raise Unreachable(f"{address} closed the connection without a greeting: it may accept other users only")
     return frames.decode_greeting(line)
+
+
+def _request(command: Command[Any], revision: int | None, id: str) -> frames.Request:
+    return frames.Request(id=id or uuid.uuid4().hex, revision=revision, command=frames.encode_value(command))
 
 
 async def in_time(timeout: float, work: Coroutine[Any, Any, T], words: str) -> T:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from functools import partial
+from typing import Final
 
 from midstride.errors import NodeError, Unreachable
 from midstride.wire.transport import Connection, Serve, StopListening
 
 _SCHEME = "memory:"
+# The place of claims, unless another one is named.
+MEMORY: Final = "memory"
 
 
 class PipeEnd:
@@ -65,7 +68,7 @@ def pipe() -> tuple[PipeEnd, PipeEnd]:
 class PipeClaim:
     """Implements :class:`midstride.wire.transport.CutClaim`. ``holders`` has, by cut, the claim that is taken."""
 
-    def __init__(self, holders: dict[str, PipeClaim], cut: str, place: str = "memory") -> None:
+    def __init__(self, holders: dict[str, PipeClaim], cut: str, place: str = MEMORY) -> None:
         self._holders = holders
         self._cut = cut
         self.place = place
@@ -99,7 +102,7 @@ class PipeNetwork:
     def __init__(self) -> None:
         self.listeners: dict[str, Serve] = {}
         self._serving: set[asyncio.Future[None]] = set()
-        self._claims: dict[str, PipeClaim] = {}
+        self._claims: dict[str, dict[str, PipeClaim]] = {}  # by place
 
     def address(self, instance: str) -> str:
         return f"{_SCHEME}{instance}"
@@ -107,8 +110,9 @@ class PipeNetwork:
     def instance(self, address: str) -> str:
         return address.removeprefix(_SCHEME)
 
-    def claim(self, cut: str) -> PipeClaim:
-        return PipeClaim(self._claims, cut)
+    def claim(self, cut: str, place: str = MEMORY) -> PipeClaim:
+        """A claim of ``cut`` among those of one ``place``: those of two places do not exclude each other."""
+        return PipeClaim(self._claims.setdefault(place, {}), cut, place)
 
     def present(self) -> dict[str, str]:
         return {instance: self.address(instance) for instance in sorted(self.listeners)}

@@ -8,12 +8,16 @@ import itertools
 import json
 import random
 from pathlib import Path
+from typing import Any
 
 import pytest
+from msgspec import structs
 
 from midstride.errors import MidstrideError
 from midstride.plan.request import PlanRequest
-from midstride.server.view.live import LOOK, SOON, LiveView
+from midstride.runtime.component_client import LatestState
+from midstride.server.view.live import LiveView
+from midstride.server.view.timing import LOOK, SOON, TOGETHER
 from tests.runtime.systems import example, replace
 from tests.server.view.support import Reader, Viewed, following, live_view, viewed, without_figures
 
@@ -109,10 +113,10 @@ def test_a_system_in_which_nothing_happens_sends_next_to_nothing(tmp_path: Path)
 def test_without_clients_only_what_lasts_is_built(tmp_path: Path) -> None:
     async def body(v: Viewed) -> None:
         await asyncio.sleep(10)
-        n, tick = v.live.table.n, v.live._tick
-        assert tick is None
+        n = v.live.table.n
+        assert not v.live._tick.is_set
         await asyncio.sleep(60)
-        assert v.live.table.n == n and v.live._tick is None
+        assert v.live.table.n == n and not v.live._tick.is_set
         await v.manager.change(replace("talker", "NewTalker"))
         await asyncio.sleep(0.2)
         assert v.live.table.n > n and [each["name"] for each in v.document()["components"]] == ["listener", "talker_2"]
@@ -146,6 +150,36 @@ def test_patches_are_coalesced_and_a_step_is_soon_visible(tmp_path: Path) -> Non
             assert message.at - at <= 0.1
         shown = [message for message in reader.messages[before:] if message.document.get("change")]
         assert shown[-1].document["change"]["outcome"] == "done"
+
+    viewed("talker", tmp_path, body)
+
+
+def test_a_mode_is_sent_at_once_and_values_of_parameters_twice_a_second(tmp_path: Path) -> None:
+    async def body(v: Viewed) -> None:
+        client, reader = v.manager.watched.client, Reader(v.live)
+
+        def report(**changes: Any) -> None:
+            state = structs.replace(client._latest["talker"].state, **changes)
+            client._latest["talker"] = LatestState(state, client.clock.steady())
+            v.manager.watched.on_report(state)
+
+        def shown() -> Any:
+            return next(each for each in reader.view["components"] if each["name"] == "talker")
+
+        with following([reader]):
+            await asyncio.sleep(1)
+            before = len(reader.of("patch"))
+            for number in range(100):
+                report(parameters={"count": number})
+                await asyncio.sleep(0.05)
+            patches = [each.document.get("components", {}) for each in reader.of("patch")[before:]]
+            values = [value["value"] for each in patches if "talker" in each for value in each["talker"]["parameters"]]
+            assert 5 <= len(values) <= len(patches) <= 11 and values[-1] >= 80
+            await asyncio.sleep(2 * SOON)  # nothing has been sent just before
+            (name, known), *_ = client._latest["talker"].state.functionalities.items()
+            report(functionalities={name: structs.replace(known, mode="other", since=0.0)})
+            await asyncio.sleep(2 * TOGETHER)
+            assert shown()["functionalities"][0]["mode"] == "other"
 
     viewed("talker", tmp_path, body)
 

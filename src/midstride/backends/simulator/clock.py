@@ -12,8 +12,8 @@ from midstride.node.clock_history import ClockHistory
 
 # What the ROS clock reads at 0 of the steady one (ns): any time but 0, which would mean "no clock yet".
 EPOCH: Final = 1_000_000_000_000_000_000
-# How often a ROS clock that `/clock` drives is recorded (s).
-CLOCK_INTERVAL: Final = 0.01
+# How far apart the moments are at which a ROS clock that `/clock` drives is recorded (ns): between them it runs evenly.
+CLOCK_INTERVAL: Final = 50_000_000
 # How many processors the simulated machine has: the number of this one would make runs differ between machines.
 PROCESSORS: Final = 2
 
@@ -28,18 +28,21 @@ class SimulatedClock:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._time: Callable[[], float] = float  # of the loop, once there is one
         self._zero = 0.0
+        # The clocks are read several times at one moment: that of the loop, and what they read then (ns).
+        self._at = math.nan
+        self._steady = self._ros = 0
         self.driven = False
-        self.history = ClockHistory()
         self.timers: dict[SimulatedTimer, None] = {}  # in order: that of a set differs from run to run
         # Where `/clock` drives it: what it read at a moment of the steady clock (ns), and its speed since.
         self._since = self._base = 0
         self._speed = 1.0
-        self._recording: asyncio.TimerHandle | None = None
+        self._history = ClockHistory()
+        self._recorded = 0  # up to when (steady ns)
 
     def follow(self, loop: asyncio.AbstractEventLoop) -> None:
         """Follow ``loop`` from now on, starting at 0."""
         if loop is not self._loop:
-            self._loop, self._time, self._zero = loop, loop.time, loop.time()
+            self._loop, self._time, self._zero, self._at = loop, loop.time, loop.time(), math.nan
 
     @property
     def loop(self) -> asyncio.AbstractEventLoop:
@@ -50,15 +53,26 @@ class SimulatedClock:
         return self._time() - self._zero
 
     def steady_ns(self) -> int:
-        return round((self._time() - self._zero) * 1e9)
+        if (at := self._time()) != self._at:
+            self._read(at)
+        return self._steady
 
     def system_now(self) -> int:
-        return EPOCH + round((self._time() - self._zero) * 1e9)
+        return EPOCH + self.steady_ns()
 
     def ros_now(self) -> int:
-        if not self.driven:
-            return EPOCH + round((self._time() - self._zero) * 1e9)
-        return self._base + round((self.steady_ns() - self._since) * self._speed)
+        if (at := self._time()) != self._at:
+            self._read(at)
+        return self._ros
+
+    def _read(self, at: float) -> None:
+        self._at, self._steady = at, round((at - self._zero) * 1e9)
+        self._ros = self._driven_to(self._steady) if self.driven else EPOCH + self._steady
+
+    def _driven_to(self, steady: int) -> int:
+        """What ``/clock`` has driven the ROS clock to at that moment of the steady one (ns)."""
+        passed = steady - self._since
+        return self._base + (passed if self._speed == 1.0 else round(passed * self._speed))
 
     def drive(self, speed: float, at: int | None = None) -> None:
         """Have ``/clock`` drive the ROS clock of every component, at ``speed`` from now on (0: it stands still).
@@ -66,16 +80,25 @@ class SimulatedClock:
         It continues at ``at`` (ns), by default at what it shows now.
         """
         now = self.ros_now() if at is None else at
+        self._record()
         self.driven, self._base, self._since, self._speed = True, now, self.steady_ns(), speed
+        self._recorded, self._at = self._since, math.nan
+        self._history.add(self._since, now)
         for timer in list(self.timers):
             timer.clock_changed()
-        if self._recording is not None:
-            self._recording.cancel()
+
+    @property
+    def history(self) -> ClockHistory:
+        """A moment for each ``CLOCK_INTERVAL`` in which ``/clock`` drove the ROS clock."""
         self._record()
+        return self._history
 
     def _record(self) -> None:
-        self.history.add(self.steady_ns(), self.ros_now())
-        self._recording = self.loop.call_later(CLOCK_INTERVAL, self._record)
+        """Only now, since how it has run follows from its speed: a timer would be a third of all that happens."""
+        if self.driven:
+            for steady in range(self._recorded + CLOCK_INTERVAL, self.steady_ns() + 1, CLOCK_INTERVAL):
+                self._history.add(steady, self._driven_to(steady))
+                self._recorded = steady
 
     def loop_time(self, ros: int) -> float:
         """When on the loop's clock the ROS clock reads ``ros``; infinite where it stands still before that."""

@@ -178,7 +178,7 @@ class SimulatedControl:
 
     def claim_of(self, process: SimulatedProcess, cut: str) -> PipeClaim:
         """A claim that is free again when ``process`` ends."""
-        self._claims.setdefault(process, []).append(claim := self.claim(cut))
+        self._claims.setdefault(process, []).append(claim := self._pipes.claim(cut, process.machine))
         return claim
 
 

@@ -14,6 +14,7 @@ from midstride.backends.simulator.clock import SimulatedTimer
 from midstride.backends.simulator.network import Network, SimulatedReader, SimulatedWriter
 from midstride.backends.simulator.process import SimulatedProcess
 from midstride.model.contract import QoS
+from midstride.node.clock_history import ClockHistory
 from midstride.node.contracts import type_name
 from midstride.node.diagnostics import DiagnosticEntry
 from midstride.node.host import MessageInfo, NodeParameters
@@ -49,7 +50,6 @@ class SimulatedHost:
         self.parameters: NodeParameters = KeptParameters()
         self.now = process.clock.ros_now
         self.message_now = process.clock.system_now
-        self.clock_history = process.clock.history
         self.steady = process.clock.steady_ns
         self.gate = ServiceGate(self.steady, is_open=not find().standby)
         self.logger = logging.Logger(instance)
@@ -63,6 +63,10 @@ class SimulatedHost:
     @property
     def simulated_time(self) -> bool:
         return self._clock.driven
+
+    @property
+    def clock_history(self) -> ClockHistory:
+        return self._clock.history
 
     # -- data thread -----------------------------------------------------------------------------
 

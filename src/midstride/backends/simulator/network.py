@@ -219,8 +219,8 @@ class Network:
         self.clock.loop.call_later(at - now, self._arrive, writer, reader)
 
     def _arrive(self, writer: SimulatedWriter, reader: SimulatedReader) -> None:
-        left = reader.owner.thawed_at - self.clock.steady()
-        if left > 0 and not reader.gone:
+        thawed_at = reader.owner.thawed_at
+        if thawed_at and not reader.gone and (left := thawed_at - self.clock.steady()) > 0:
             # A frozen process acknowledges nothing.
             self.clock.loop.call_later(min(left, THAW_INTERVAL), self._arrive, writer, reader)
             return

@@ -12,13 +12,14 @@ from typing import Final
 
 from midstride.backends import naming
 from midstride.backends.simulator.clock import SimulatedClock
-from midstride.backends.simulator.cooperative_thread import CooperativeThread, Ended, Sleeps, Yielded
+from midstride.backends.simulator.cooperative_thread import CooperativeThread, Sleeps, Yielded
 from midstride.backends.simulator.program import ProcessOutput, SimulatedProgram
 from midstride.errors import BackendError
 from midstride.node import process_context
 from midstride.node.diagnostics import DiagnosticEntry
 from midstride.node.host import Host
 from midstride.runtime.backend import Launch
+from midstride.wire.pipe import MEMORY
 from midstride.wire.state import ComponentState
 
 # How often what waits for the end of a freeze looks whether it has been ended early (s).
@@ -56,14 +57,17 @@ class SimulatedProcess:
         self.status: int | None = None
         # Its full name in the graph: ``front/camera`` is node ``camera`` in ``/front``, whatever the namespace.
         self.node = naming.full(launch.instance, launch.namespace)
+        # Components of two machines share no lock, so their claims of a cut do not exclude each other.
+        self.machine = MEMORY
         self._on_exit = on_exit
         self._program = self._new_program(launch)
         self._queue: deque[Callable[[], None]] = deque()
         self._scheduled = False
-        # Until when it is frozen (steady s); in the past where it is not.
+        # Until when it is frozen (steady s); in the past where it is not, and 0 where it has never been.
         self.thawed_at = 0.0
-        # Until when its code does not return from a call (steady s); its control thread answers meanwhile.
-        self._returns_at = 0.0
+        # The same for when its code does not react: it is frozen, or does not return from a call, while its control
+        # thread answers.
+        self._reacts_at = 0.0
         self._asleep = False
         context = contextvars.copy_context()
         own = process_context.ProcessContext(
@@ -92,20 +96,23 @@ class SimulatedProcess:
         """Let the thread run, and handle what it yields for."""
         if self.dead:
             return
-        with self._program.interpreter_state():
-            try:
-                yielded: Yielded = self._thread.resume(work)
-            except BackendError as error:
-                self.log.write(f"{error}\n")
-                self.kill()
-                return
-        if isinstance(yielded, Sleeps):
+        try:
+            yielded = self._run_thread(work)
+        except BackendError as error:
+            self.log.write(f"{error}\n")
+            self.kill()
+            return
+        if yielded is None:
+            self._schedule()
+        elif isinstance(yielded, Sleeps):
             self._asleep = True
             self.clock.loop.call_later(yielded.seconds, self._wake)
-        elif isinstance(yielded, Ended):
-            self.kill(self._program.status(yielded.error))
         else:
-            self._schedule()
+            self.kill(self._program.status(yielded.error))
+
+    def _run_thread(self, work: Callable[[], None] | None) -> Yielded:
+        with self._program.interpreter_state():
+            return self._thread.resume(work)
 
     def enqueue(self, item: Callable[[], None]) -> None:
         """Have the thread call ``item`` in its turn."""
@@ -116,14 +123,14 @@ class SimulatedProcess:
     def _schedule(self) -> None:
         if self._queue and not self._scheduled and not self.dead:
             self._scheduled = True
-            if (left := max(self.thawed_at, self._returns_at) - self.clock.steady()) > 0:
-                self.clock.loop.call_later(left, self._work)
-            else:
+            if self.reacts:
                 self.clock.loop.call_soon(self._work)
+            else:
+                self.clock.loop.call_later(self._reacts_at - self.clock.steady(), self._work)
 
     def _work(self) -> None:
         self._scheduled = False
-        if max(self.thawed_at, self._returns_at) > self.clock.steady():
+        if not self.reacts:
             self._schedule()
         elif self._queue and not self._asleep and not self.dead:
             self.resume(self._queue.popleft())
@@ -164,14 +171,15 @@ class SimulatedProcess:
     def freeze(self, seconds: float) -> None:
         """As SIGSTOP, and SIGCONT after ``seconds``."""
         self.thawed_at = max(self.thawed_at, self.clock.steady() + seconds)
+        self._reacts_at = max(self._reacts_at, self.thawed_at)
 
     def hang(self, seconds: float) -> None:
         """As a call of its code that returns after ``seconds``."""
-        self._returns_at = max(self._returns_at, self.clock.steady() + seconds)
+        self._reacts_at = max(self._reacts_at, self.clock.steady() + seconds)
 
     def thaw(self) -> None:
         """End :meth:`freeze` and :meth:`hang`."""
-        self.thawed_at = self._returns_at = 0.0
+        self.thawed_at = self._reacts_at = 0.0
         self._scheduled = False
         self._schedule()
 
@@ -181,12 +189,12 @@ class SimulatedProcess:
     @property
     def runs(self) -> bool:
         """Whether it is neither dead nor frozen."""
-        return not self.dead and self.thawed_at <= self.clock.steady()
+        return not self.dead and (not self.thawed_at or self.thawed_at <= self.clock.steady())
 
     @property
     def reacts(self) -> bool:
         """Whether it is not frozen, and no call of its code hangs."""
-        return max(self.thawed_at, self._returns_at) <= self.clock.steady()
+        return not self._reacts_at or self._reacts_at <= self.clock.steady()
 
     async def wait_while_frozen(self) -> None:
         """Returns once it is not frozen. Raises CancelledError where it is dead, which ends its tasks."""

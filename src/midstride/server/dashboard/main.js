@@ -25,6 +25,7 @@ function section(selector) {
 
 apply();
 const store = createStore(ask);
+store.connect(); // the view comes while the page is put together
 const graph = createGraph(section("#graph"), {
   grouping: settings.grouping,
   onSelect: (name) => store.select(name),
@@ -39,4 +40,3 @@ store.subscribe(["selection"], () => graph.select(store.selected));
 for (const [selector, mount] of PANELS) mount(section(selector), context);
 mountGraphTools(section("#graph-tools"), context);
 mountKeys(context);
-store.connect();

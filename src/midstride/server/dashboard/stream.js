@@ -27,13 +27,19 @@ const SILENCE = 25; // seconds without a byte: the other end is gone, though not
  * @returns {(text: string) => void} takes the text as it comes, in any pieces
  */
 export function messages(deliver) {
-  let rest = "";
+  /** @type {string[]} */ let rest = []; // pieces of a line that has not ended: a view is a line of a megabyte
   let id = /** @type {string | null} */ (null);
   let type = "message";
   /** @type {string[]} */ let data = [];
   return (text) => {
-    const lines = (rest + text).split("\n");
-    rest = lines.pop() ?? "";
+    const lines = text.split("\n");
+    const last = lines.pop() ?? "";
+    if (lines.length === 0) {
+      rest.push(last);
+      return;
+    }
+    lines[0] = rest.join("") + lines[0];
+    rest = [last];
     for (const raw of lines) {
       const line = raw.endsWith("\r") ? raw.slice(0, -1) : raw;
       if (line === "") {

@@ -20,26 +20,21 @@ import msgspec
 from midstride.model.configuration import Configuration
 from midstride.model.rules import Evaluator, violations
 from midstride.model.specification import initial
-from midstride.runtime import status
 from midstride.runtime.component_client import ComponentEvent
 from midstride.runtime.events import EventLog
 from midstride.runtime.reports import Event
 from midstride.server.lifecycle import Lifecycle
 from midstride.server.view.changes import ChangeTracker
 from midstride.server.view.components import Baseline, EntryShape, component_view, port_views
-from midstride.server.view.forms import VERSION, ComponentView, CrashView, SilenceView, Timeline
+from midstride.server.view.faults import crash_views, silence_views
+from midstride.server.view.forms import VERSION, ComponentView, SilenceView, Timeline
 from midstride.server.view.recording import ModeHistory, ViewRecording
-from midstride.server.view.same import rates_as_shown, same_but_figures, same_report
+from midstride.server.view.same import rates_as_shown, same_but_figures, same_report, same_values
 from midstride.server.view.table import Part, ViewTable, encode_view
+from midstride.server.view.timing import FIGURES, LOOK, SOON, TOGETHER, Alarm, Wakers
 from midstride.server.view.topics import changed_parts, topic_view
 from midstride.wire.state import ComponentState
 
-# How long after a difference the view is built, with all that has changed by then (s).
-SOON: Final = 0.05
-# How often measured figures are refreshed while there are clients (s).
-FIGURES: Final = 0.5
-# How often it is looked for what no report shows: components and ports that are silent (s).
-LOOK: Final = 1.0
 _encode: Final = msgspec.json.Encoder().encode
 
 
@@ -59,22 +54,27 @@ class LiveView:
         self._changes = ChangeTracker()
         self._recording = ViewRecording()
         self._modes = ModeHistory()
-        self._wakers: set[asyncio.Event] = set()
+        self._wakers = Wakers()
         self._shapes: dict[str, EntryShape] = {}
         self._shown: dict[str, ComponentView] = {}
         self._reported: dict[str, ComponentState] = {}  # what the entries were built from
         self._unsound: set[str] = set()  # the components that are not as modelled
         self._dirty: set[str] = set()  # to be built
         self._measured: set[str] = set()  # those of which only figures may have changed
+        self._revalued: set[str] = set()  # those of which only figures, parameters and reasons have
         self._configuration = Configuration()
         self._baseline: Baseline | None = None
         self._violations: list[str] = []
         self._silences: list[SilenceView] | None = None  # None: to be looked for
-        self._tick: asyncio.TimerHandle | None = None
-        self._due = math.inf  # when it is (steady s)
-        self._looking: asyncio.TimerHandle | None = None
-        self._figures_at = 0.0  # when they were last refreshed (steady s)
+        self._tick = Alarm(watched.clock, lambda: self.refresh(figures=bool(self._wakers)))
+        self._looking = Alarm(watched.clock, self._look)
+        self._waking = Alarm(watched.clock, self._wakers.wake)
+        self._alarms = (self._tick, self._looking, self._waking)
+        self._refreshed_at = -math.inf  # when the view was last built (steady s)
+        self._revalued_at = -math.inf  # the same with parameters and reasons
+        self._figures_at = 0.0  # the same with figures
         self._figures_of: dict[str, float] = {}  # the same by component
+        self._rated_at: dict[str, float] = {}  # when it was last looked whether it keeps its rates, by component
         self._started = False
         watched.on_report = self._on_report
         watched.events.listeners.append(self._on_event)
@@ -86,56 +86,53 @@ class LiveView:
         """From now on the view is kept up to date. Needs a running loop."""
         if not self._started:
             self._started = True
+            for alarm in self._alarms:
+                alarm.start()
             self.refresh(figures=True)
             self._look()
 
     def close(self) -> None:
         self._started = False
-        for timer in (self._tick, self._looking):
-            if timer is not None:
-                timer.cancel()
-        for waker in self._wakers:
-            waker.set()
+        for alarm in self._alarms:
+            alarm.stop()
+        self._wakers.wake()
 
     def _on_report(self, event: ComponentEvent) -> None:
-        name = event.instance
-        if isinstance(event, ComponentState) and self._same(event):
-            self._measured.add(name)
-            if self._wakers:
-                self._at(self._figures_at + FIGURES)
-        else:
+        name, now = event.instance, self._watched.clock.steady()
+        if not isinstance(event, ComponentState) or not self._same(event):
             self._dirty.add(name)
             self._soon()
+        elif not self._as_measured(event, now) or not same_values(self._reported.get(name), event):
+            self._revalued.add(name)
+            self._tick.at(max(now + SOON, self._revalued_at + FIGURES))
+        else:
+            self._measured.add(name)
+            if self._wakers:
+                self._tick.at(max(now + SOON, self._figures_at + FIGURES))
 
     def _same(self, state: ComponentState) -> bool:
-        """Whether a report differs from the entry of its component in figures at most."""
+        """Whether a report differs from the entry of its component in what may wait at most: figures and values."""
         shown = self._shown.get(state.instance)
-        if shown is None or not shown.answers or not same_report(self._reported.get(state.instance), state):
-            return False
-        return rates_as_shown(shown, state, self._configuration.context)
+        return shown is not None and shown.answers and same_report(self._reported.get(state.instance), state)
+
+    def _as_measured(self, state: ComponentState, now: float) -> bool:
+        """Whether declared rates are met as the entry says. As a figure, this is looked at twice a second."""
+        name = state.instance
+        if now - self._rated_at.get(name, -math.inf) < FIGURES:
+            return True
+        self._rated_at[name] = now
+        return rates_as_shown(self._shown[name], state, self._configuration.context)
 
     def _on_event(self, event: Event) -> None:
         self._changes.on_event(event)
         if event.kind in {"silence", "note"}:  # one has begun, or ended
             self._silences = None
         self._soon()
+        if self._wakers:  # the event is sent even if the view has just been built
+            self._waking.at(self._watched.clock.steady() + TOGETHER)
 
     def _soon(self) -> None:
-        self._at(self._watched.clock.steady() + SOON)
-
-    def _at(self, due: float) -> None:
-        """Refresh at ``due`` (steady s), or earlier."""
-        if not self._started or due >= self._due:
-            return
-        if self._tick is not None:
-            self._tick.cancel()
-        self._due = due
-        delay = max(SOON, due - self._watched.clock.steady())
-        self._tick = asyncio.get_running_loop().call_later(delay, self._on_tick)
-
-    def _on_tick(self) -> None:
-        self._tick, self._due = None, math.inf
-        self.refresh(figures=bool(self._wakers))
+        self._tick.at(max(self._watched.clock.steady() + TOGETHER, self._refreshed_at + SOON))
 
     def _look(self) -> None:
         """Find what no report shows."""
@@ -145,20 +142,16 @@ class LiveView:
             self._dirty |= silent
             self._silences = None
             self.refresh(figures=bool(self._wakers))
-        self._looking = asyncio.get_running_loop().call_later(LOOK, self._look)
+        self._looking.at(self._watched.clock.steady() + LOOK)
 
     # -- the view ------------------------------------------------------------------------------------
 
     @contextlib.contextmanager
     def client(self) -> Iterator[asyncio.Event]:
         """One more client while the context is open: its event is set whenever the view or the log has changed."""
-        waker = asyncio.Event()
         self.refresh(figures=True)  # they were left as they are while there was none
-        self._wakers.add(waker)
-        try:
+        with self._wakers.client() as waker:
             yield waker
-        finally:
-            self._wakers.discard(waker)
 
     def document(self) -> bytes:
         """The whole view as it is now, as JSON."""
@@ -194,10 +187,15 @@ class LiveView:
 
     def refresh(self, *, figures: bool) -> None:
         """Build what has changed, also ``figures`` if that is all that has; then clients are woken."""
-        now, clock = self.now(), self._watched.clock
-        due = figures and clock.steady() - self._figures_at >= FIGURES
+        now, steady = self.now(), self._watched.clock.steady()
+        self._refreshed_at = steady
+        due = figures and steady - self._figures_at >= FIGURES
         if due:
-            self._figures_at = clock.steady()
+            self._figures_at = steady
+        if self._revalued and (due or steady - self._revalued_at >= FIGURES):
+            self._revalued_at = steady
+            self._dirty |= self._revalued
+            self._revalued = set()
         minor: set[Part] = set()
         changes: dict[Part, bytes | None] = dict(self._built(now, due, minor))
         changes.update(self._single())
@@ -205,8 +203,8 @@ class LiveView:
         lasting = {part: json for part, json in changed.items() if part not in minor}
         if lasting:
             self._recording.record(self.table.n, now, lasting)
-        for waker in self._wakers:
-            waker.set()
+        if changed:
+            self._wakers.wake()
 
     def _built(self, now: float, figures: bool, minor: set[Part]) -> Iterator[tuple[Part, bytes | None]]:
         """The entries that may have changed; ``minor`` are those of which nothing but figures has."""
@@ -254,6 +252,7 @@ class LiveView:
             if instance is None:
                 self._shapes.pop(name, None)
                 self._figures_of.pop(name, None)
+                self._rated_at.pop(name, None)
                 self._unsound.discard(name)
                 if self._shown.pop(name, None) is not None:
                     self._modes.gone(name, now)
@@ -282,22 +281,8 @@ class LiveView:
         """The parts that are one value."""
         watched, system = self._watched, self._watched.system
         if self._silences is None:
-            self._silences = [
-                SilenceView(kind=each.kind, instance=each.instance, port=each.port, topic=each.topic, words=each.words)
-                for each in watched.monitor.faults(self._configuration)
-            ]
+            self._silences = silence_views(watched, self._configuration)
         silences = [each for each in self._silences if each.instance in self._configuration.instances]
-        crashed = [
-            CrashView(
-                name=each.name,
-                role=each.role,
-                status=each.status,
-                log=each.log,
-                remedy=each.remedy,
-                respawn=None if each.respawn is None else each.respawn.words,
-            )
-            for each in status.crashed(system, watched.respawner)
-        ]
         values = {
             "system": system.specification.name,
             "backend": self.backend,
@@ -306,7 +291,7 @@ class LiveView:
             "running": watched.running(),
             "valid": not (self._violations or silences or self._unsound),
             "violations": self._violations,
-            "crashed": crashed,
+            "crashed": crash_views(watched),
             "silences": silences,
             "change": self._changes.current,
         }

@@ -14,41 +14,50 @@ _others = attrgetter(*(name for name in ComponentView.__struct_fields__ if name 
 
 
 def same_report(before: ComponentState | None, state: ComponentState) -> bool:
-    """Whether a component reports the same as before, but for counts, figures and the time that has passed.
+    """Whether a component reports the same as before, but for figures, times, and what :func:`same_values` compares.
 
     Called for every report, so it must be cheap.
     """
     if before is None or before.uuid != state.uuid:
         return False
-    if before.functionalities.keys() != state.functionalities.keys() or before.ports.keys() != state.ports.keys():
+    modes, ports = before.functionalities, before.ports
+    if len(modes) != len(state.functionalities) or len(ports) != len(state.ports):
         return False
     for name, functionality in state.functionalities.items():
-        earlier = before.functionalities[name]
-        if (earlier.mode, earlier.because, earlier.reflex) != (
-            functionality.mode,
-            functionality.because,
-            functionality.reflex,
-        ) or functionality.since < earlier.since:
+        earlier = modes.get(name)
+        if (
+            earlier is None
+            or earlier.mode != functionality.mode
+            or earlier.reflex != functionality.reflex
+            or functionality.since < earlier.since
+        ):
             return False
     for name, links in state.ports.items():
-        former = before.ports[name]
-        if former.keys() != links.keys():
+        former = ports.get(name)
+        if former is None or len(former) != len(links):
             return False
         for topic, link in links.items():
-            if former[topic].gate != link.gate:
+            known = former.get(topic)
+            if known is None or known.gate != link.gate:
                 return False
-    return (before.waiting, before.node, before.parameters, before.declared, before.differences, before.undeclared) == (
+    return (before.waiting, before.node, before.differences, before.undeclared) == (
         state.waiting,
         state.node,
-        state.parameters,
-        state.declared,
         state.differences,
         state.undeclared,
     )
 
 
+def same_values(before: ComponentState | None, state: ComponentState) -> bool:
+    """Whether the parameters have the same values, and modes that last the same reasons."""
+    if before is None or before.parameters != state.parameters or before.declared != state.declared:
+        return False
+    reasons = before.functionalities
+    return all(each.because == reasons[name].because for name, each in state.functionalities.items() if name in reasons)
+
+
 def rates_as_shown(shown: ComponentView, state: ComponentState, context: SystemContext) -> bool:
-    """Whether the declared rates are met or not as the entry says. Called for every report as well."""
+    """Whether the declared rates are met or not as the entry says."""
     for port in shown.ports:
         if port.declared is None or port.topic is None or port.topic not in context.connectors:
             continue

@@ -9,12 +9,14 @@ from __future__ import annotations
 import asyncio
 import re
 from collections.abc import AsyncGenerator
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import msgspec
 
+from midstride.runtime.timeouts import within
 from midstride.server.stream import KEEP_ALIVE
-from midstride.server.view.live import SOON, LiveView
+from midstride.server.view.live import LiveView
+from midstride.server.view.timing import SOON
 
 _POSITION: Final = re.compile(r"([0-9a-f]+):([0-9]{1,15})(?:\.([0-9]{1,15}))?")
 
@@ -45,40 +47,41 @@ async def view_events(live: LiveView, since: Position | None) -> AsyncGenerator[
         last = since.event if since is not None and known and since.event is not None else events.last
         last = min(last, events.last)
         ended = asyncio.ensure_future(lifecycle.ended.wait())
+        ended.add_done_callback(lambda _: waker.set())
         loop = asyncio.get_running_loop()
-        sent_at = loop.time() - SOON
+        due = loop.time()  # when the next difference may be sent; an event may at any time
         try:
             yield b": midstride\n\n"
             while True:
                 waker.clear()
                 if over := ended.done():
                     live.refresh(figures=False)  # the last difference is sent as well
-                if not table.knows(sent):
-                    sent, sent_at = table.n, loop.time()
-                    yield _message("view", live.manager, sent, last, live.document())
-                elif table.n != sent:
-                    await asyncio.sleep(sent_at + SOON - loop.time())
-                    patch, sent, sent_at = table.patch(sent), table.n, loop.time()
-                    yield _message("patch", live.manager, sent, last, patch)
+                known = table.knows(sent)
+                if not known or (table.n != sent and (over or loop.time() >= due)):
+                    kind, json = ("patch", table.patch(sent)) if known else ("view", live.document())
+                    sent, due = table.n, loop.time() + SOON
+                    yield _message(kind, live.manager, sent, last, json)
                 for event in events.since(last):
                     last = event.n
                     yield _message("event", live.manager, sent, last, msgspec.json.encode(event))
                 if over:
                     return
-                if table.n == sent and events.last == last and not await _woken(waker, ended):
+                if table.n != sent:
+                    await _woken(waker, due - loop.time())
+                elif events.last == last and not await _woken(waker, KEEP_ALIVE):
                     yield b": still here\n\n"
         finally:
             ended.cancel()
 
 
-async def _woken(waker: asyncio.Event, ended: asyncio.Future[Any]) -> bool:
-    """Wait until something has changed or the manager exits; False if neither happens for a long time."""
-    waiting = asyncio.ensure_future(waker.wait())
+async def _woken(waker: asyncio.Event, seconds: float) -> bool:
+    """Wait until something has happened; False if nothing does in so many seconds."""
     try:
-        done, _ = await asyncio.wait({waiting, ended}, timeout=KEEP_ALIVE, return_when=asyncio.FIRST_COMPLETED)
-        return bool(done)
-    finally:
-        waiting.cancel()
+        async with within(seconds):
+            await waker.wait()
+    except asyncio.TimeoutError:
+        return False
+    return True
 
 
 def _message(kind: str, manager: str, n: int, event: int, json: bytes) -> bytes:

@@ -24,31 +24,42 @@ const FATES = { created: { glyph: "+", words: "planned" }, removed: { glyph: "�
 /** One component on the graph. `update` writes only what has changed. */
 export class ComponentShape {
   /** @type {SVGElement} */ element;
+  #inside = s("g", { class: "inside" });
+  #filled = false;
   /** @type {{glyph: SVGElement, mode: SVGElement, row: SVGElement}[]} */ #modes = [];
   /** @type {Map<string, {mark: SVGElement, figures: Figures}>} */ #ports = new Map();
   /** @type {SVGElement} */ #glyph;
   /** @type {SVGElement} */ #flag;
   /** @type {SVGElement} */ #fate;
-  /** @type {SVGElement} */ #title;
   /** @type {DrawnComponent} */ #drawn;
 
   /** @param {DrawnComponent} drawn */
   constructor(drawn) {
     this.#drawn = drawn;
-    const { entry, label, ins, outs } = drawn;
     const { left, inner, height, portsTop } = componentSize(drawn);
     const right = left + inner;
-    this.#title = s("title");
     this.#glyph = s("text", { class: "glyph", x: left + 10, y: 21 }, "●");
     this.#flag = s("text", { class: "flag", x: right - 10, y: 21, "text-anchor": "end" });
     this.#fate = s("text", { class: "fate", x: left, y: -5 });
+    const row = (/** @type {number} */ index) => portsTop + ROW * index + ROW / 2;
     this.element = s(
       "g",
-      { class: "component mode", role: "button", tabindex: "-1", "data-name": entry.name },
-      this.#title,
+      { class: "component mode", role: "button", tabindex: "-1", "data-name": drawn.entry.name },
       s("rect", { class: "halo", x: left - 4, y: -4, width: inner + 8, height: height + 8, rx: 9 }),
       s("rect", { class: "box", x: left, y: 0, width: inner, height, rx: 6 }),
       s("path", { class: "stripe", d: `M${left} 6a6 6 0 0 1 6-6h${inner - 12}a6 6 0 0 1 6 6z` }),
+      s("path", { class: "wires", d: this.#wires(left, right, row) }),
+      this.#inside,
+    );
+  }
+
+  /** What cannot be seen from afar is made when it first can: most of the shapes of a large graph are never seen near. */
+  #fill() {
+    this.#filled = true;
+    const { entry, label, ins, outs } = this.#drawn;
+    const { left, inner, portsTop } = componentSize(this.#drawn);
+    const right = left + inner;
+    this.#inside.append(
       this.#glyph,
       s("text", { class: "name", x: left + 26, y: 21 }, short(label)),
       s("text", { class: "type", x: left + 26, y: 34 }, short(entry.component)),
@@ -61,13 +72,27 @@ export class ComponentShape {
       const mode = s("text", { class: "mode-name", x: right - 10, y, "text-anchor": "end" });
       const row = s("g", { class: "mode functionality" }, glyph, s("text", { x: left + 26, y }, short(name)), mode);
       this.#modes.push({ glyph, mode, row });
-      this.element.append(row);
+      this.#inside.append(row);
     });
     if (ins.length + outs.length > 0 && entry.functionalities.length > 0) {
-      this.element.append(s("path", { class: "rule", d: `M${left} ${portsTop - 4}h${inner}` }));
+      this.#inside.append(s("path", { class: "rule", d: `M${left} ${portsTop - 4}h${inner}` }));
     }
     ins.forEach((name, index) => this.#addPort(name, "in", left, portsTop + ROW * index + ROW / 2));
     outs.forEach((name, index) => this.#addPort(name, "out", right, portsTop + ROW * index + ROW / 2));
+  }
+
+  /**
+   * @param {number} left the box's edges
+   * @param {number} right
+   * @param {(index: number) => number} row
+   * @returns {string} a path between the ports and their links: all that is drawn of ports from afar
+   */
+  #wires(left, right, row) {
+    const { entry, ins, outs, linked } = this.#drawn;
+    const leads = new Set([...linked, ...entry.ports.flatMap(({ name, topic }) => (topic === null ? [] : [name]))]);
+    const wire = (/** @type {string} */ d) => (/** @type {string} */ name, /** @type {number} */ index) =>
+      leads.has(name) ? d.replace("y", String(row(index))) : "";
+    return [...ins.map(wire(`M${left - FIGURES} yH${left}`)), ...outs.map(wire(`M${right} yh${STUB}`))].join("");
   }
 
   /**
@@ -95,7 +120,7 @@ export class ComponentShape {
     const wire = s("path", { class: "wire", d: incoming ? `M${x - FIGURES} ${y}H${x}` : `M${x} ${y}h${STUB}` });
     // What an output writes is measured at its topic; its gate is shown here.
     const port = s("g", { class: isService(name) ? "port-row service" : "port-row", "data-direction": direction }, wire, mark, label, incoming ? group : null);
-    this.element.append(port);
+    this.#inside.append(port);
     set(back, "x", middle);
     this.#ports.set(`${direction} ${name}`, { mark: port, figures: { group, text, back } });
   }
@@ -104,8 +129,9 @@ export class ComponentShape {
    * @param {Component} entry
    * @param {View} view
    * @param {Ghosts | null} ghosts
+   * @param {import("./viewport.js").Detail} detail modes and ports are as they were while only shapes are drawn
    */
-  update(entry, view, ghosts) {
+  update(entry, view, ghosts, detail) {
     const found = componentLook(entry, view);
     const fate = ghosts?.components.get(entry.name) ?? null;
     const planned = fate === "created" && !(entry.name in view.components);
@@ -115,13 +141,13 @@ export class ComponentShape {
     set(this.element, "data-current", String(ghosts?.current.has(entry.name) ?? false));
     setText(this.#glyph, planned ? "+" : found.glyph);
     const flagged = deviates(entry) && found.kind === "normal";
+    set(this.element, "data-deviates", String(flagged));
     setText(this.#flag, found.kind === "gone" ? found.words : flagged ? "▲" : entry.ending ? "ending" : "");
     setText(this.#fate, fate === null ? "" : `${FATES[fate].glyph} ${planned || fate === "removed" ? FATES[fate].words : "new"}`);
     const words = description(entry, view, fate === null ? "" : planned ? "planned" : FATES[fate].words);
-    if (this.element.getAttribute("aria-label") !== words) {
-      this.element.setAttribute("aria-label", words);
-      this.#title.textContent = words;
-    }
+    set(this.element, "aria-label", words);
+    if (detail === "shapes") return;
+    if (!this.#filled) this.#fill();
     entry.functionalities.forEach((functionality, index) => this.#updateMode(functionality, index, entry, ghosts));
     this.#updatePorts(entry);
   }

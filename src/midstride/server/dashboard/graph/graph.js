@@ -11,16 +11,18 @@ import { ComponentShape } from "./component.js";
 import { neighbour } from "./focus.js";
 import { ghostsOf } from "./ghosts.js";
 import { CollapsedGroup, OpenGroup } from "./group.js";
+import { crashedComponent, signature } from "./entries.js";
 import { COLLAPSE_ABOVE } from "./groups.js";
 import { layOut } from "./layout.js";
 import { LinkShape } from "./link.js";
 import { Motion } from "./motion.js";
 import { owner } from "./names.js";
 import { standalone } from "./standalone.js";
-import { serviceRows } from "./services.js";
 import { structureOf } from "./structure.js";
+import { mountTips } from "./tips.js";
 import { TopicShape } from "./topic.js";
 import { Viewport } from "./viewport.js";
+import { Writer } from "./writer.js";
 
 /**
  * @typedef {import("../store.js").Component} Component
@@ -36,17 +38,10 @@ import { Viewport } from "./viewport.js";
  * @typedef {{element: SVGElement, shape: ComponentShape | TopicShape | CollapsedGroup | OpenGroup, sign: string, box: Box | null}} Drawn
  */
 
-/** So many components a frame: 150 that change at once are shown within 70 ms, and no frame takes longer than the others. */
-const PER_FRAME = 40;
-
 export class Graph {
   /** @type {View | null} */ #view = null;
   /** @type {Map<string, Component>} */ #components = new Map();
   /** @type {Map<string, Component>} */ #lastSeen = new Map(); // so that a crashed one stays in its place
-  /** @type {Map<string, Component>} */ #written = new Map(); // what the shapes show
-  /** @type {Set<string>} */ #stale = new Set(); // components whose shapes do not show their entries yet
-  /** @type {View["topics"] | null} */ #topics = null;
-  #writing = 0;
   /** @type {Structure | null} */ #structure = null;
   /** @type {string | null} */ #wanted = null;
   /** @type {Map<string, Drawn>} */ #drawn = new Map();
@@ -61,6 +56,7 @@ export class Graph {
   /** @type {string | null} */ #toReveal = null;
   /** @type {Grouping} */ #grouping;
   #motion = new Motion();
+  #writer;
   #options;
   #svg;
   #world;
@@ -82,6 +78,16 @@ export class Graph {
     this.#empty = h("p", { class: "graph-empty" });
     element.append(this.#svg, this.#empty);
     this.viewport = new Viewport(this.#svg, this.#world);
+    this.viewport.onDetail = () => this.#writer.update(true);
+    this.#writer = new Writer(() => ({
+      view: this.#view,
+      components: this.#components,
+      drawn: this.#drawn,
+      linksOf: this.#linksOf,
+      ghosts: this.#ghosts,
+      detail: this.viewport.detail,
+    }));
+    mountTips(this.#svg);
     this.#svg.addEventListener("click", (event) => this.#onClick(event));
     this.#svg.addEventListener("keydown", (event) => this.#onKey(/** @type {KeyboardEvent} */ (event)));
     this.#svg.addEventListener("focusin", (event) => this.#onFocus(/** @type {Element} */ (event.target)));
@@ -94,7 +100,7 @@ export class Graph {
     if (this.#plan !== null && (before === null || before.components !== view.components)) this.#makeGhosts();
     const everything = before === null || before.crashed !== view.crashed;
     const structural = this.#gather(view, everything);
-    this.#update(everything);
+    this.#writer.update(everything);
     if (before === null || structural) this.#restructure();
   }
 
@@ -110,7 +116,7 @@ export class Graph {
     this.#makeGhosts();
     if (this.#view === null) return;
     const structural = this.#gather(this.#view, true);
-    this.#update(true);
+    this.#writer.update(true);
     if (structural) this.#restructure();
   }
 
@@ -167,7 +173,7 @@ export class Graph {
 
   /** @returns {string} the picture as a file, with its colours */
   toSvg() {
-    return standalone(this.#svg, this.#world);
+    return this.viewport.inFull(() => standalone(this.#svg, this.#world));
   }
 
   // -- from the view to shapes ------------------------------------------------------------------------
@@ -248,6 +254,7 @@ export class Graph {
    */
   #apply(structure, layout) {
     this.#motion.finish();
+    this.viewport.show(layout);
     const first = this.#structure === null;
     this.#structure = structure;
     const before = this.#drawn;
@@ -265,8 +272,7 @@ export class Graph {
     for (const [id, { element }] of before) if (this.#drawn.get(id)?.element !== element) element.remove();
     this.#order(layout);
     this.#applyLinks(structure);
-    this.#topics = null;
-    this.#update(true);
+    this.#writer.update(true);
     this.#mark();
     this.#move(layout, first);
   }
@@ -345,7 +351,6 @@ export class Graph {
       return move;
     });
     set(this.#world, "data-moving", "true");
-    this.viewport.show(layout);
     for (const [id, link] of this.#links) link.route(layout.lines[id] ?? []);
     for (const link of this.#links.values()) link.update(this.#components, this.#ghosts);
     this.#motion.start(moves, () => {
@@ -354,60 +359,6 @@ export class Graph {
       this.#toReveal = null;
       if (name !== null) this.reveal(name);
     });
-  }
-
-  /**
-   * Writes what has changed. Of many changes, each frame writes some: the browser has to draw them as well.
-   *
-   * @param {boolean} everything
-   */
-  #update(everything) {
-    const view = this.#view;
-    if (view === null) return;
-    const anew = everything || this.#topics !== view.topics;
-    for (const { shape } of this.#drawn.values()) {
-      if (shape instanceof CollapsedGroup) shape.update(view, this.#components, anew);
-    }
-    if (everything) this.#written.clear();
-    for (const [name, entry] of this.#components) if (this.#written.get(name) !== entry) this.#stale.add(name);
-    if (this.#topics !== view.topics) {
-      this.#topics = view.topics;
-      for (const { shape } of this.#drawn.values()) {
-        if (shape instanceof TopicShape) shape.update(view, this.#components);
-      }
-    }
-    this.#writeSome(everything ? Infinity : PER_FRAME);
-  }
-
-  /** @param {number} most components */
-  #writeSome(most) {
-    cancelAnimationFrame(this.#writing);
-    const view = this.#view;
-    if (view === null) return;
-    /** @type {Set<LinkShape | TopicShape>} */ const near = new Set();
-    let count = 0;
-    for (const name of this.#stale) {
-      if (count === most) break;
-      this.#stale.delete(name);
-      const entry = this.#components.get(name);
-      if (entry === undefined) continue;
-      this.#written.set(name, entry);
-      const shape = this.#drawn.get(`c:${name}`)?.shape;
-      if (shape instanceof ComponentShape && signature(entry) === signature(shape.drawn.entry)) {
-        shape.update(entry, view, this.#ghosts);
-        count += 1;
-      }
-      for (const link of this.#linksOf.get(name) ?? []) near.add(link);
-      for (const { direction, topic } of entry.ports) {
-        const drawn = direction === "out" ? this.#drawn.get(`t:${topic}`)?.shape : undefined;
-        if (drawn instanceof TopicShape) near.add(drawn);
-      }
-    }
-    for (const shape of near) {
-      if (shape instanceof TopicShape) shape.update(view, this.#components);
-      else shape.update(this.#components, this.#ghosts);
-    }
-    if (this.#stale.size > 0) this.#writing = requestAnimationFrame(() => this.#writeSome(PER_FRAME));
   }
 
   #mark() {
@@ -468,38 +419,6 @@ export class Graph {
     if (!target.matches(":focus-visible")) return;
     for (const { element, box } of this.#drawn.values()) if (box !== null && element.contains(target)) this.viewport.reveal(box);
   }
-}
-
-/** @type {WeakMap<Component, string>} */ const signatures = new WeakMap();
-
-/**
- * @param {Component} entry
- * @returns {string} what its shape and its links depend on
- */
-function signature(entry) {
-  let found = signatures.get(entry);
-  if (found === undefined) {
-    found = JSON.stringify([
-      [entry.name, entry.role, entry.component, entry.namespace, entry.host],
-      entry.functionalities.map(({ name, modes }) => [name, modes]),
-      entry.ports.map(({ name, direction, topic }) => [name, direction, topic]),
-      serviceRows(entry).map(({ name, direction }) => [name, direction]),
-    ]);
-    signatures.set(entry, found);
-  }
-  return found;
-}
-
-/**
- * @param {import("../store.js").Crash} crash of a component that was never seen
- * @returns {Component}
- */
-function crashedComponent({ name, role }) {
-  const slash = name.lastIndexOf("/");
-  const namespace = `/${slash < 0 ? "" : name.slice(0, slash)}`;
-  const nothing = { node: null, pid: null, host: null, waiting: null, deviation: null, ending: false };
-  const none = { differences: [], undeclared: [], functionalities: [], ports: [], parameters: [], endpoints: [] };
-  return { name, role: role ?? name, component: "exited", namespace, answers: false, as_modelled: false, ...nothing, ...none };
 }
 
 /**

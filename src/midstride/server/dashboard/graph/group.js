@@ -26,12 +26,14 @@ const SQUARES = /** @type {Record<Kind, string>} */ ({
   gone: "M0 2l2-2l3.5 3.5l3.5-3.5l2 2l-3.5 3.5l3.5 3.5l-2 2l-3.5-3.5l-3.5 3.5l-2-2l3.5-3.5z",
 });
 
+/** On the square of a component that deviates in another way than by its mode. */
+const FLAG = "M11 -1v7l-7-7z";
+
 /** A collapsed group. */
 export class CollapsedGroup {
   /** @type {SVGElement} */ element;
-  /** @type {SVGElement} */ #title = s("title");
   /** @type {SVGElement} */ #counts;
-  /** @type {Map<string, {square: SVGElement, flag: SVGElement, entry: Component | null}>} */ #squares = new Map();
+  /** @type {Map<string, {square: SVGElement, flag: SVGElement | null, entry: Component | null}>} */ #squares = new Map();
   /** @type {SVGElement[]} */ #listed = [];
   /** @type {DrawnGroup} */ #group;
 
@@ -43,7 +45,6 @@ export class CollapsedGroup {
     this.element = s(
       "g",
       { class: "group collapsed", role: "button", tabindex: "-1", "aria-expanded": "false", "data-group": group.id },
-      this.#title,
       s("rect", { class: "halo", x: -4, y: -4, width: width + 8, height: height + 8, rx: 12 }),
       s("rect", { class: "box", width, height, rx: 8 }),
       s("path", { class: "twist", d: `M${width - 24} 13l8 5l-8 5z` }),
@@ -53,10 +54,9 @@ export class CollapsedGroup {
     group.members.forEach((name, index) => {
       const x = 14 + (index % columns) * SQUARE;
       const y = 48 + Math.floor(index / columns) * SQUARE;
-      const square = s("path", { "fill-rule": "evenodd" });
-      const flag = s("path", { class: "flag" });
-      this.element.append(s("g", { class: "square mode", transform: `translate(${x} ${y})` }, square, flag));
-      this.#squares.set(name, { square, flag, entry: null });
+      const square = s("path", { class: "square mode", "fill-rule": "evenodd", transform: `translate(${x} ${y})` });
+      this.element.append(square);
+      this.#squares.set(name, { square, flag: null, entry: null });
     });
     for (let line = 0; line < LISTED; line++) {
       const text = s("text", { class: "listed mode", x: 14, y: height - 8 - (LISTED - 1 - line) * 15 });
@@ -77,13 +77,14 @@ export class CollapsedGroup {
       if (entry === undefined || (shape.entry === entry && !everything)) continue;
       shape.entry = entry;
       const { kind } = componentLook(entry, view);
-      const square = /** @type {Element} */ (shape.square.parentNode);
       const flagged = kind === "normal" && deviates(entry);
-      if (square.getAttribute("data-kind") !== kind || square.getAttribute("data-flagged") !== String(flagged)) differs = true;
-      set(square, "data-kind", kind);
-      set(square, "data-flagged", String(flagged));
+      if (shape.square.getAttribute("data-kind") === kind && (shape.flag !== null) === flagged) continue;
+      differs = true;
+      set(shape.square, "data-kind", kind);
       set(shape.square, "d", SQUARES[kind]);
-      set(shape.flag, "d", flagged ? "M11 -1v7l-7-7z" : "");
+      shape.flag?.remove();
+      shape.flag = flagged ? s("path", { class: "square-flag", d: FLAG, transform: shape.square.getAttribute("transform") }) : null;
+      if (shape.flag !== null) shape.square.after(shape.flag);
     }
     if (differs) this.#list(view);
   }
@@ -113,8 +114,7 @@ export class CollapsedGroup {
     const words = `group ${this.#group.title}, collapsed: ${count}, ${
       deviating.length === 0 ? "all as specified" : deviating.map(({ text }) => text).join(", ")
     }`;
-    this.element.setAttribute("aria-label", words);
-    this.#title.textContent = words;
+    set(this.element, "aria-label", words);
   }
 }
 

@@ -65,15 +65,36 @@ function elkGraph(structure) {
   const nested = structure.groups.some((each) => !each.collapsed);
   const bundled = structure.links.some((each) => each.bundle);
   const wrapped = !nested && structure.components.length + structure.groups.length > WRAP_ABOVE;
-  return { id: "root", children, edges, layoutOptions: options({ quick: many || structure.components.length === 0, nested, bundled, wrapped }) };
+  const overview = structure.components.length === 0;
+  const apart = !overview || !isConnected(structure);
+  return { id: "root", children, edges, layoutOptions: options({ quick: many || overview, overview, apart, nested, bundled, wrapped }) };
 }
 
 /**
- * @param {{quick: boolean, nested: boolean, bundled: boolean, wrapped: boolean}} graph `quick`: it is large, or what a page
- *   of a large system begins with; `nested`: there are open groups; `bundled`: room is needed for the labels of bundles
+ * Whether links lead from each of the collapsed groups and topics to all others.
+ *
+ * @param {Structure} structure without components
+ * @returns {boolean}
+ */
+function isConnected({ groups, topics, links }) {
+  const ids = [...groups, ...topics].map(({ id }) => id);
+  /** @type {Map<string, string[]>} */ const beside = new Map(ids.map((id) => [id, []]));
+  for (const { from, to } of links) {
+    beside.get(from)?.push(to);
+    beside.get(to)?.push(from);
+  }
+  const reached = new Set(ids.slice(0, 1));
+  for (const id of reached) for (const other of beside.get(id) ?? []) reached.add(other);
+  return reached.size === ids.length;
+}
+
+/**
+ * @param {{quick: boolean, overview: boolean, apart: boolean, nested: boolean, bundled: boolean, wrapped: boolean}} graph
+ *   `quick`: it is large, or what a page of a large system begins with (`overview`: there are groups alone); `apart`: it may
+ *   have parts that are not linked; `nested`: there are open groups; `bundled`: room is needed for the labels of bundles
  * @returns {Record<string, string>}
  */
-function options({ quick, nested, bundled, wrapped }) {
+function options({ quick, overview, apart, nested, bundled, wrapped }) {
   return {
     "elk.algorithm": "layered",
     "elk.direction": "RIGHT",
@@ -90,9 +111,11 @@ function options({ quick, nested, bundled, wrapped }) {
     "elk.layered.layering.strategy": quick ? "LONGEST_PATH" : "NETWORK_SIMPLEX",
     "elk.layered.nodePlacement.strategy": quick ? "BRANDES_KOEPF" : "NETWORK_SIMPLEX",
     "elk.layered.thoroughness": quick ? "1" : "7",
-    // Things stay in their order when something is added: the eye finds them again.
-    "elk.layered.considerModelOrder.strategy": "NODES_AND_EDGES",
-    "elk.separateConnectedComponents": "true",
+    // Things stay in their order when something is added: the eye finds them again. What a page begins with has to be there
+    // soon: the first layout costs most by the code that it is the first to run.
+    "elk.layered.considerModelOrder.strategy": overview ? "NONE" : "NODES_AND_EDGES",
+    "elk.layered.crossingMinimization.greedySwitch.type": overview ? "OFF" : "TWO_SIDED",
+    "elk.separateConnectedComponents": String(apart),
     "elk.aspectRatio": wrapped ? "2.6" : "1.6",
     // A long chain goes on below, as text does. elkjs does not wrap what is nested.
     "elk.layered.wrapping.strategy": wrapped ? "MULTI_EDGE" : "OFF",

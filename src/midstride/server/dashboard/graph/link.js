@@ -21,7 +21,7 @@ const CORNER = 7;
 export class LinkShape {
   /** @type {SVGElement} */ element;
   /** @type {DrawnLink} */ drawn;
-  /** @type {SVGElement} */ #path = s("path", { class: "line" });
+  /** @type {SVGElement} */ #path;
   /** @type {SVGElement} */ #head = s("path", { class: "head" });
   /** @type {SVGElement} */ #label = s("text", { class: "label", "text-anchor": "middle" });
   /** @type {SVGElement} */ #back = s("rect", { class: "label-back", height: 16, rx: 8 });
@@ -30,8 +30,9 @@ export class LinkShape {
   /** @param {DrawnLink} drawn */
   constructor(drawn) {
     this.drawn = drawn;
-    this.element = s("g", { class: drawn.bundle ? "link bundle" : "link" }, this.#path);
-    this.element.classList.toggle("service", drawn.topics.every(isService));
+    const kind = `link${drawn.bundle ? " bundle" : ""}${drawn.topics.every(isService) ? " service" : ""}`;
+    this.#path = s("path", { class: drawn.bundle ? "line" : `${kind} line` });
+    this.element = drawn.bundle ? s("g", { class: kind }, this.#path) : this.#path; // most are one path and no more
     if (drawn.bundle) {
       this.element.append(this.#head, this.#back, this.#label);
       set(this.#path, "stroke-width", (1.5 + Math.min(4, Math.log2(1 + drawn.topics.length) * 0.8)).toFixed(1));

@@ -5,6 +5,7 @@
  */
 
 import { s } from "../dom.js";
+import { allTips } from "./tips.js";
 
 const MARGIN = 16;
 
@@ -17,7 +18,8 @@ export function standalone(svg, world) {
   const box = /** @type {SVGGraphicsElement} */ (world).getBBox();
   const copy = /** @type {SVGElement} */ (svg.cloneNode(true));
   copy.querySelector(".world")?.removeAttribute("transform");
-  copy.removeAttribute("data-far");
+  copy.removeAttribute("data-detail");
+  allTips(copy);
   const [width, height] = [box.width + 2 * MARGIN, box.height + 2 * MARGIN];
   copy.setAttribute("xmlns", "http://www.w3.org/2000/svg");
   copy.setAttribute("viewBox", `${box.x - MARGIN} ${box.y - MARGIN} ${width} ${height}`);

@@ -19,7 +19,6 @@ import { isService } from "./services.js";
 
 export class TopicShape {
   /** @type {SVGElement} */ element;
-  /** @type {SVGElement} */ #title = s("title");
   /** @type {SVGElement} */ #flag;
   /** @type {SVGElement} */ #figures;
 
@@ -33,20 +32,24 @@ export class TopicShape {
     this.element = s(
       "g",
       { class: isService(name) ? "topic service" : "topic", role: "button", tabindex: "-1", "data-topic": name },
-      this.#title,
       s("rect", { class: "halo", x: -4, y: -4, width: width + 8, height: height + 8, rx: 15 }),
       s("rect", { class: "pill", width, height, rx: 11 }),
-      this.#flag,
-      s("text", { x: width / 2, y: 15, "text-anchor": "middle" }, short(name)),
-      rate === null ? null : this.#figures,
+      s(
+        "g",
+        { class: "inside" },
+        this.#flag,
+        s("text", { x: width / 2, y: 15, "text-anchor": "middle" }, short(name)),
+        rate === null ? null : this.#figures,
+      ),
     );
   }
 
   /**
    * @param {View} view
    * @param {Map<string, Component>} components
+   * @param {import("./viewport.js").Detail} detail figures are as they were while only shapes are drawn
    */
-  update(view, components) {
+  update(view, components, detail) {
     const topic = view.topics[this.name];
     const satisfied = topic?.satisfied ?? true;
     const outside = topic?.outside ?? [];
@@ -58,16 +61,13 @@ export class TopicShape {
     set(this.element, "data-satisfied", String(satisfied));
     set(this.element, "data-state", state);
     setText(this.#flag, satisfied ? (outside.length > 0 ? "⇥" : "") : "▲");
-    setText(this.#figures, state === "closed" ? "⊘ closed" : `${state === "low" ? "▼ " : ""}${measured}${rate}`);
+    if (detail !== "shapes") setText(this.#figures, state === "closed" ? "⊘ closed" : `${state === "low" ? "▼ " : ""}${measured}${rate}`);
     const words = [isService(this.name) ? this.name : `topic ${this.name}`];
     if (topic !== undefined) {
       words.push(topic.type, satisfied ? "contract satisfied" : "contract not satisfied");
       if (outside.length > 0) words.push(`also published from outside by ${outside.join(", ")}`);
     }
-    const text = words.join("; ");
-    if (this.element.getAttribute("aria-label") === text) return;
-    this.element.setAttribute("aria-label", text);
-    this.#title.textContent = text;
+    set(this.element, "aria-label", words.join("; "));
   }
 }
 

@@ -10,8 +10,11 @@ const SMALLEST = 0.05;
 const LARGEST = 4;
 const MARGIN = 24;
 const TOOLS = 44; // the buttons at the bottom
-/** Below this scale, the small text cannot be read and is left out. */
+/** Below the first scale, the small text cannot be read and is left out; below the second one, any text. */
 const FAR = 0.42;
+const FARTHER = 0.2;
+
+/** @typedef {"all" | "names" | "shapes"} Detail how much of the shapes is drawn */
 
 export class Viewport {
   #svg;
@@ -23,6 +26,9 @@ export class Viewport {
   #content = { width: 1, height: 1 };
   /** @type {Map<number, {x: number, y: number}>} */ #pointers = new Map();
   #travelled = 0;
+  /** @type {Detail} */ #detail = "all";
+  /** Called when `detail` has changed. */
+  onDetail = () => {};
   /** The largest scale at which a small picture is fitted in. */
   fitLargest = 1.5;
 
@@ -45,6 +51,10 @@ export class Viewport {
   /** Whether the pointer has just dragged the picture, so that its release is no click. */
   get dragged() {
     return this.#travelled > 5;
+  }
+
+  get detail() {
+    return this.#detail;
   }
 
   /** @param {{width: number, height: number}} content */
@@ -96,7 +106,30 @@ export class Viewport {
 
   #apply() {
     set(this.#world, "transform", `translate(${this.#x.toFixed(2)} ${this.#y.toFixed(2)}) scale(${this.#scale.toFixed(4)})`);
-    set(this.#svg, "data-far", String(this.#scale < FAR));
+    const detail = this.#scale < FARTHER ? "shapes" : this.#scale < FAR ? "names" : "all";
+    if (detail !== this.#detail) this.#set(detail);
+  }
+
+  /** @param {Detail} detail */
+  #set(detail) {
+    this.#detail = detail;
+    this.#svg.setAttribute("data-detail", detail);
+    this.onDetail();
+  }
+
+  /**
+   * What `take` returns while all of the shapes is drawn.
+   *
+   * @template T
+   * @param {() => T} take
+   * @returns {T}
+   */
+  inFull(take) {
+    const detail = this.#detail;
+    if (detail !== "all") this.#set("all");
+    const taken = take();
+    if (detail !== "all") this.#set(detail);
+    return taken;
   }
 
   /**

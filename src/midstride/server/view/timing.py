@@ -1,0 +1,82 @@
+"""When the live view is built, and its clients are woken."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+from collections.abc import Callable, Iterator
+from typing import Final
+
+from midstride.runtime.clock import Clock
+
+# How long after a difference the view is built (s): what changes together is sent together.
+TOGETHER: Final = 0.005
+# How often it is built at most (s).
+SOON: Final = 0.05
+# How often measured figures are refreshed while there are clients, and values of parameters and reasons of modes (s).
+FIGURES: Final = 0.5
+# How often it is looked for what no report shows: components and ports that are silent (s).
+LOOK: Final = 1.0
+
+
+class Alarm:
+    """Calls back once, at the earliest of the times that it is set to, between :meth:`start` and :meth:`stop`."""
+
+    def __init__(self, clock: Clock, call: Callable[[], object]) -> None:
+        self._clock = clock
+        self._call = call
+        self._timer: asyncio.TimerHandle | None = None
+        self._due = math.inf
+        self._started = False
+
+    def start(self) -> None:
+        self._started = True
+
+    def stop(self) -> None:
+        self._started = False
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer, self._due = None, math.inf
+
+    @property
+    def is_set(self) -> bool:
+        return self._timer is not None
+
+    def at(self, due: float) -> None:
+        """At ``due`` (steady s), or earlier if it is set to an earlier time. Needs the running loop."""
+        if not self._started or due >= self._due:
+            return
+        if self._timer is not None:
+            self._timer.cancel()
+        self._due = due
+        delay = max(0.0, due - self._clock.steady())
+        self._timer = asyncio.get_running_loop().call_later(delay, self._ring)
+
+    def _ring(self) -> None:
+        self._timer, self._due = None, math.inf
+        self._call()
+
+
+class Wakers:
+    """The clients of a view, each with an event that is set when there may be something to send."""
+
+    def __init__(self) -> None:
+        self._events: set[asyncio.Event] = set()
+
+    def __bool__(self) -> bool:
+        return bool(self._events)
+
+    @contextlib.contextmanager
+    def client(self) -> Iterator[asyncio.Event]:
+        """One more client while the context is open."""
+        event = asyncio.Event()
+        self._events.add(event)
+        try:
+            yield event
+        finally:
+            self._events.discard(event)
+
+    def wake(self) -> None:
+        for event in self._events:
+            event.set()
