@@ -33,7 +33,7 @@ from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.measure import Observation, SwapReport, report
-from midstride.wire.commands import Receipt
+from midstride.wire.replies import Receipt
 
 HERE = Path(__file__).resolve().parent
 PERIOD = 0.02

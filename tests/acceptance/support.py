@@ -26,7 +26,7 @@ from midstride.runtime.measure import Observation, SwapReport, report
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.reaper import Reaper
 from midstride.runtime.workspace import Workspace
-from midstride.wire.commands import Receipt
+from midstride.wire.replies import Receipt
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCHMARKS = ROOT / "benchmarks"

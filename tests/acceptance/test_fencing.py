@@ -20,7 +20,7 @@ from midstride.plan.request import PlanRequest
 from midstride.runtime.component_client import STOPPED
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Event, Outcome
-from midstride.wire.commands import Receipt
+from midstride.wire.replies import Receipt
 from tests.acceptance.support import BENCHMARKS, PERIOD, Recorder, ended, managed, swap_specification
 from tests.backends.ros2_support import run, until_async
 

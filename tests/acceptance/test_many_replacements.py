@@ -19,7 +19,7 @@ from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.measure import Observation
 from midstride.runtime.reports import Event
-from midstride.wire.commands import Receipt
+from midstride.wire.replies import Receipt
 from tests.acceptance.support import (
     PERIOD,
     Recorder,

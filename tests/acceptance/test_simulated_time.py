@@ -17,7 +17,7 @@ from midstride.runtime.measure import Observation, SwapReport
 from midstride.runtime.options import SystemOptions
 from midstride.runtime.reports import Status
 from midstride.runtime.simulated_time import report_on_ros_clock
-from midstride.wire.commands import ClockMoment, Receipt
+from midstride.wire.replies import ClockMoment, Receipt
 from tests.acceptance.support import (
     PERIOD,
     ClockSource,

@@ -21,9 +21,10 @@ from midstride.runtime.backend import Exited, Handle, Launch
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.reaper import Reaper, process_info
 from midstride.wire.channel import Channel
-from midstride.wire.commands import AttachCommand, DetachCommand, Detached, ModesCommand, WelcomeCommand
+from midstride.wire.commands import AttachCommand, DetachCommand, ModesCommand, WelcomeCommand
 from midstride.wire.environment import ENV_TOKEN
 from midstride.wire.frames import Greeting, Registration
+from midstride.wire.replies import Detached
 from midstride.wire.state import GateState, LinkState
 
 T = TypeVar("T")

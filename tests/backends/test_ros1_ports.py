@@ -14,7 +14,8 @@ import pytest
 from midstride.backends.ros1 import connection_headers
 from midstride.errors import CommandRefused
 from midstride.model.contract import QoS
-from midstride.wire.commands import GridCommand, Receipt, RecordsCommand
+from midstride.wire.commands import GridCommand, RecordsCommand
+from midstride.wire.replies import Receipt
 from tests.backends.ros1_support import pack_string, program, read_block, rig, subscribe, wait_for
 from tests.backends.ros2_support import LISTENER, TALKER, Rig, run, until_async
 

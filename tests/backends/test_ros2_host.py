@@ -21,12 +21,12 @@ from midstride.wire.commands import (
     GridCommand,
     MeetCommand,
     RecordCommand,
-    Records,
     RecordsCommand,
     SetParametersCommand,
     WelcomeCommand,
 )
 from midstride.wire.environment import ENV_CONTROL, ENV_TOKEN
+from midstride.wire.replies import Records
 from midstride.wire.state import ComponentState, Endpoint
 from tests.backends.ros2_support import LISTENER, TALKER, Bare, Rig, alive, rig, run, until, without_midstride
 

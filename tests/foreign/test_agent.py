@@ -24,7 +24,7 @@ from midstride.model.contract import Predicate
 from midstride.runtime.clock import SystemClock
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.probation import default_probation, require_rate
-from midstride.wire import commands
+from midstride.wire import commands, replies
 from midstride.wire.sockets import SocketFolder
 from tests.foreign.lab import Lab
 
@@ -97,11 +97,11 @@ class Nodes:
         await self.change(old, commands.CutOutCommand(cut="c", swaps=swaps, at=0, resume_after=1))
         await self.change(new, commands.CutInCommand(cut="c", swaps=swaps, at=0, peer=old, address=""))
 
-    async def results(self, *instances: str) -> list[commands.CutResult]:
+    async def results(self, *instances: str) -> list[replies.CutResult]:
         await_cut = commands.AwaitCutCommand(cut="c", timeout=30)
         return await asyncio.gather(*(self.client.read(each, await_cut) for each in instances))
 
-    async def handed_over(self, old: str, new: str) -> commands.CutResult:
+    async def handed_over(self, old: str, new: str) -> replies.CutResult:
         """Hand over; the old side's result."""
         await self.cut(old, new)
         incoming, outgoing = await self.results(new, old)

@@ -19,7 +19,7 @@ from midstride.foreign.page import OPEN, OUTPUT, Page
 from midstride.node.baton import BatonState, BatonStep, TakenSeat
 from midstride.testing.conformance import puppets
 from midstride.testing.conformance.lab import Lab
-from midstride.wire.commands import Seat
+from midstride.wire.replies import Seat
 
 TOPIC = "/chatter"
 SWAPS = [{"port": "out", "topic": TOPIC}]

@@ -27,7 +27,8 @@ from midstride.plan.change_builder import change_between
 from midstride.plan.specification_diff import differences
 from midstride.runtime.agreed_cut import early_publishers, has_gate, publishers_found, require_baton, require_found
 from midstride.runtime.backend import Launch
-from midstride.wire.commands import Attached, AwaitMatchCommand
+from midstride.wire.commands import AwaitMatchCommand
+from midstride.wire.replies import Attached
 from midstride.wire.sockets import SocketFolder
 
 TEXT = """system chat

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from midstride.errors import CallTimeout, CommandRefused, Unreachable
 from midstride.node.answering import YIELD_ATTEMPTS, Answering
 from midstride.node.service_gate import HELD, HOLD, REMEMBER, REMEMBERED, ServiceGate
-from midstride.wire.commands import AnswerCommand, Command, Done, YieldCommand
+from midstride.wire.commands import AnswerCommand, Command, YieldCommand
 from midstride.wire.frames import Reply, encode_value
+from midstride.wire.replies import Done
 
 
 class Server:

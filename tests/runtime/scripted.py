@@ -37,37 +37,39 @@ from midstride.testing.clock import run
 from midstride.wire.commands import (
     AnswerCommand,
     AttachCommand,
-    Attached,
     AwaitCutCommand,
     AwaitIdleCommand,
     AwaitMatchCommand,
     AwaitWriteCommand,
     Command,
-    CutResult,
     DetachCommand,
-    Detached,
-    Done,
-    ExportedState,
     ExportStateCommand,
-    GatedWrites,
-    Grid,
     GridCommand,
-    Idle,
     ModesCommand,
     ObserveCommand,
     PrepareStateCommand,
-    PreviousModes,
-    PreviousParameters,
     RecordCommand,
-    RecordingSwitched,
-    Records,
     RecordsCommand,
     SetParametersCommand,
-    StateOffer,
     WelcomeCommand,
 )
 from midstride.wire.frames import PROTOCOL, Greeting, Registration
 from midstride.wire.pipe import PipeNetwork
+from midstride.wire.replies import (
+    Attached,
+    CutResult,
+    Detached,
+    Done,
+    ExportedState,
+    GatedWrites,
+    Grid,
+    Idle,
+    PreviousModes,
+    PreviousParameters,
+    RecordingSwitched,
+    Records,
+    StateOffer,
+)
 from midstride.wire.state import ComponentState, Endpoint, FunctionalityState, LinkState
 from midstride.wire.transport import Transport
 from tests.model import build

@@ -27,7 +27,7 @@ from midstride.runtime.runtime_verification import Verifier
 from midstride.runtime.state_store import StateStore
 from midstride.testing.clock import run
 from midstride.verify.verdict import Answer, Verdict
-from midstride.wire import commands
+from midstride.wire import replies
 from midstride.wire.commands import AttachCommand, AwaitWriteCommand, ModesCommand, RecordCommand, RecordsCommand
 from midstride.wire.state import ComponentState
 from tests.runtime.scripted import REFUSED, TIMEOUT, ReconcilingBench, reported
@@ -185,7 +185,7 @@ def test_the_seconds_below_the_baseline_are_measured(tmp_path: Path) -> None:
     async def body(s: SessionBench) -> None:
         async def slowly() -> object:
             await asyncio.sleep(0.5)
-            return commands.Attached(matched=1)
+            return replies.Attached(matched=1)
 
         s.client.reply("talker_2", AttachCommand, lambda _: slowly())
         outcome = await s.session.change(replace("talker", "NewTalker", "paper"))
@@ -285,7 +285,7 @@ def _unless(s: SessionBench) -> object:
     """From now on, the new talker is attached where it should not be, and whether that is valid is unknown."""
     s.verifier.verdict = UNKNOWN
     s.client.states["talker_2"] = elsewhere("normal")
-    return commands.GatedWrites(gated=1, wrong_type=None)
+    return replies.GatedWrites(gated=1, wrong_type=None)
 
 
 @pytest.mark.parametrize("request_", [REPLACEMENT, CAPPED], ids=["replacement", "capped"])
@@ -293,7 +293,7 @@ def test_a_change_that_is_cancelled_leaves_what_was_and_no_recording(request_: P
     async def body(s: SessionBench) -> None:
         async def waits() -> object:
             await asyncio.sleep(3)
-            return commands.GatedWrites(gated=1, wrong_type=None)
+            return replies.GatedWrites(gated=1, wrong_type=None)
 
         s.client.reply("talker_2", AwaitWriteCommand, lambda _: waits())
         changing = asyncio.ensure_future(s.session.change(request_))

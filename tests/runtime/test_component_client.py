@@ -21,7 +21,7 @@ from midstride.runtime.component_client import (
 )
 from midstride.testing.clock import run
 from midstride.wire.command_server import CommandServer
-from midstride.wire.commands import AttachCommand, Attached, Done, GateCommand, Grid, GridCommand, ObserveCommand
+from midstride.wire.commands import AttachCommand, GateCommand, GridCommand, ObserveCommand
 from midstride.wire.frames import (
     PROTOCOL,
     Greeting,
@@ -33,6 +33,7 @@ from midstride.wire.frames import (
     encode_value,
 )
 from midstride.wire.pipe import PipeEnd, PipeNetwork
+from midstride.wire.replies import Attached, Done, Grid
 from midstride.wire.state import ComponentState
 from tests.runtime.scripted import TALKER, TOKEN, registration
 

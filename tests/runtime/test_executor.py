@@ -18,14 +18,8 @@ from midstride.model.component import ParameterSpec
 from midstride.model.configuration import Configuration
 from midstride.runtime import launcher, pacing
 from midstride.runtime.backend import Exited
-from midstride.wire.commands import (
-    AttachCommand,
-    Command,
-    DetachCommand,
-    Detached,
-    ModesCommand,
-    SetParametersCommand,
-)
+from midstride.wire.commands import AttachCommand, Command, DetachCommand, ModesCommand, SetParametersCommand
+from midstride.wire.replies import Detached
 from tests.model import build
 from tests.model.build import work
 from tests.runtime.scripted import (

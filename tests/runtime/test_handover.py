@@ -28,24 +28,19 @@ from midstride.runtime.simulated_time import LONGEST_STRETCH
 from midstride.runtime.state_transfers import StateTransfers
 from midstride.wire.commands import (
     AttachCommand,
-    Attached,
     AwaitCutCommand,
     AwaitMatchCommand,
     AwaitWriteCommand,
     CancelCutCommand,
     CutInCommand,
     CutOutCommand,
-    CutResult,
     CutSwap,
     DetachCommand,
-    GatedWrites,
-    Grid,
     GridCommand,
-    LastWrite,
     MeetCommand,
     PrepareStateCommand,
-    StateOffer,
 )
+from midstride.wire.replies import Attached, CutResult, GatedWrites, Grid, LastWrite, StateOffer
 from tests.model import build
 from tests.model.build import work
 from tests.runtime.scripted import (

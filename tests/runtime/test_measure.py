@@ -10,7 +10,7 @@ from msgspec import structs
 
 from midstride.codec.form import encode
 from midstride.runtime.measure import Observation, SwapReport, report
-from midstride.wire.commands import Receipt
+from midstride.wire.replies import Receipt
 
 MS = 1_000_000
 PERIOD = 20 * MS  # 50 Hz

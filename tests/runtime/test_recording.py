@@ -13,8 +13,9 @@ from midstride.model.action import Action, Attach, Create, Detach, Handover, Rem
 from midstride.model.component import ComponentSpec, PortRef
 from midstride.runtime.measure import WINDOW_PERIODS, SwapReport
 from midstride.runtime.recording import LONGEST_TAIL, TAIL_WITHOUT_RATE, Exchange, Recording, exchanges
-from midstride.wire import commands
-from midstride.wire.commands import Grid, GridCommand, Receipt, RecordCommand, Records, RecordsCommand
+from midstride.wire import replies
+from midstride.wire.commands import GridCommand, RecordCommand, RecordsCommand
+from midstride.wire.replies import Grid, Receipt, Records
 from tests.model import build
 from tests.runtime.scripted import LISTENER, TALKER, TIMEOUT, UNREACHABLE, Bench, bench, instance, started, talking
 
@@ -100,7 +101,7 @@ def test_an_input_that_sees_two_exchanges_is_recorded_once(tmp_path: Path) -> No
 
     async def body(b: Bench) -> None:
         under_test = recording(b)
-        b.client.reply("listener", RecordCommand, commands.RecordingSwitched(now=7))
+        b.client.reply("listener", RecordCommand, replies.RecordingSwitched(now=7))
         await under_test.begin(talking(), pair)
         assert b.client.of(RecordCommand) == [START_RECORDING]
         assert [each.observation.begun for each in under_test.recorded] == [7, 7]
@@ -114,7 +115,7 @@ def test_a_swap_is_measured_once_its_tail_is_over(tmp_path: Path) -> None:
 
     async def body(b: Bench) -> None:
         under_test = recording(b)
-        b.client.reply("listener", RecordCommand, commands.RecordingSwitched(now=2 * SECOND))
+        b.client.reply("listener", RecordCommand, replies.RecordingSwitched(now=2 * SECOND))
         b.client.reply("listener", RecordsCommand, Records(rows=old + new, publisher_identity=True, now=5 * SECOND))
         await under_test.begin(talking(), REPLACEMENT)
         begun = b.clock.steady()
@@ -132,7 +133,7 @@ def test_the_last_number_of_the_old_side_shows_what_was_lost(tmp_path: Path) -> 
 
     async def body(b: Bench) -> None:
         under_test = recording(b)
-        b.client.reply("listener", RecordCommand, commands.RecordingSwitched(now=2 * SECOND))
+        b.client.reply("listener", RecordCommand, replies.RecordingSwitched(now=2 * SECOND))
         b.client.reply("listener", RecordsCommand, Records(rows=old + new, publisher_identity=True, now=5 * SECOND))
         await under_test.begin(talking(), REPLACEMENT)
         [swap] = await under_test.finish({OUT: 23})
@@ -251,7 +252,7 @@ def test_what_the_new_side_has_to_answer_is_recorded_there(tmp_path: Path) -> No
         b.client.reply("filter", GridCommand, grid)
         b.client.reply("sink", RecordsCommand, Records(rows=answered, publisher_identity=True, now=round(0.7 * SECOND)))
         b.client.reply("filter_2", RecordsCommand, Records(rows=asked, publisher_identity=True, now=SECOND))
-        b.client.reply("sink", RecordCommand, commands.RecordingSwitched(now=round(0.05 * SECOND)))
+        b.client.reply("sink", RecordCommand, replies.RecordingSwitched(now=round(0.05 * SECOND)))
         await under_test.begin(ANSWERING, [ANSWERS])
         await under_test.record_driving_inputs(ANSWERING, ANSWERS)
         [found] = await under_test.finish({})

@@ -15,7 +15,8 @@ from midstride.plan.overlap import Overlap, one_by_one
 from midstride.runtime.backend import Exited, Handle, Launch
 from midstride.runtime.journal import Journal
 from midstride.runtime.journal_records import NewChange
-from midstride.wire.commands import ModesCommand, PreviousModes
+from midstride.wire.commands import ModesCommand
+from midstride.wire.replies import PreviousModes
 from tests.model import build
 from tests.runtime.scripted import LISTENER, REFUSED, TALKER, Bench, ScriptedBackend, bench, instance
 

@@ -16,7 +16,7 @@ from midstride.runtime.manager import Manager
 from midstride.runtime.measure import Observation, SwapReport, report
 from midstride.runtime.reports import Outcome
 from midstride.runtime.simulated_time import LONGEST_STRETCH, on_ros_clock, report_on_ros_clock, stretch
-from midstride.wire.commands import Receipt
+from midstride.wire.replies import Receipt
 from tests.runtime.scripted import instance, reported
 from tests.runtime.systems import example, managed, replace
 

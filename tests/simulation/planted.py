@@ -13,7 +13,7 @@ from midstride.model.action import Create, Remove
 from midstride.node import agent, cut, cut_protocol
 from midstride.runtime import component_client, executor, handover, launcher, reconciler, recovery, state_store
 from midstride.runtime.disk import Database
-from midstride.wire import commands
+from midstride.wire import commands, replies
 
 Plant = Callable[[pytest.MonkeyPatch], None]
 
@@ -242,7 +242,7 @@ def _lost_reply_not_repeated(patch: pytest.MonkeyPatch) -> None:
         if isinstance(command, commands.DetachCommand):
             with contextlib.suppress(CallTimeout):
                 return await send(self, instance, command, revision)
-            return commands.Detached(acknowledged=None, last=None)
+            return replies.Detached(acknowledged=None, last=None)
         return await send(self, instance, command, revision)
 
     patch.setattr(component_client.ComponentClient, "_send", trusting)

@@ -36,7 +36,7 @@ from midstride.foreign.reflex import broken_assumptions
 from midstride.foreign.reported_writes import ReportedWrites
 from midstride.foreign.services import NoAnswer, NodeServices
 from midstride.node.baton import BatonStep
-from midstride.wire import commands, frames
+from midstride.wire import commands, frames, replies
 from midstride.wire.command_server import CommandServer
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply, Request
@@ -298,7 +298,7 @@ class ForeignAgent:
         if self._failed is not None:
             raise CommandRefused(self._failed)
         self.node.change_record(welcomed=True)
-        return commands.Done()
+        return replies.Done()
 
     def _report(self) -> None:
         self._reported = self.node.gate_states()

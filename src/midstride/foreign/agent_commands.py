@@ -16,7 +16,7 @@ from midstride.foreign.parameters import ForeignParameters
 from midstride.foreign.services import NoAnswer
 from midstride.node.baton import BatonStep
 from midstride.node.rate_watch import RateWatch
-from midstride.wire import commands
+from midstride.wire import commands, replies
 from midstride.wire.commands import Command
 from midstride.wire.program import Program
 from midstride.wire.state import WireValue
@@ -82,22 +82,22 @@ class ForeignCommands:
             case commands.ProgramCommand():
                 return Program(files=[], started=self._node.record.started)
             case commands.ExportStateCommand():
-                return commands.ExportedState(state=None)
+                return replies.ExportedState(state=None)
             case commands.PrepareStateCommand() | commands.OfferStateCommand():
-                return commands.StateOffer(exports="nothing")
+                return replies.StateOffer(exports="nothing")
             case commands.YieldCommand():
-                return commands.Yielded(handled=[])
+                return replies.Yielded(handled=[])
             case commands.DiscoverCommand():
-                return commands.Discovered(found=None)
+                return replies.Discovered(found=None)
             case _:
                 raise CommandRefused(
                     f"{self._node.record.instance} does not use Midstride's API, and `{command.name}` needs it"
                 )
-        return commands.Done()
+        return replies.Done()
 
     # -- modes and gates -------------------------------------------------------------------------------
 
-    async def modes(self, command: commands.ModesCommand) -> commands.PreviousModes:
+    async def modes(self, command: commands.ModesCommand) -> replies.PreviousModes:
         before = {name: mode for name, mode in self._node.record.modes.items() if name in command.modes}
         self._node.require_modes(command.modes)
         if self._parameters is not None:
@@ -106,9 +106,9 @@ class ForeignCommands:
             await self._lifecycle.enter_modes(command.modes, command.because)
         else:
             self._node.enter_modes(command.modes, command.because)
-        return commands.PreviousModes(before=before)
+        return replies.PreviousModes(before=before)
 
-    async def _attach(self, command: commands.AttachCommand) -> commands.Attached:
+    async def _attach(self, command: commands.AttachCommand) -> replies.Attached:
         port, topic, record = command.port, command.topic, self._node.record
         if port not in record.topics:
             raise CommandRefused(f"there is no port {port}; the ports are: {', '.join(record.topics)}")
@@ -120,14 +120,14 @@ class ForeignCommands:
         if self._node.gates is None:
             if self._lifecycle is not None:
                 await self._lifecycle.set_links({port: command.gate})
-                return commands.Attached(matched=0)
+                return replies.Attached(matched=0)
             if command.gate == "closed":
                 raise CommandRefused(
                     f"{record.instance} has no gate (`gate none`), so {topic} cannot be handed over to it; "
                     "use `--strategy paper`, or `gate preload`"
                 )
             self._node.change_record(links={**record.links, port: "open"})
-            return commands.Attached(matched=0)
+            return replies.Attached(matched=0)
         matched = await self._node.matched(port, command.peers, command.timeout)
         if matched < command.peers:
             raise CommandRefused(
@@ -142,17 +142,17 @@ class ForeignCommands:
             self._node.adjust(port)
         else:
             self._node.gates.set_gate(port, True)
-        return commands.Attached(matched=matched)
+        return replies.Attached(matched=matched)
 
-    async def _detach(self, command: commands.DetachCommand) -> commands.Detached:
+    async def _detach(self, command: commands.DetachCommand) -> replies.Detached:
         port = command.port
         self._node.require_attached(port, command.topic)
         if self._lifecycle is not None and self._node.gates is None:
             await self._lifecycle.set_links({port: None})
-            return commands.Detached(acknowledged=None, last=None)
+            return replies.Detached(acknowledged=None, last=None)
         self._node.change_record(links={name: gate for name, gate in self._node.record.links.items() if name != port})
         if self._node.gates is None:
-            return commands.Detached(acknowledged=None, last=None)
+            return replies.Detached(acknowledged=None, last=None)
         self._node.gates.set_gate(port, False)
         if self._node.component.has_output(port) and (baton := self._node.gates.baton(port)):
             await self._node.comes_true(
@@ -161,53 +161,53 @@ class ForeignCommands:
             word = self._node.gates.page.word(baton)
             if word.predecessor == self._node.gates.index + 1:  # it has been handed over, for good
                 self._node.gates.page.step(baton, BatonStep.SETTLE, word.holder - 1)
-        return commands.Detached(acknowledged=None, last=self._node.gates.entry(port).passed)
+        return replies.Detached(acknowledged=None, last=self._node.gates.entry(port).passed)
 
-    async def _gate(self, command: commands.GateCommand) -> commands.Done:
+    async def _gate(self, command: commands.GateCommand) -> replies.Done:
         self._node.require_attached(command.port, command.topic)
         if self._lifecycle is not None and self._node.gates is None:
             await self._lifecycle.set_links({command.port: command.gate})
-            return commands.Done()
+            return replies.Done()
         self._node.require_gates()
         self._node.change_record(links={**self._node.record.links, command.port: command.gate})
         self._node.adjust(command.port)
-        return commands.Done()
+        return replies.Done()
 
     # -- waiting ---------------------------------------------------------------------------------------
 
-    async def _await_match(self, command: commands.AwaitMatchCommand) -> commands.Attached:
+    async def _await_match(self, command: commands.AwaitMatchCommand) -> replies.Attached:
         self._node.require_attached(command.port, command.topic)
         if self._node.gates is None:  # with how many is not known, and delays nothing
-            return commands.Attached(matched=command.peers)
-        return commands.Attached(matched=await self._node.matched(command.port, command.peers, command.timeout))
+            return replies.Attached(matched=command.peers)
+        return replies.Attached(matched=await self._node.matched(command.port, command.peers, command.timeout))
 
-    async def _await_write(self, command: commands.AwaitWriteCommand) -> commands.GatedWrites:
+    async def _await_write(self, command: commands.AwaitWriteCommand) -> replies.GatedWrites:
         """With a rate, what was written before does not count: it may hang by now."""
         entry, rated = self._node.require_gates().entry(command.port), self._node.require_gates().rate(command.port)
         begun = int(entry.gated) if rated else 0
         await self._node.comes_true(lambda: entry.gated > begun, command.timeout)
         if rated and entry.gated > begun:
             await self._node.comes_true(lambda: entry.gated - begun >= command.calls, command.patience)
-        return commands.GatedWrites(gated=entry.gated - begun, wrong_type=None)
+        return replies.GatedWrites(gated=entry.gated - begun, wrong_type=None)
 
-    async def _await_rate(self, command: commands.AwaitRateCommand) -> commands.RateVerdict:
+    async def _await_rate(self, command: commands.AwaitRateCommand) -> replies.RateVerdict:
         if self._lifecycle is not None and self._node.gates is None:
             # What can be known of it: that it does not leave its lifecycle state.
             left = await self._node.comes_true(self._lifecycle.left, command.timeout, every=WATCH)
-            return commands.RateVerdict(reached=left == (command.until == "broken"), rate=0.0, pause=0.0)
+            return replies.RateVerdict(reached=left == (command.until == "broken"), rate=0.0, pause=0.0)
         entry, deadline = self._node.require_gates().entry(command.port), time.monotonic() + command.timeout
         if command.known_clock and self._node.record.stated.get("use_sim_time"):  # the page has no times on `/clock`
-            return commands.RateVerdict(reached=command.until == "met", rate=command.rate, pause=0.0)
+            return replies.RateVerdict(reached=command.until == "met", rate=command.rate, pause=0.0)
         begun = entry.passed + entry.gated
         watch = RateWatch(command.rate, command.window, time.monotonic_ns())
         while True:
             watch.see(entry.passed + entry.gated - begun, time.monotonic_ns())
             reached = watch.kept if command.until == "met" else watch.broken
             if reached or time.monotonic() >= deadline:
-                return commands.RateVerdict(reached=reached, rate=round(watch.rate, 3), pause=round(watch.pause, 3))
+                return replies.RateVerdict(reached=reached, rate=round(watch.rate, 3), pause=round(watch.pause, 3))
             await asyncio.sleep(TICK)
 
-    async def _await_idle(self, command: commands.AwaitIdleCommand) -> commands.Idle:
+    async def _await_idle(self, command: commands.AwaitIdleCommand) -> replies.Idle:
         """It hangs if an output with a rate has been silent for long, whether its gate is open or not.
 
         A lifecycle node without a gate hangs if it does not say its state.
@@ -216,8 +216,8 @@ class ForeignCommands:
             try:
                 await self._lifecycle.lifecycle.look(command.timeout)
             except NoAnswer as error:
-                return commands.Idle(busy=str(error))
-            return commands.Idle(busy=None)
+                return replies.Idle(busy=str(error))
+            return replies.Idle(busy=None)
         for port in self._node.record.links:
             rate = (
                 self._node.component.stated_rate(port, self._node.record.modes)
@@ -226,15 +226,15 @@ class ForeignCommands:
             )
             age = self._node.gates.age(port) if self._node.gates is not None else None
             if rate and age is not None and age > max(HANGS, HANGS_PERIODS / rate):
-                return commands.Idle(busy=f"it has written nothing on {self._node.record.topics[port]} for {age:.1f} s")
-        return commands.Idle(busy=None)
+                return replies.Idle(busy=f"it has written nothing on {self._node.record.topics[port]} for {age:.1f} s")
+        return replies.Idle(busy=None)
 
-    async def _await_cut(self, command: commands.AwaitCutCommand) -> commands.CutResult:
+    async def _await_cut(self, command: commands.AwaitCutCommand) -> replies.CutResult:
         result = await self._cuts.await_cut(command)
         self._report()  # the manager compares what is reported with its model as soon as the change ends
         return result
 
-    async def _fence(self, command: commands.FenceCommand) -> commands.FencedOutputs:
+    async def _fence(self, command: commands.FenceCommand) -> replies.FencedOutputs:
         gates = self._node.require_gates()
         for port, topic in command.attachments:
             self._node.require_attached(port, topic)
@@ -252,4 +252,4 @@ class ForeignCommands:
                 raise CommandRefused("a message is being published, and that does not end")
         self._report()
         last = {f"{port} {topic}": int(gates.entry(port).passed) for port, topic in command.attachments}
-        return commands.FencedOutputs(last=last)
+        return replies.FencedOutputs(last=last)

@@ -14,7 +14,7 @@ from midstride.foreign.gates import share_baton
 from midstride.foreign.node import ForeignNode
 from midstride.foreign.page import OPEN, OUTPUT
 from midstride.node.baton import BatonStep
-from midstride.wire import commands
+from midstride.wire import commands, replies
 
 # How long a call that is publishing may take to return (s).
 PUBLISHING: Final = 0.3
@@ -39,17 +39,17 @@ class ForeignCuts:
         self._cuts: dict[str, _Cut] = {}
         self._seats: dict[str, int] = {}  # by cut: the part in the page of a peer that uses Midstride's API
 
-    async def grid(self, command: commands.GridCommand) -> commands.Grid:
+    async def grid(self, command: commands.GridCommand) -> replies.Grid:
         """How an output is triggered; by a rate that is stated, any moment is a slot."""
         rate = None if command.port is None else self._node.component.stated_rate(command.port, self._node.record.modes)
         now, readers = time.time_ns(), None
         if command.port is not None and command.topic is not None and self._node.gates is not None:
             readers = await self._node.matched(command.port, 0, 0.0)
         if not rate:
-            return commands.Grid(trigger="none", now=now, readers=readers)
-        return commands.Grid(trigger="rate", now=now, epoch=now, period=1 / rate, readers=readers)
+            return replies.Grid(trigger="none", now=now, readers=readers)
+        return replies.Grid(trigger="rate", now=now, epoch=now, period=1 / rate, readers=readers)
 
-    async def cut_out(self, command: commands.CutOutCommand) -> commands.Done:
+    async def cut_out(self, command: commands.CutOutCommand) -> replies.Done:
         """The old side: from now on, one baton decides for the outputs of the cut."""
         gates, ports = self._node.require_gates(), [swap.port for swap in command.swaps]
         if not ports or command.state is not None:
@@ -57,9 +57,9 @@ class ForeignCuts:
         own = {port: gates.baton(port) for port in self._node.component.outputs}
         baton = gates.share(ports)
         self._cuts[command.cut] = _Cut(command.swaps, baton, {}, own=own)
-        return commands.Done()
+        return replies.Done()
 
-    async def seat(self, command: commands.SeatCommand) -> commands.Seat:
+    async def seat(self, command: commands.SeatCommand) -> replies.Seat:
         """Either side: the other one uses Midstride's API, and gets a part in the page for the cut."""
         page, cut = self._node.require_gates().page, self._cuts.get(command.cut)
         if not command.old and cut is None:
@@ -71,7 +71,7 @@ class ForeignCuts:
         share_baton(page, entries, baton)
         for entry, _ in entries:
             entry.gate = OPEN
-        return commands.Seat(
+        return replies.Seat(
             page=str(page.path.absolute()),
             library=str(page.library_path),
             baton=baton,
@@ -80,7 +80,7 @@ class ForeignCuts:
             timed=not any(port.rate for port in command.ports),
         )
 
-    async def cut_in(self, command: commands.CutInCommand) -> commands.Done:
+    async def cut_in(self, command: commands.CutInCommand) -> replies.Done:
         """The new side: be named as the successor of the old one."""
         gates, ports = self._node.require_gates(), [swap.port for swap in command.swaps]
         old = self._seats.get(command.cut, gates.page.index_of(command.peer))
@@ -107,9 +107,9 @@ class ForeignCuts:
             await self._withdraw(cut)
             del self._cuts[command.cut]
             raise CommandRefused(f"{command.peer} does not hold the baton of its outputs")
-        return commands.Done()
+        return replies.Done()
 
-    async def await_cut(self, command: commands.AwaitCutCommand) -> commands.CutResult:
+    async def await_cut(self, command: commands.AwaitCutCommand) -> replies.CutResult:
         """Both sides: until the new one has written, or that is withdrawn, or the old one is fenced."""
         cut, gates = self._cuts.get(command.cut), self._node.require_gates()
         if cut is None:
@@ -130,19 +130,19 @@ class ForeignCuts:
 
         await self._node.comes_true(lambda: done() or over(), command.timeout)
         if not done():
-            return commands.CutResult(outcome="waiting")
+            return replies.CutResult(outcome="waiting")
         writes = {f"{swap.port} {swap.topic}": self._last_write(swap.port, cut) for swap in cut.swaps}
         if new:
-            return commands.CutResult(outcome="done", first=writes)
-        return commands.CutResult(outcome="done", last=writes)
+            return replies.CutResult(outcome="done", first=writes)
+        return replies.CutResult(outcome="done", last=writes)
 
-    def _last_write(self, port: str, cut: _Cut) -> commands.LastWrite | None:
+    def _last_write(self, port: str, cut: _Cut) -> replies.LastWrite | None:
         entry = self._node.require_gates().entry(port)
         if entry.passed <= cut.before.get(port, -1):
             return None
-        return commands.LastWrite(number=entry.passed, source=time.time_ns() - time.monotonic_ns() + entry.last)
+        return replies.LastWrite(number=entry.passed, source=time.time_ns() - time.monotonic_ns() + entry.last)
 
-    async def cancel_cut(self, command: commands.CancelCutCommand) -> commands.Done:
+    async def cancel_cut(self, command: commands.CancelCutCommand) -> replies.Done:
         """Either side: the old one keeps the baton, or gets it back."""
         cut = self._cuts.pop(command.cut, None)
         if cut is not None and cut.other is not None:
@@ -151,7 +151,7 @@ class ForeignCuts:
             gates = self._node.require_gates()
             gates.step(cut.baton, BatonStep.WITHDRAW)
             self._restore(cut)
-        return commands.Done()
+        return replies.Done()
 
     async def _withdraw(self, cut: _Cut) -> None:
         """The new side: close its gates, and give the baton back to the old side."""

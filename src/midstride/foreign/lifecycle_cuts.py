@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 from midstride.errors import CommandRefused
 from midstride.foreign.lifecycle_node import LifecycleNode
-from midstride.wire import commands
+from midstride.wire import commands, replies
 from midstride.wire.state import GateState
 
 
@@ -34,16 +34,16 @@ class LifecycleCuts:
         self._cuts: dict[str, tuple[str | None, list[str]]] = {}  # the old side, None on that side, and the ports
         peers.nodes[own.node.record.instance] = own
 
-    async def grid(self, command: commands.GridCommand) -> commands.Grid:
+    async def grid(self, command: commands.GridCommand) -> replies.Grid:
         """Any moment will do."""
-        return commands.Grid(trigger="none", now=time.time_ns())
+        return replies.Grid(trigger="none", now=time.time_ns())
 
-    async def cut_out(self, command: commands.CutOutCommand) -> commands.Done:
+    async def cut_out(self, command: commands.CutOutCommand) -> replies.Done:
         """The old side: nothing until the new one begins."""
         self._cuts[command.cut] = None, [swap.port for swap in command.swaps]
-        return commands.Done()
+        return replies.Done()
 
-    async def cut_in(self, command: commands.CutInCommand) -> commands.Done:
+    async def cut_in(self, command: commands.CutInCommand) -> replies.Done:
         """The new side: begin."""
         old = self._peers.nodes.get(command.peer)
         if old is None:
@@ -55,7 +55,7 @@ class LifecycleCuts:
         exchange = asyncio.get_running_loop().create_task(self._exchange(old, theirs, ours))
         self._peers.exchanges[command.cut] = exchange
         exchange.add_done_callback(lambda done: done.cancelled() or done.exception())  # retrieved
-        return commands.Done()
+        return replies.Done()
 
     async def _exchange(self, old: LifecycleNode, theirs: list[str], ours: list[str]) -> float:
         begun = asyncio.get_running_loop().time()
@@ -63,19 +63,19 @@ class LifecycleCuts:
         await self._own.set_links(_all(ours, "open"))
         return asyncio.get_running_loop().time() - begun
 
-    async def await_cut(self, command: commands.AwaitCutCommand) -> commands.CutResult:
+    async def await_cut(self, command: commands.AwaitCutCommand) -> replies.CutResult:
         """Both sides: until the new one is active, or one of them has failed to make its transition."""
         if (exchange := self._peers.exchanges.get(command.cut)) is None:
             raise CommandRefused(f"there is no cut {command.cut}")
         await asyncio.wait({exchange}, timeout=command.timeout)
         if not exchange.done() or exchange.cancelled():
-            return commands.CutResult(outcome="waiting", because="the transitions have not ended in time")
+            return replies.CutResult(outcome="waiting", because="the transitions have not ended in time")
         if (error := exchange.exception()) is not None:
-            return commands.CutResult(outcome="waiting", because=str(error))
+            return replies.CutResult(outcome="waiting", because=str(error))
         words = f"{exchange.result():.3f} s for the transitions of both lifecycle nodes, in which neither was active"
-        return commands.CutResult(outcome="done", because=words)
+        return replies.CutResult(outcome="done", because=words)
 
-    async def cancel_cut(self, command: commands.CancelCutCommand) -> commands.Done:
+    async def cancel_cut(self, command: commands.CancelCutCommand) -> replies.Done:
         """Either side: the new one becomes inactive again, and the old one active.
 
         The old one does so even if the new one does not answer: what has failed is ended next.
@@ -89,7 +89,7 @@ class LifecycleCuts:
         elif ports:
             self._peers.exchanges.pop(command.cut, None)
             await self._own.set_links(_all(ports, "open"))
-        return commands.Done()
+        return replies.Done()
 
 
 def _all(ports: list[str], gate: GateState) -> Mapping[str, GateState]:

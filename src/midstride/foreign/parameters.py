@@ -8,7 +8,7 @@ from typing import Any, Final
 from midstride.foreign.mode_parameters import on_entry, set_parameters
 from midstride.foreign.node import ForeignNode
 from midstride.foreign.services import NoAnswer, NodeServices
-from midstride.wire import commands
+from midstride.wire import commands, replies
 
 # How long the node may take to say the values of its parameters (s).
 READ_TIMEOUT: Final = 1.0
@@ -43,7 +43,7 @@ class ForeignParameters:
             if name not in of_modes and (name not in started_with or started_with[name] != value)
         }
 
-    async def set(self, command: commands.SetParametersCommand) -> commands.PreviousParameters:
+    async def set(self, command: commands.SetParametersCommand) -> replies.PreviousParameters:
         """All of them or none; those that have their value already are not set. Raises CommandRefused."""
         await self.read()
         before, declared = dict(self._node.parameters), dict(self._node.declared)
@@ -53,7 +53,7 @@ class ForeignParameters:
         self._node.change_record(started_with={**(self._node.record.started_with or {}), **stated})
         await self.read()
         names = command.parameters.keys()
-        return commands.PreviousParameters(
+        return replies.PreviousParameters(
             before={name: before[name] for name in names if name in before},
             declared={name: declared[name] for name in names if name in declared},
         )

@@ -28,7 +28,7 @@ from midstride.node.functionality_runner import FunctionalityRunner
 from midstride.node.host import Host
 from midstride.node.program import ProgramFiles
 from midstride.node.standalone import FLAG, Attachments, best_modes
-from midstride.wire import commands, frames
+from midstride.wire import commands, frames, replies
 from midstride.wire.command_server import CommandServer
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply, Request
@@ -217,7 +217,7 @@ class Agent:
 
     async def _carry_out(self, request: Request, command: Command[Any], token: str) -> Reply:
         try:
-            result: WireValue = commands.Done()
+            result: WireValue = replies.Done()
             match command:
                 case commands.ObserveCommand():
                     result = self.state()

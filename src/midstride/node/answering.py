@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from midstride.errors import CallTimeout, CommandRefused, Unreachable
 from midstride.node.service_gate import ServiceGate
-from midstride.wire import commands
+from midstride.wire import commands, replies
 from midstride.wire.channel import result_of
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply
@@ -32,10 +32,10 @@ class Answering:
     call: Callable[[str, Command[Any], float], Awaitable[Reply]]
     changed: Callable[[], None]
 
-    async def answer(self, command: commands.AnswerCommand) -> commands.Done:
+    async def answer(self, command: commands.AnswerCommand) -> replies.Done:
         if not self.gate.is_open:
             self.gate.open(None if command.address is None else await self._yielded(command.peer, command.address))
-        return commands.Done()
+        return replies.Done()
 
     def pause(self) -> bool:
         """Answer no request for now: the state is about to be exported. Whether this one answered until now."""
@@ -75,8 +75,8 @@ class Answering:
         waited = YIELD_ATTEMPTS * YIELD_TIMEOUT
         raise CommandRefused(f"{peer} did not respond within {waited:g} s, so it may still answer requests")
 
-    async def stop(self, command: commands.YieldCommand) -> commands.Yielded:
+    async def stop(self, command: commands.YieldCommand) -> replies.Yielded:
         """From the successor. Asked again, it gives the same reply: the first may be lost."""
         handled = self.gate.close()
         self.changed()
-        return commands.Yielded(handled=handled)
+        return replies.Yielded(handled=handled)

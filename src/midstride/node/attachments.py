@@ -21,7 +21,7 @@ from midstride.node.message_times import MessageTimes
 from midstride.node.mode_switch import DataExecutor, within
 from midstride.node.ports import Input, InputLink, Output, OutputLink
 from midstride.node.rate_watch import RateWatch
-from midstride.wire import commands
+from midstride.wire import commands, replies
 
 # A best-effort message right after the match is often lost, one a moment later is not (s).
 SETTLE: Final = 0.05
@@ -68,7 +68,7 @@ class Attachments:
             raise CommandRefused(f"output {port} is not attached to {topic}")
         return found
 
-    async def attach(self, command: commands.AttachCommand) -> commands.Attached:
+    async def attach(self, command: commands.AttachCommand) -> replies.Attached:
         topic, timeout = command.topic, command.timeout
         port = self.port(command.port)
         if port.link(topic) is not None:
@@ -98,13 +98,13 @@ class Attachments:
             # Undone as soon as user code returns, however long that takes: a refused command must change nothing.
             await within(self.host, self.host.on_data(link.destroy), timeout)
             raise
-        return commands.Attached(matched=matched, settling=settling)
+        return replies.Attached(matched=matched, settling=settling)
 
-    async def detach(self, command: commands.DetachCommand) -> commands.Detached:
+    async def detach(self, command: commands.DetachCommand) -> replies.Detached:
         link, timeout = self._attached(command.port, command.topic), command.timeout
         if isinstance(link, InputLink):
             await self.data.run(link.destroy, timeout)
-            return commands.Detached(acknowledged=None, last=None)
+            return replies.Detached(acknowledged=None, last=None)
         was_open = link.gate == "open"
 
         def close() -> None:
@@ -119,9 +119,9 @@ class Attachments:
             if was_open:
                 self.host.on_data(lambda: link.set_gate(True))
             raise
-        return commands.Detached(acknowledged=acknowledged, last=link.count)
+        return replies.Detached(acknowledged=acknowledged, last=link.count)
 
-    async def gate(self, command: commands.GateCommand) -> commands.Done:
+    async def gate(self, command: commands.GateCommand) -> replies.Done:
         link = self.link(command.port, command.topic)
         if link.cut is not None:
             raise CommandRefused(f"{link} is part of a cut under way; cancel the cut first")
@@ -132,9 +132,9 @@ class Attachments:
                 link.write_last_gated()
 
         await self.data.run(switch, command.timeout)
-        return commands.Done()
+        return replies.Done()
 
-    async def await_write(self, command: commands.AwaitWriteCommand) -> commands.GatedWrites:
+    async def await_write(self, command: commands.AwaitWriteCommand) -> replies.GatedWrites:
         link = self.link(command.port, command.topic)
         deadline = self.host.steady() + int(command.timeout * 1e9)
         while not link.gated and link.output.wrong_type is None and self.host.steady() < deadline:
@@ -148,9 +148,9 @@ class Attachments:
         if link.output.wrong_type is not None:
             with contextlib.suppress(CommandRefused):
                 await self.data.run(lambda: None, command.timeout)  # until the call that wrote it has degraded
-        return commands.GatedWrites(gated=link.gated, wrong_type=link.output.wrong_type, failed=owner.failed)
+        return replies.GatedWrites(gated=link.gated, wrong_type=link.output.wrong_type, failed=owner.failed)
 
-    async def await_rate(self, command: commands.AwaitRateCommand) -> commands.RateVerdict:
+    async def await_rate(self, command: commands.AwaitRateCommand) -> replies.RateVerdict:
         link = self.link(command.port, command.topic)
         owner, until = link.output.owner, command.until
         begun, deadline = link.count + link.gated, self.host.steady() + int(command.timeout * 1e9)
@@ -160,12 +160,12 @@ class Attachments:
             reached = watch.kept if until == "met" else watch.broken or owner.failed
             if reached or owner.failed or self.host.steady() >= deadline:
                 rate, pause = round(watch.rate, 3), round(watch.pause, 3)
-                return commands.RateVerdict(reached=reached, rate=rate, pause=pause, failed=owner.failed)
+                return replies.RateVerdict(reached=reached, rate=rate, pause=pause, failed=owner.failed)
             await self.host.sleep(TICK)
 
-    async def await_match(self, command: commands.AwaitMatchCommand) -> commands.Attached:
+    async def await_match(self, command: commands.AwaitMatchCommand) -> replies.Attached:
         link = self._attached(command.port, command.topic)
-        return commands.Attached(matched=max(0, await self._match(link, command.peers, command.timeout)))
+        return replies.Attached(matched=max(0, await self._match(link, command.peers, command.timeout)))
 
     async def close_all(self, timeout: float) -> None:
         """Destroy every endpoint once all readers have acknowledged, or after ``timeout`` (s)."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from midstride.errors import CommandRefused
-from midstride.wire.commands import Seat
+from midstride.wire.replies import Seat
 
 
 class BatonState(IntEnum):

@@ -16,7 +16,7 @@ from midstride.errors import CommandRefused
 from midstride.node.baton import BatonState, BatonStep, TakenSeat
 from midstride.node.host import Host
 from midstride.node.ports import GatePolicy, OutputLink
-from midstride.wire.commands import CutOutcome, CutResult, LastWrite
+from midstride.wire.replies import CutOutcome, CutResult, LastWrite
 from midstride.wire.state import GateState
 
 # How often the task looks at the baton (s), and how often once it is over.

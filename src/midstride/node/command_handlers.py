@@ -28,7 +28,7 @@ from midstride.node.host import HeldParameter, Host
 from midstride.node.mode_switch import DataExecutor, Hold, ModeSwitch, within
 from midstride.node.reflex import Reflex
 from midstride.node.state_hooks import StateHooks
-from midstride.wire import commands
+from midstride.wire import commands, replies
 from midstride.wire.commands import Command
 from midstride.wire.state import ComponentState, WireValue
 
@@ -194,7 +194,7 @@ class CommandHandlers:
                 raise CommandRefused(f"user code did not return within {timeout:g} s{self._busy_words()}")
             await self.host.sleep(0.01)
 
-    async def _detach(self, command: commands.DetachCommand) -> commands.Detached:
+    async def _detach(self, command: commands.DetachCommand) -> replies.Detached:
         detached = await self._attachments.detach(command)
         self._handovers.give_back()
         return detached
@@ -234,7 +234,7 @@ class CommandHandlers:
 
     # -- modes -------------------------------------------------------------------------------------
 
-    async def _modes(self, command: commands.ModesCommand, expected: int | None) -> commands.PreviousModes:
+    async def _modes(self, command: commands.ModesCommand, expected: int | None) -> replies.PreviousModes:
         indices = {name: self._mode_index(name, mode) for name, mode in command.modes.items()}
         before = self.parts.callbacks.before_modes
         if before is None:
@@ -250,7 +250,7 @@ class CommandHandlers:
 
     async def _switch_modes(
         self, command: commands.ModesCommand, indices: Mapping[str, int], expected: int | None
-    ) -> commands.PreviousModes:
+    ) -> replies.PreviousModes:
         targets = {runner: indices[runner.name] for runner in self._runners if runner.name in indices}
         settled = asyncio.Event()
         on_settled = partial(asyncio.get_running_loop().call_soon_threadsafe, settled.set)
@@ -272,16 +272,16 @@ class CommandHandlers:
         await settled.wait()
         if switch.refused is not None:
             raise CommandRefused(switch.refused)
-        return commands.PreviousModes(before=switch.before, at=None if switch.hold is None else switch.at)
+        return replies.PreviousModes(before=switch.before, at=None if switch.hold is None else switch.at)
 
-    async def _hold_calls(self, command: commands.HoldCommand) -> commands.Done:
+    async def _hold_calls(self, command: commands.HoldCommand) -> replies.Done:
         names = {runner.name: runner for runner in self._runners}
         if unknown := [name for name in command.functionalities if name not in names]:
             raise CommandRefused(f"there is no functionality {unknown[0]}; the functionalities are: {', '.join(names)}")
         if (earlier := self._take_hold()) is not None:
             self.host.on_data(earlier.release)
         if not command.seconds:
-            return commands.Done()
+            return replies.Done()
         held = asyncio.Event()
         on_held = partial(asyncio.get_running_loop().call_soon_threadsafe, held.set)
         hold = Hold([names[name] for name in command.functionalities], on_held)
@@ -291,7 +291,7 @@ class CommandHandlers:
             raise CommandRefused(f"user code did not return within {command.timeout:g} s{self._busy_words()}")
         self._hold = hold
         self._expiry = asyncio.ensure_future(self._expire(command.seconds))
-        return commands.Done()
+        return replies.Done()
 
     async def _expire(self, seconds: float) -> None:
         """Whoever asked for the hold may be gone."""
@@ -324,7 +324,7 @@ class CommandHandlers:
 
     # -- parameters and state ----------------------------------------------------------------------
 
-    async def _set_parameters(self, command: commands.SetParametersCommand) -> commands.PreviousParameters:
+    async def _set_parameters(self, command: commands.SetParametersCommand) -> replies.PreviousParameters:
         declared = self._parameters()
         for name in command.parameters:
             if name.startswith("midstride."):
@@ -336,25 +336,25 @@ class CommandHandlers:
         started_with = command.parameters if command.declared is None else command.declared
         fitted = {name: declared[name].fitted(value) for name, value in started_with.items() if name in declared}
 
-        def set_all() -> commands.PreviousParameters:
+        def set_all() -> replies.PreviousParameters:
             parameters = [declared[name] for name in command.parameters]
             before = {each.name: each.value for each in parameters}
             set_before = {each.name: each.declared for each in parameters if each.value != each.declared}
             self.host.parameters.set(command.parameters)
             for name, value in fitted.items():
                 declared[name].declared = value
-            return commands.PreviousParameters(before=before, declared=set_before)
+            return replies.PreviousParameters(before=before, declared=set_before)
 
         return await self._data.run(set_all, command.timeout)
 
-    async def _export_state(self, command: commands.ExportStateCommand) -> commands.ExportedState:
-        return commands.ExportedState(state=await self._hooks.export(command.timeout))
+    async def _export_state(self, command: commands.ExportStateCommand) -> replies.ExportedState:
+        return replies.ExportedState(state=await self._hooks.export(command.timeout))
 
-    async def _import_state(self, command: commands.ImportStateCommand) -> commands.Done:
+    async def _import_state(self, command: commands.ImportStateCommand) -> replies.Done:
         await self._hooks.import_(command.state, command.timeout)
-        return commands.Done()
+        return replies.Done()
 
-    async def _record(self, command: commands.RecordCommand) -> commands.RecordingSwitched:
+    async def _record(self, command: commands.RecordCommand) -> replies.RecordingSwitched:
         ports = [self._attachments.input(name) for name in command.inputs]
 
         def switch() -> None:
@@ -362,22 +362,22 @@ class CommandHandlers:
                 port.record(command.on)
 
         await self._data.run(switch, command.timeout)
-        return commands.RecordingSwitched(now=self.host.steady())
+        return replies.RecordingSwitched(now=self.host.steady())
 
-    async def _records(self, command: commands.RecordsCommand) -> commands.Records:
+    async def _records(self, command: commands.RecordsCommand) -> replies.Records:
         port = self._attachments.input(command.input)
         receipts = await self._data.run(lambda: list(port.receipts), command.timeout)
         rows = []
         for received, native in receipts:
             info = self.host.read_info(native)
-            rows.append(commands.Receipt(received, info.source, info.number, info.publisher))
+            rows.append(replies.Receipt(received, info.source, info.number, info.publisher))
         identity = bool(rows) and all(row.publisher is not None for row in rows)
         moments = None
         if self.host.simulated_time:
             known = self.host.clock_history.moments()
             begin = bisect.bisect_left([steady for steady, _ in known], rows[0].received if rows else 0)
             moments = known[max(0, begin - 1) :]
-        return commands.Records(
+        return replies.Records(
             rows=rows,
             publisher_identity=identity,
             now=self.host.steady(),

@@ -18,7 +18,7 @@ from typing import Any, Final
 from midstride.node.host import Host
 from midstride.node.ports import GatePolicy, OutputLink, OutputOwner
 from midstride.node.trigger import InfoSet
-from midstride.wire.commands import CutClock, LastWrite
+from midstride.wire.replies import CutClock, LastWrite
 from midstride.wire.state import GateState
 from midstride.wire.transport import CutClaim
 

@@ -17,7 +17,7 @@ from midstride.errors import BackendError, CommandRefused
 from midstride.node.cut import GRACE, IncomingCut, OutgoingCut
 from midstride.node.host import Host
 from midstride.node.state_transfer import StateExport, StateImport
-from midstride.wire.commands import CutOutcome, CutResult
+from midstride.wire.replies import CutOutcome, CutResult
 
 # How often a side checks whether it can go on (s): shorter than a period at 200 Hz.
 TICK: Final = 0.002

@@ -17,7 +17,7 @@ from midstride.node.functionality_runner import FunctionalityRunner
 from midstride.node.host import Host
 from midstride.node.mode_switch import DataExecutor
 from midstride.node.ports import Output, OutputLink
-from midstride.wire import commands
+from midstride.wire import commands, replies
 
 # How often it is looked whether a message is still being published, and whether an async call has ended (s).
 TICK: Final = 0.002
@@ -38,21 +38,21 @@ class Fencing:
     changed: Callable[[], None]
     data_thread: int = 0
 
-    async def await_idle(self, command: commands.AwaitIdleCommand) -> commands.Idle:
+    async def await_idle(self, command: commands.AwaitIdleCommand) -> replies.Idle:
         """An async call counts as busy, too, but for a loop that a mode has begun on entry."""
         deadline = self.host.steady() + int(command.timeout * 1e9)
         try:
             await self.data.run(lambda: None, command.timeout)
         except CommandRefused as error:
-            return commands.Idle(busy=str(error))
+            return replies.Idle(busy=str(error))
         while any(runner.asynchronous and runner.driven != "none" for runner in self.runners):
             if self.host.steady() >= deadline:
                 words = f"user code did not return within {command.timeout:g} s{self.data.busy()}"
-                return commands.Idle(busy=words)
+                return replies.Idle(busy=words)
             await self.host.sleep(TICK)
-        return commands.Idle(busy=None)
+        return replies.Idle(busy=None)
 
-    async def fence(self, command: commands.FenceCommand) -> commands.FencedOutputs:
+    async def fence(self, command: commands.FenceCommand) -> replies.FencedOutputs:
         links = [self.attachments.link(port, topic) for port, topic in command.attachments]
         for link in links:
             link.fence(not command.lift)
@@ -65,7 +65,7 @@ class Fencing:
                     raise CommandRefused("a message is being published, and that does not end")
                 await self.host.sleep(TICK)
         self.changed()
-        return commands.FencedOutputs(last={str(link): link.count for link in links})
+        return replies.FencedOutputs(last={str(link): link.count for link in links})
 
     def _writing(self) -> bool:
         """Whether the data thread is in the middle of a write, which may have found the gate open.

@@ -20,7 +20,7 @@ from midstride.node.mode_switch import DataExecutor, within
 from midstride.node.ports import OutputLink
 from midstride.node.state_hooks import StateHooks
 from midstride.node.state_transfer import StateExport, StateImport, mute, unmute
-from midstride.wire import commands
+from midstride.wire import commands, replies
 from midstride.wire.channel import Channel, result_of
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply
@@ -69,19 +69,19 @@ class HandoverCommands:
             channel.close()
         self._channels.clear()
 
-    async def grid(self, command: commands.GridCommand) -> commands.Grid:
+    async def grid(self, command: commands.GridCommand) -> replies.Grid:
         if command.port is None:
-            return commands.Grid(trigger="none", clock="message", now=reading(self.host, "message"))
+            return replies.Grid(trigger="none", clock="message", now=reading(self.host, "message"))
         output = self.attachments.output(command.port)
         owner, topic = output.owner, command.topic
         rate = owner.rate
-        clock: commands.CutClock = "ros" if rate is not None or comparable(self.host, "ros", "message") else "message"
+        clock: replies.CutClock = "ros" if rate is not None or comparable(self.host, "ros", "message") else "message"
         simulated = clock == "ros" and self.host.simulated_time
         endpoint = None if topic is None else self.attachments.link(command.port, topic).endpoint
         epoch, period = (None, None) if rate is None else (rate.slot, rate.period)
         if output.relayed and clock == "ros" and (found := output.observed_grid()) is not None:
             epoch, period = found
-        return commands.Grid(
+        return replies.Grid(
             trigger=owner.driven,
             clock=clock,
             speed=self.host.clock_history.speed(self.host.steady()) if simulated else 1.0,
@@ -92,10 +92,10 @@ class HandoverCommands:
             reader_ids=[] if endpoint is None else sorted(endpoint.reader_ids()),
         )
 
-    async def meet(self, command: commands.MeetCommand) -> commands.Done:
+    async def meet(self, command: commands.MeetCommand) -> replies.Done:
         """Connect to the peer and ping it; the connection is kept for the report of the first write."""
         await self._ask(command, commands.PingCommand())
-        return commands.Done()
+        return replies.Done()
 
     async def _ask(self, command: commands.MeetCommand | commands.PrepareStateCommand, question: Command[R]) -> R:
         """What the peer of ``command`` replies, in several short attempts. Raises CommandRefused."""
@@ -112,7 +112,7 @@ class HandoverCommands:
                     ) from None
                 await self.host.sleep(0.02)
 
-    async def cut_out(self, command: commands.CutOutCommand) -> commands.Done:
+    async def cut_out(self, command: commands.CutOutCommand) -> replies.Done:
         links = self._links_of(command, CutOutTask, gate="open")
         if command.seat is not None:
             return await self._join(command, links, command.seat)
@@ -129,9 +129,9 @@ class HandoverCommands:
 
         await self._arm(side, arm)
         self._begin(command.cut, CutOutTask(self.host, self.changed, side, command.resume_after, export))
-        return commands.Done()
+        return replies.Done()
 
-    async def cut_in(self, command: commands.CutInCommand) -> commands.Done:
+    async def cut_in(self, command: commands.CutInCommand) -> replies.Done:
         links = self._links_of(command, CutInTask, gate="closed")
         if failed := [str(link) for link in links if link.output.owner.failed]:
             raise CommandRefused(f"{', '.join(failed)} cannot take over: its functionality has failed")
@@ -156,11 +156,11 @@ class HandoverCommands:
         self._begin(command.cut, CutInTask(self.host, self.changed, side, report, state))
         if state is not None and state.complete:
             self._start(state.run())
-        return commands.Done()
+        return replies.Done()
 
     async def _join(
-        self, command: commands.CutOutCommand | commands.CutInCommand, links: list[OutputLink], seat: commands.Seat
-    ) -> commands.Done:
+        self, command: commands.CutOutCommand | commands.CutInCommand, links: list[OutputLink], seat: replies.Seat
+    ) -> replies.Done:
         """A side of a cut whose other side has a gate: the baton decides."""
         new, taken = isinstance(command, commands.CutInCommand), TakenSeat(seat)
         latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
@@ -171,9 +171,9 @@ class HandoverCommands:
             taken.rise()
             raise
         self._begin(command.cut, BatonTask(self.host, self.changed, cut, command.resume_after))
-        return commands.Done()
+        return replies.Done()
 
-    async def cancel_cut(self, command: commands.CancelCutCommand) -> commands.Done:
+    async def cancel_cut(self, command: commands.CancelCutCommand) -> replies.Done:
         # A new side first: the old one cannot write while that does.
         for side in sorted(self._sides.get(command.cut, []), key=lambda side: not side.new):
             try:
@@ -182,14 +182,14 @@ class HandoverCommands:
                 if isinstance(side, CutOutTask):
                     self._start(side.linger())
                 raise
-        return commands.Done()
+        return replies.Done()
 
-    async def settle_cuts(self, command: commands.SettleCutsCommand) -> commands.Done:
+    async def settle_cuts(self, command: commands.SettleCutsCommand) -> replies.Done:
         sides = [side for sides in self._sides.values() for side in sides if side.new == command.new]
         await within(self.host, asyncio.gather(*(side.settle() for side in sides)), command.timeout)
-        return commands.Done()
+        return replies.Done()
 
-    async def await_cut(self, command: commands.AwaitCutCommand) -> commands.CutResult:
+    async def await_cut(self, command: commands.AwaitCutCommand) -> replies.CutResult:
         sides = self._sides.get(command.cut, [])
         if not sides:
             raise CommandRefused(f"there is no cut {command.cut}")
@@ -197,52 +197,52 @@ class HandoverCommands:
         await within(self.host, over, command.timeout)
         results = [side.result() for side in sides]
         # Where both sides are here, the cut is done once both are.
-        outcome: commands.CutOutcome = next((each.outcome for each in results if each.outcome != "done"), "done")
+        outcome: replies.CutOutcome = next((each.outcome for each in results if each.outcome != "done"), "done")
         last = {name: write for result in results for name, write in result.last.items()}
         first = {name: write for result in results for name, write in result.first.items()}
         because = next((result.because for result in results if result.because is not None), None)
-        return commands.CutResult(outcome=outcome, because=because, last=last, first=first)
+        return replies.CutResult(outcome=outcome, because=because, last=last, first=first)
 
-    async def taken(self, command: commands.CutTakenCommand) -> commands.Relieved:
+    async def taken(self, command: commands.CutTakenCommand) -> replies.Relieved:
         """From the new side. Where the cut is unknown, this side has not stopped writing."""
         old = [side for side in self._sides.get(command.cut, []) if isinstance(side, CutOutTask)]
         resumed = [await side.taken(command.failed, command.claim) for side in old]
-        return commands.Relieved(resumed=any(resumed) if old else True)
+        return replies.Relieved(resumed=any(resumed) if old else True)
 
     # -- state ---------------------------------------------------------------------------------------
 
-    async def mute(self, command: commands.MuteCommand) -> commands.Done:
+    async def mute(self, command: commands.MuteCommand) -> replies.Done:
         await self.data.run(lambda: mute(self.runners), command.timeout)
-        return commands.Done()
+        return replies.Done()
 
-    async def answer(self, command: commands.AnswerCommand) -> commands.Done:
+    async def answer(self, command: commands.AnswerCommand) -> replies.Done:
         """The instance of its role that answers is the one that works, too."""
         done = await self.answering.answer(command)
         await self.data.run(lambda: unmute(self.runners), command.timeout)
         return done
 
-    async def prepare_state(self, command: commands.PrepareStateCommand) -> commands.StateOffer:
+    async def prepare_state(self, command: commands.PrepareStateCommand) -> replies.StateOffer:
         if command.bulk:
             export = commands.ExportStateCommand(timeout=command.timeout)
             state = result_of(await self.call(command.address, export, command.timeout), export).state
             if state is not None:
                 await self.hooks.import_(state, command.timeout)
-            return commands.StateOffer(exports="changes")
+            return replies.StateOffer(exports="changes")
         offered = await self._ask(command, commands.OfferStateCommand(changes=self.hooks.imports_changes))
         if offered.exports in ("whole", "changes"):
             self.hooks.check_import()
         return offered
 
-    async def offer_state(self, command: commands.OfferStateCommand) -> commands.StateOffer:
+    async def offer_state(self, command: commands.OfferStateCommand) -> replies.StateOffer:
         exports = self.hooks.exports(command.changes)
         if exports == "nothing" and self.attachments.relays:
-            return commands.StateOffer(exports="order")
-        return commands.StateOffer(exports=exports)
+            return replies.StateOffer(exports="order")
+        return replies.StateOffer(exports=exports)
 
-    async def fetch_state(self, command: commands.FetchStateCommand) -> commands.FetchedState:
+    async def fetch_state(self, command: commands.FetchStateCommand) -> replies.FetchedState:
         return await self._exporting(command.transfer).fetch()
 
-    async def importing(self, command: commands.ImportingCommand) -> commands.Relieved:
+    async def importing(self, command: commands.ImportingCommand) -> replies.Relieved:
         return self._exporting(command.transfer).importing(command.done)
 
     def _exporting(self, transfer: str) -> StateExport:

@@ -28,10 +28,11 @@ from midstride.node.mode_switch import within
 from midstride.node.ports import OutputLink, OutputOwner
 from midstride.node.state_hooks import StateHooks
 from midstride.node.trigger import InfoSet
-from midstride.wire import commands
+from midstride.wire import commands, replies
 from midstride.wire.channel import result_of
-from midstride.wire.commands import Command, CutClock
+from midstride.wire.commands import Command
 from midstride.wire.frames import Reply
+from midstride.wire.replies import CutClock
 from midstride.wire.transport import CutClaim
 
 # How often a side checks whether a cut has passed, and async calls have ended (s).
@@ -222,19 +223,19 @@ class StateExport(_Transfer):
         self.because = self.because or _too_long(self.transfer)
         return True
 
-    async def fetch(self) -> commands.FetchedState:
+    async def fetch(self) -> replies.FetchedState:
         """Raises CommandRefused where the state could not be exported, or the old side has resumed."""
         await self._settled.wait()
         if self.because is not None:
             raise CommandRefused(self.because)
         requests = self.answering.gate.handled if self._answered else None
-        return commands.FetchedState(state=self._state, handled=self._handled, since=self._since, requests=requests)
+        return replies.FetchedState(state=self._state, handled=self._handled, since=self._since, requests=requests)
 
-    def importing(self, done: bool) -> commands.Relieved:
+    def importing(self, done: bool) -> replies.Relieved:
         if not self._resumed:
             self._heard_at = max(self.host.steady(), self.heard_at)
             self._imported = self._imported or done
-        return commands.Relieved(resumed=self._resumed)
+        return replies.Relieved(resumed=self._resumed)
 
     def end(self, cut: object, resumed: bool) -> None:
         """A cut has ended. Once all have, calls are no longer held back."""
@@ -348,7 +349,7 @@ class StateImport(_Transfer):
         for runner in self.runners:
             runner.make_held()
 
-    async def _fetch(self) -> commands.FetchedState | None:
+    async def _fetch(self) -> replies.FetchedState | None:
         """Raises CommandRefused, or Unreachable where the old side has exited."""
         await self._until(FETCH_LEAD)
         fetch = commands.FetchStateCommand(transfer=self.transfer.id)
@@ -370,7 +371,7 @@ class StateImport(_Transfer):
         while not self._settled.is_set() and (left := (self.transfer.at - self._now()) / 1e9 - lead) > 0:
             await self.host.sleep(min(max(left, 0.0001), LONGEST_WAIT))
 
-    async def _import(self, fetched: commands.FetchedState) -> None:
+    async def _import(self, fetched: replies.FetchedState) -> None:
         """Raises CommandRefused where the import fails, or the old side has resumed."""
         work = asyncio.ensure_future(self._import_quietly(fetched.state or b""))
         while (finished := await within(self.host, work, REPORT_INTERVAL)) is None:

@@ -49,7 +49,7 @@ from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.simulated_time import stretch_of
 from midstride.runtime.state_moves import StateMoves
 from midstride.runtime.state_transfers import StateTransfers, keeps_state, own_state
-from midstride.wire import commands
+from midstride.wire import commands, replies
 from midstride.wire.commands import Command
 
 R = TypeVar("R")
@@ -84,7 +84,7 @@ class ActionDriver:
     modes: ModeChanges = field(init=False)
     _settled: float = -math.inf  # when the inputs have settled that were attached (steady s)
     _keeping: set[str] = field(default_factory=set)  # instances that keep state, also where they have exited since
-    _before_setting: dict[str, commands.PreviousParameters] = field(default_factory=dict)  # by instance
+    _before_setting: dict[str, replies.PreviousParameters] = field(default_factory=dict)  # by instance
     _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
 
     def __post_init__(self) -> None:

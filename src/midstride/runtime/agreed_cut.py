@@ -23,18 +23,15 @@ from midstride.model.configuration import Configuration
 from midstride.runtime.component_client import ComponentClient
 from midstride.wire.commands import (
     AwaitMatchCommand,
-    CutClock,
     CutInCommand,
     CutOutCommand,
     CutSwap,
-    Grid,
     GridCommand,
-    Seat,
     SeatCommand,
     SeatPort,
     StateTransfer,
-    Trigger,
 )
+from midstride.wire.replies import CutClock, Grid, Seat, Trigger
 
 # The old side resumes if the new side has not reported its first write for this many periods,
 RESUME_PERIODS: Final = 10

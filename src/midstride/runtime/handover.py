@@ -41,7 +41,7 @@ from midstride.runtime.new_publishers import DETACH_TIMEOUT, NewPublishers
 from midstride.runtime.simulated_time import stretch_of
 from midstride.runtime.state_transfers import StateTransfers
 from midstride.wire import commands
-from midstride.wire.commands import CutResult
+from midstride.wire.replies import CutResult
 
 # How far ahead the cut is (s): many round trips, so that both sides know it in time. If the machine is too busy for one
 # of these, the next one is tried.

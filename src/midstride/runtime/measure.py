@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from midstride.codec.form import Form
-from midstride.wire.commands import Receipt
+from midstride.wire.replies import Receipt
 
 # The window reaches this many periods before the first step and after the last.
 WINDOW_PERIODS: Final = 20

@@ -19,7 +19,7 @@ from midstride.runtime.fencing import Fences, StepBudget
 from midstride.runtime.observed_configuration import own_degradations_in
 from midstride.runtime.reports import ModeSkew
 from midstride.runtime.running_system import RunningSystem
-from midstride.wire import commands
+from midstride.wire import commands, replies
 
 # How long a call of user code may take to return before a mode change is given up (s).
 DRAIN_TIMEOUT: Final = 5.0
@@ -63,7 +63,7 @@ class ModeChanges:
                 before = {ref: self.configuration.modes[ref] for ref in modes}
                 await self.client.undo(instance, self._command(before, "roll-back", self.drain_timeout))
             raise failed[0]
-        moments = [each.at for each in found if isinstance(each, commands.PreviousModes) and each.at is not None]
+        moments = [each.at for each in found if isinstance(each, replies.PreviousModes) and each.at is not None]
         if len(moments) > 1:
             names = [str(ref) for modes in groups.values() for ref in modes]
             self.skews.append(ModeSkew(action.kind, names, round((max(moments) - min(moments)) / 1e9, 9)))
@@ -91,7 +91,7 @@ class ModeChanges:
         action: Degrade | Upgrade,
         because: str,
         budget: StepBudget,
-    ) -> commands.PreviousModes:
+    ) -> replies.PreviousModes:
         command = self._command(modes, because, budget.timeout(instance, self.drain_timeout))
         try:
             return await self.client.change(instance, command)

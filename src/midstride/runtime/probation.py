@@ -14,7 +14,8 @@ from midstride.errors import MidstrideError, StepFailed
 from midstride.model.component import PortRef
 from midstride.model.specification import handover_seconds
 from midstride.runtime.component_client import ComponentClient
-from midstride.wire.commands import AwaitRateCommand, RateVerdict
+from midstride.wire.commands import AwaitRateCommand
+from midstride.wire.replies import RateVerdict
 
 # A rate is not judged over less than so many periods, nor watched after a cut over less than so long (s).
 SHORTEST_PERIODS: Final = 5

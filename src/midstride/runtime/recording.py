@@ -19,7 +19,8 @@ from midstride.runtime.measure import WINDOW_PERIODS, Observation, SwapReport, r
 from midstride.runtime.reports import SilenceFault
 from midstride.runtime.silence import UNRECEIVED, not_receiving
 from midstride.runtime.simulated_time import report_on_ros_clock, stretch_of
-from midstride.wire.commands import Grid, GridCommand, RecordCommand, Records, RecordsCommand
+from midstride.wire.commands import GridCommand, RecordCommand, RecordsCommand
+from midstride.wire.replies import Grid, Records
 
 _PortOnTopic: TypeAlias = tuple[PortRef, str]
 

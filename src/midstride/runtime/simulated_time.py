@@ -17,7 +17,7 @@ from msgspec import structs
 
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.measure import Observation, SwapReport, report
-from midstride.wire.commands import ClockMoment
+from midstride.wire.replies import ClockMoment
 from midstride.wire.state import ComponentState
 
 # A time-out that waits for periods of a slow clock is stretched by this factor at most.

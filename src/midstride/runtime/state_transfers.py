@@ -16,7 +16,8 @@ from midstride.errors import MidstrideError
 from midstride.runtime.agreed_cut import Cut
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
-from midstride.wire.commands import CutResult, PrepareStateCommand, StateTransfer
+from midstride.wire.commands import PrepareStateCommand, StateTransfer
+from midstride.wire.replies import CutResult
 
 # How long state may take to move at a cut (s): the topic is silent meanwhile.
 STATE_TIMEOUT: Final = 2.0

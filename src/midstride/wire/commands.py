@@ -15,222 +15,35 @@ from typing import Annotated, Any, ClassVar, Final, Generic, Literal, TypeAlias,
 import msgspec
 
 from midstride.wire.program import Program
+from midstride.wire.replies import (
+    Attached,
+    CutClock,
+    CutResult,
+    Detached,
+    Discovered,
+    Done,
+    ExportedState,
+    FencedOutputs,
+    FetchedState,
+    GatedWrites,
+    Grid,
+    Idle,
+    PreviousModes,
+    PreviousParameters,
+    RateVerdict,
+    RecordingSwitched,
+    Records,
+    Relieved,
+    Seat,
+    StateOffer,
+    Yielded,
+)
 from midstride.wire.state import ComponentState, GateState, WireValue
 
 R_co = TypeVar("R_co", covariant=True)
 
 Seconds: TypeAlias = Annotated[float, msgspec.Meta(ge=0)]
 Kind: TypeAlias = Literal["reading", "changing", "between"]
-Trigger: TypeAlias = Literal["rate", "message", "none"]
-CutOutcome: TypeAlias = Literal["waiting", "done", "resumed", "cancelled"]
-# On which clock a cut is agreed: that of time grids, or that of messages' times of publication. They differ where
-# ``/clock`` drives the ROS clock.
-CutClock: TypeAlias = Literal["ros", "message"]
-# A moment of the steady clock, and what the ROS clock then showed (ns).
-ClockMoment: TypeAlias = tuple[int, int]
-
-# -- replies -----------------------------------------------------------------------------------------
-
-
-class Done(WireValue, frozen=True, kw_only=True):
-    """Carried out; there is nothing to report."""
-
-
-class Grid(WireValue, frozen=True, kw_only=True):
-    """The time grid of the mode that drives an output: slot n is at ``epoch + n * period``.
-
-    ``now`` is on the clock on which a cut of that output is agreed: ``clock``, which gains ``speed`` seconds in each
-    second. ``readers`` is the number of matched subscriptions on the topic asked about, and
-    ``reader_ids`` identifies those that the process has discovered, where the middleware does.
-    """
-
-    trigger: Trigger
-    now: int
-    clock: CutClock = "ros"
-    speed: float = 1.0
-    epoch: int | None = None
-    period: float | None = None
-    readers: int | None = None
-    reader_ids: list[str] = []
-
-
-class Receipt(msgspec.Struct, frozen=True, array_like=True):
-    """One received message: when (steady ns), and what the middleware reports about it, None where it does not."""
-
-    received: int
-    source: int | None
-    number: int | None
-    publisher: str | None
-
-
-class Records(WireValue, frozen=True, kw_only=True):
-    """What an input has recorded. ``now`` is the steady clock (ns).
-
-    ``moments``: how the ROS clock has moved meanwhile, where ``/clock`` drives it; else None. ``ros_sources``: times of
-    publication are on that clock.
-    """
-
-    rows: list[Receipt]
-    publisher_identity: bool
-    now: int
-    moments: list[ClockMoment] | None = None
-    ros_sources: bool = False
-
-
-class ExportedState(WireValue, frozen=True, kw_only=True):
-    """``state`` is None where the component keeps none."""
-
-    state: bytes | None
-
-
-class FetchedState(WireValue, frozen=True, kw_only=True):
-    """The state at a cut. ``handled``: by publisher, the time of the newest message that it includes (ns).
-
-    That is for functionalities without an output in the cut. Of other publishers, it includes what was published until
-    ``since``. ``requests``: those to the node's services that it includes; None where the old side did not answer them.
-    """
-
-    state: bytes | None
-    handled: dict[str, int]
-    since: int
-    requests: list[str] | None = None
-
-
-class StateOffer(WireValue, frozen=True, kw_only=True):
-    """What a component exports at a cut: of ``changes``, the bulk has to move before.
-
-    ``order``: no state, but what it is to publish may still be waiting in it, and nothing newer may be published first.
-    """
-
-    exports: Literal["nothing", "order", "whole", "changes"]
-
-
-class GatedWrites(WireValue, frozen=True, kw_only=True):
-    """How many messages were written behind the gate; ``wrong_type``: what was wrong with the last refused one.
-
-    ``failed``: user code has raised.
-    """
-
-    gated: int
-    wrong_type: str | None
-    failed: bool = False
-
-
-class RateVerdict(WireValue, frozen=True, kw_only=True):
-    """``reached``: what was waited for has happened. ``rate`` (Hz) and the longest ``pause`` (s) of the last window.
-
-    ``failed``: user code has raised.
-    """
-
-    reached: bool
-    rate: float
-    pause: float
-    failed: bool = False
-
-
-class LastWrite(WireValue, frozen=True, kw_only=True):
-    """An output's last number, and when it was written (None: not since the cut was agreed)."""
-
-    number: int
-    source: int | None
-
-
-class CutResult(WireValue, frozen=True, kw_only=True):
-    """How a cut ended here, by ``"port topic"``: ``last`` for the old side, ``first`` for the new side.
-
-    Old side: *done* once it has passed the cut and the new side has written. *waiting*: not finished in time.
-    ``because``: what was wrong with the transfer of state.
-    """
-
-    outcome: CutOutcome
-    because: str | None = None
-    last: dict[str, LastWrite | None] = msgspec.field(default_factory=dict)
-    first: dict[str, LastWrite | None] = msgspec.field(default_factory=dict)
-
-
-class Attached(WireValue, frozen=True, kw_only=True):
-    """``matched``: with how many compatible endpoints; ``settling``: how long it may yet lose messages (s)."""
-
-    matched: int
-    settling: float = 0.0
-
-
-class Detached(WireValue, frozen=True, kw_only=True):
-    """``acknowledged``: whether every reader has the last message, None where that is unknown; ``last``: its number."""
-
-    acknowledged: bool | None
-    last: int | None
-
-
-class PreviousModes(WireValue, frozen=True, kw_only=True):
-    """The modes before a change, by functionality. ``at``: when it happened (steady ns), where it ended a hold."""
-
-    before: dict[str, str]
-    at: int | None = None
-
-
-class PreviousParameters(WireValue, frozen=True, kw_only=True):
-    """The values before a change, by parameter.
-
-    ``declared``: those of these parameters that had been set while the component ran, as in its state.
-    """
-
-    before: dict[str, Any]
-    declared: dict[str, Any] = msgspec.field(default_factory=dict)
-
-
-class RecordingSwitched(WireValue, frozen=True, kw_only=True):
-    """When recording started or stopped: steady ns."""
-
-    now: int
-
-
-class Yielded(WireValue, frozen=True, kw_only=True):
-    """The requests that the component has handled lately, each as every server of the service identifies it."""
-
-    handled: list[str]
-
-
-class Idle(WireValue, frozen=True, kw_only=True):
-    """``busy``: why user code had not returned in time, in words; None where the data thread is free."""
-
-    busy: str | None
-
-
-class Discovered(WireValue, frozen=True, kw_only=True):
-    """Whether the middleware of the component shows the endpoint; None where it has no discovery that could stop."""
-
-    found: bool | None
-
-
-class FencedOutputs(WireValue, frozen=True, kw_only=True):
-    """The number of the last message of each of these outputs, by ``"port topic"``."""
-
-    last: dict[str, int]
-
-
-class Seat(WireValue, frozen=True, kw_only=True):
-    """The part that a component gets in the page of the gates, for the length of a hand-over.
-
-    ``page`` and ``library`` are files; ``index`` is that of its part, ``other`` that of the other side, which has a
-    gate. ``timed``: no output of the component has a rate.
-    """
-
-    page: str
-    library: str
-    baton: int
-    index: int
-    other: int
-    timed: bool
-
-
-class Relieved(WireValue, frozen=True, kw_only=True):
-    """``resumed``: it is too late, and the old side writes again."""
-
-    resumed: bool
-
-
-# -- commands ----------------------------------------------------------------------------------------
 
 
 class Command(WireValue, Generic[R_co], frozen=True, kw_only=True, tag_field="command"):
