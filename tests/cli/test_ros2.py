@@ -15,6 +15,7 @@ import pytest
 
 from midstride.codec.specification import encode_specification
 from tests.acceptance.support import PERIOD, Recorder, ended, swap_specification
+from tests.acceptance.test_fencing import WAIT, hanging_specification
 from tests.acceptance.test_manager_killed import silences
 from tests.cli.conftest import EXAMPLES, Midstride, alive, nothing_lost, unwritten
 
@@ -205,3 +206,37 @@ def test_a_terminated_manager_leaves_the_components_running(midstride: Midstride
     assert all(map(alive, components))
     assert midstride("up", TALKER, "-d").status == 0
     assert midstride.components("talker") == components
+
+
+@pytest.mark.full
+def test_a_publisher_that_hangs_is_replaced_within_the_stated_wait(midstride: Midstride, tmp_path: Path) -> None:
+    """The report says what was done, and what the subscriber missed."""
+    hang, file = tmp_path / "hang", tmp_path / "swap.json"
+    specification = hanging_specification(tmp_path, hang)
+    file.write_text(json.dumps(encode_specification(specification)))
+
+    def hangs() -> bool:
+        [source] = [row for row in midstride("status", "--json").json["components"] if row["name"] == "source"]
+        return any((row["busy"] or 0.0) > 1.0 for row in source["functionalities"])
+
+    with ended():
+        assert midstride("up", str(file), "-d").status == 0
+        hang.touch()
+        until(hangs, "the source does not hang")
+        replaced = midstride("replace", "source", "OtherSource", "--wait", f"{WAIT:g}", "--yes")
+        report = midstride("report", "--json").json
+        assert midstride("down").status == 0
+    outcome = report["outcome"]
+    assert outcome["outcome"] == "done", outcome["because"]
+    # Where all of it took more than 5 s, the subscriber has degraded by itself.
+    assert replaced.status == 0 or {each["functionality"] for each in outcome["lowered"]} == {"sink.listen"}, (
+        replaced.out
+    )
+    said, [swap] = " ".join(replaced.out.split()), outcome["swaps"]
+    assert "Fenced: source hangs: user code did not return" in said
+    assert f"{swap['missed']} missed" in said
+    [number] = [number for number, step in enumerate(report["plan"]["steps"], 1) if step["action"] == "handover"]
+    [seconds] = [each["seconds"] for each in outcome["steps"] if each["step"] == number]
+    # The new side is ready, and the old one is asked once more, before it is fenced.
+    assert WAIT <= seconds < WAIT + 1.5
+    assert swap["missed"] >= (1.0 + WAIT) / PERIOD - 1
