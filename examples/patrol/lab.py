@@ -153,7 +153,7 @@ class Lab:
             self._blind_for = self._blind_for + SAMPLE if stale else 0.0
             seen.blind += SAMPLE * stale
             seen.longest_blind = max(seen.longest_blind, self._blind_for)
-            for role, node in self.specification.nodes.items():
+            for role, node in sorted(self.specification.nodes.items()):  # sums of floats depend on their order
                 for each in self.specification.components[node.component]:
                     index = level(role, each)
                     worst = len(each.modes) - 1

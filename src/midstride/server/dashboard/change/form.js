@@ -56,7 +56,7 @@ export class Form {
     this.applying = h("p", { class: "wide" });
     this.element = h(
       "div",
-      { class: "change-form" },
+      { class: "change-form", hidden: true },
       this.kind,
       this.node,
       this.added.role,
@@ -85,6 +85,7 @@ export class Form {
    * @param {Offered} offered
    */
   offer(specification, choice, { versions, parameters }) {
+    this.element.hidden = false; // until then there is nothing to choose from
     const { kind } = choice;
     const nodes = Object.keys(specification?.nodes ?? {}).sort().filter((each) => kind !== "param" || parameters(each).length > 0);
     const node = nodes.includes(choice.node) ? choice.node : (nodes[0] ?? "");
