@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -55,11 +55,22 @@ class Finding:
 
 def commands(reader: AnyReader, topic: str) -> list[Command]:
     """In the order in which they were sent."""
+    infos = [json.loads(each.data) for _, each in messages(reader, INFO)]
     found = []
-    for info in (json.loads(each.data) for _, each in messages(reader, INFO)):
-        if info["topic"] == topic:
-            found.append(Command(info["writer"], info["number"], info["sent"] / 1e9))
-    return sorted(found, key=lambda each: each.sent)
+    last: dict[str, int] = {}  # by writer, the one that wrote last at the end
+    for info in sorted((each for each in infos if each["topic"] == topic), key=lambda each: each["sent"]):
+        number = info["number"]
+        writer = info["writer"] or by_number(last, number)
+        last.pop(writer, None)
+        last[writer] = number
+        found.append(Command(writer, number, info["sent"] / 1e9))
+    return found
+
+
+def by_number(last: Mapping[str, int], number: int) -> str:
+    """Who wrote a message whose writer is not reported: the one nearest to its number, or else a new one."""
+    nearest = max((each for each in reversed(last) if last[each] < number), key=last.__getitem__, default=None)
+    return f"writer {len(last) + 1}" if nearest is None or number == 1 else nearest
 
 
 def messages(reader: AnyReader, *topics: str) -> Iterator[tuple[float, Any]]:

@@ -1,7 +1,8 @@
 """Records topics of ROS 2 in a bag, until SIGINT: ``python3 recorder.py BAG TOPIC:PACKAGE/TYPE…``.
 
 A node in plain rclpy, which knows nothing of Midstride. Beside each message, ``/recorder/info`` has who wrote it, which
-of that writer's messages it is (from 1), and when it was sent (unix ns), as the middleware reports them.
+of that writer's messages it is (from 1), and when it was sent (unix ns), as the middleware reports them. rclpy of Jazzy
+does not say who wrote it: null.
 """
 
 import contextlib
@@ -36,9 +37,10 @@ class Recorder(Node):
     def on_message(self, topic: str, connection, data: bytes, info: dict) -> None:
         received = info["received_timestamp"]
         self.bag.write(connection, received, data)
+        writer = info.get("publisher_gid")
         words = {
             "topic": topic,
-            "writer": info["publisher_gid"]["data"].hex(),
+            "writer": None if writer is None else writer["data"].hex(),
             "number": info["publication_sequence_number"],
             "sent": info["source_timestamp"],
         }

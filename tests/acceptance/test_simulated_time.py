@@ -127,8 +127,8 @@ def test_nothing_is_missed_in_simulated_time_and_a_bare_recorder_agrees(
         # A message at either end of the window may have reached one of the two within it.
         most = 1 if speed < 1 else 10
         assert swap.missed is not None and outside.missed is not None and abs(swap.missed - outside.missed) <= most
-    # On the steady clock, most were missed at half the speed.
-    assert all(swap.missed is not None and swap.missed <= (0 if speed < 1 else 10) for swap in swaps)
+        # On the steady clock, most would be missed at half the speed. Above real time, only the recorder can tell.
+        assert swap.missed == 0 or speed > 1
     publishers = {row.publisher for row in rows}
     assert len(publishers) == 4 or None in publishers  # jazzy identifies none
 

@@ -22,7 +22,7 @@ LIMITS = {"topic": "/cmd_vel", "silence": 0.5, "stale": 0.5, "reaction": 0.5, "s
 EVENTS = [{"name": "first", "from": 1000.0, "to": 1002.0}, {"name": "second", "from": 1002.0, "to": 1004.0}]
 
 # Who sends which of its commands, and when (s from the start).
-Commands = Sequence[tuple[str, int, float]]
+Commands = Sequence[tuple[str | None, int, float]]
 STEADY: Commands = [("a", n + 1, 0.05 * n) for n in range(80)]
 
 
@@ -125,6 +125,22 @@ def test_a_silence_is_found_though_the_writer_s_numbers_go_on(check: Any) -> Non
     status, (first, second, whole) = check(commands)
     assert (status, first["silence"], whole["lost"]) == (1, 0.0, 0)
     assert second["silence"] == pytest.approx(0.75)
+
+
+def test_writers_that_are_not_reported_are_told_apart_by_their_numbers(check: Any) -> None:
+    """The second goes past the last number of the first."""
+    first = [(None, n + 1, 0.05 * n) for n in range(30)]
+    second = [(None, n + 1, 0.05 * (n + 30)) for n in range(50)]
+    status, (*_, whole) = check([*first, *second])
+    assert (status, whole["writers"], whole["lost"], whole["interleaved"]) == (0, 2, 0, 0)
+
+
+def test_writers_that_are_not_reported_are_found_to_interleave(check: Any) -> None:
+    first = [(None, n + 1, 0.05 * n) for n in range(60)]
+    second = [(None, n + 1, 0.05 * (n + 30) + 0.01) for n in range(50) if n != 20]
+    status, (*_, whole) = check([*first, *second])
+    assert (status, whole["writers"], whole["lost"]) == (1, 2, 1)
+    assert whole["interleaved"] >= 30
 
 
 def test_a_hand_over_is_no_interleaving_and_two_at_once_are(check: Any) -> None:
