@@ -1,21 +1,11 @@
 /* A node on rcl that publishes as fast as it can: `rcl_publisher TOPIC MESSAGES --ros-args …`.
  *
  * Prints, in ns: the time of one message in the mean, then the median and the 99 % quantile of single calls. */
-#include <rcl/error_handling.h>
-#include <rcl/rcl.h>
+#include "../tests/foreign/rcl_require.h"
+
 #include <rosidl_runtime_c/string_functions.h>
 #include <std_msgs/msg/string.h>
-#include <stdio.h>
-#include <stdlib.h>
 #include <time.h>
-
-static void require(rcl_ret_t result, const char *what)
-{
-  if (result == RCL_RET_OK)
-    return;
-  fprintf(stderr, "%s: %s\n", what, rcl_get_error_string().str);
-  exit(1);
-}
 
 static long long now(void)
 {

@@ -19,7 +19,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -257,12 +258,13 @@ def resident(pid: int) -> float:
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def measured(options: argparse.Namespace, number: int | None) -> dict[str, Any]:
-    """With so many clients; None: without a view."""
+@contextmanager
+def served(options: argparse.Namespace, *, modes: bool, view: bool) -> Iterator[tuple[int, Path]]:
+    """The serving process while the context is open: its id, and the socket of its manager."""
     with tempfile.TemporaryDirectory(prefix="ms") as folder:
         environment = {**os.environ, "XDG_RUNTIME_DIR": folder}
-        shape = [str(options.nodes), str(options.changing), str(options.rate), "modes" if options.modes else ""]
-        command = [sys.executable, __file__, "--serving", *shape, "" if number is None else "view"]
+        shape = [str(options.nodes), str(options.changing), str(options.rate), "modes" if modes else ""]
+        command = [sys.executable, __file__, "--serving", *shape, "view" if view else ""]
         server = subprocess.Popen(command, env=environment)
         try:
             socket = Path(folder) / "midstride" / "ring" / "manager.sock"
@@ -271,21 +273,27 @@ def measured(options: argparse.Namespace, number: int | None) -> dict[str, Any]:
                     raise SystemExit("the server has ended")
                 time.sleep(0.05)
             time.sleep(WARM_UP)
-            readers = None
-            if number:
-                words = [sys.executable, __file__, "--clients", str(socket), str(number), str(options.seconds + 2)]
-                readers = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-                time.sleep(2)
-            begun, before, memory = time.monotonic(), spent(server.pid), [resident(server.pid)]
-            while time.monotonic() - begun < options.seconds:
-                time.sleep(min(options.seconds / 10, 60))
-                memory.append(resident(server.pid))
-            share = (spent(server.pid) - before) / (time.monotonic() - begun)
-            seen = json.loads(readers.communicate(timeout=60)[0]) if readers is not None else {}
-            delays = sorted(seen.pop("delays", []))
+            yield server.pid, socket
         finally:
             server.kill()  # nothing runs that it would have to leave in order
             server.wait()
+
+
+def measured(options: argparse.Namespace, number: int | None) -> dict[str, Any]:
+    """With so many clients; None: without a view."""
+    with served(options, modes=options.modes, view=number is not None) as (server, socket):
+        readers = None
+        if number:
+            words = [sys.executable, __file__, "--clients", str(socket), str(number), str(options.seconds + 2)]
+            readers = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+            time.sleep(2)
+        begun, before, memory = time.monotonic(), spent(server), [resident(server)]
+        while time.monotonic() - begun < options.seconds:
+            time.sleep(min(options.seconds / 10, 60))
+            memory.append(resident(server))
+        share = (spent(server) - before) / (time.monotonic() - begun)
+        seen = json.loads(readers.communicate(timeout=60)[0]) if readers is not None else {}
+        delays = sorted(seen.pop("delays", []))
     return {
         "clients": number,
         "processor": share,

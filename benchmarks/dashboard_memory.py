@@ -11,12 +11,10 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
-import os
 import shutil
 import statistics
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -28,7 +26,7 @@ from playwright.sync_api import Page, sync_playwright
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
-from dashboard import resident  # noqa: E402
+from dashboard import resident, served  # noqa: E402
 
 # Those groups of the manager's whose nodes change: it has 10, and nodes change in the order of their names.
 GROUP_OF, SETTLE = 10, 20.0
@@ -37,16 +35,22 @@ UNITS = {"page": "MB", "shapes": "", "manager": "MB", "gateway": "MB"}
 
 
 @contextmanager
-def running(command: list[str], environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+def gateway(socket: Path) -> Iterator[tuple[int, str]]:
+    """The gateway while the context is open: the id of its process, and its URL."""
+    command = [sys.executable, __file__, "--gateway", str(socket)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
-        yield process
+        assert process.stdout is not None
+        url = process.stdout.readline().strip()
+        if not url:
+            raise SystemExit("the gateway has not begun")
+        yield process.pid, url
     finally:
-        process.kill()  # nothing runs that they would have to leave in order
+        process.kill()  # nothing runs that it would have to leave in order
         process.wait()
 
 
-def gateway_process(socket: Path) -> None:
+def serve_gateway(socket: Path) -> None:
     """What `midstride dashboard` runs; it would not find a manager that has no state."""
     from midstride.server.auth import new_token
     from midstride.server.gateway import listen, run_gateway
@@ -55,13 +59,6 @@ def gateway_process(socket: Path) -> None:
     with listen(None) as listening:
         print(f"http://127.0.0.1:{listening.getsockname()[1]}/?token={token}", flush=True)
         asyncio.run(run_gateway(listening, socket, "ring", token))
-
-
-def wait_for(path: Path, process: subprocess.Popen[str]) -> None:
-    while not path.exists():
-        if process.poll() is not None:
-            raise SystemExit("the manager has ended")
-        time.sleep(0.05)
 
 
 def opened(context: ExitStack, url: str, groups: list[str]) -> Page:
@@ -80,13 +77,13 @@ def opened(context: ExitStack, url: str, groups: list[str]) -> Page:
     return page
 
 
-def sample(page: Page, session: Any, manager: int, gateway: int) -> dict[str, float]:
+def sample(page: Page, session: Any, manager: int, gateway_process: int) -> dict[str, float]:
     session.send("HeapProfiler.collectGarbage")
     return {
         "page": session.send("Runtime.getHeapUsage")["usedSize"] / 1e6,
         "shapes": session.send("Memory.getDOMCounters")["nodes"],
         "manager": resident(manager),
-        "gateway": resident(gateway),
+        "gateway": resident(gateway_process),
     }
 
 
@@ -106,20 +103,8 @@ def slope(rows: list[dict[str, float]], name: str) -> float:
 
 def measured(options: argparse.Namespace) -> list[dict[str, float]]:
     with ExitStack() as context:
-        folder = Path(context.enter_context(tempfile.TemporaryDirectory(prefix="ms")))
-        environment = {**os.environ, "XDG_RUNTIME_DIR": str(folder)}
-        shape = [str(options.nodes), str(options.changing), str(options.rate)]
-        serving = [sys.executable, str(HERE / "dashboard.py"), "--serving", *shape, "view"]
-        manager = context.enter_context(running(serving, environment))
-        socket = folder / "midstride" / "ring" / "manager.sock"
-        wait_for(socket, manager)
-        time.sleep(1.0)
-        leading = [sys.executable, __file__, "--gateway", str(socket)]
-        gateway = context.enter_context(running(leading, environment))
-        assert gateway.stdout is not None
-        url = gateway.stdout.readline().strip()
-        if not url:
-            raise SystemExit("the gateway has not begun")
+        manager, socket = context.enter_context(served(options, modes=False, view=True))
+        process, url = context.enter_context(gateway(socket))
         groups = [f"g:/group_{number}" for number in range(options.changing * GROUP_OF // options.nodes)]
         page = opened(context, url, groups)
         page.wait_for_timeout(SETTLE * 1000)
@@ -129,7 +114,7 @@ def measured(options: argparse.Namespace) -> list[dict[str, float]]:
         begun = time.monotonic()
         with suppress(KeyboardInterrupt):  # what has been seen by then is shown
             while (at := time.monotonic() - begun) <= options.seconds:
-                rows.append({"at": at, **sample(page, session, manager.pid, gateway.pid)})
+                rows.append({"at": at, **sample(page, session, manager, process)})
                 time.sleep(max(0.0, options.every - (time.monotonic() - begun - at)))
         if not changes(page):
             raise SystemExit("the page does not follow the system any more")
@@ -160,6 +145,6 @@ def main() -> None:
 if __name__ == "__main__":
     match sys.argv[1:]:
         case ["--gateway", path]:
-            gateway_process(Path(path))
+            serve_gateway(Path(path))
         case _:
             main()

@@ -62,7 +62,7 @@ def measure(folder: Path, runs: int, messages: int) -> dict[str, list[float]]:
 
 
 def measure_rcl(folder: Path, runs: int, messages: int) -> dict[str, list[list[float]]]:
-    """The time of a message in the mean, and the median and 99 % of a call (ns), of a node on rcl that nobody hears."""
+    """The mean time of a message, and the median and 99 % of a call (ns), of a node on rcl without subscribers."""
     import rclpy  # noqa: F401  # it sets the paths of the libraries
 
     program = compiled(folder, Path(__file__).with_name("_rcl_publisher.c"), "rcl_publisher")

@@ -73,12 +73,10 @@ class Platform(Simulator):
 
     def _on_loop(self, main: Coroutine[Any, Any, T]) -> T:
         loop = SeededLoop(self._seed)  # type: ignore[abstract]  # it has no sockets and no processes
-        gc.disable()  # what it finalizes would be called at moments that differ from run to run
         try:
             return run(loop, main)
         finally:
-            gc.enable()
-            gc.collect()
+            gc.collect()  # the next run begins before it would be done otherwise
 
     def _process(self, launch: Launch, log: Path | None) -> SimulatedProcess:
         return ThreadlessOnceStarted(launch, self._pids, self.time, self._host, self._exited, log)
@@ -118,7 +116,7 @@ class Lab:
         return self.simulator.processes[instance]._program._main.__dict__
 
     def require_no_errors(self) -> None:
-        """Raises RuntimeError where something raised on the loop that nobody awaited."""
+        """Raises RuntimeError where a task on the loop raised whose result was not awaited."""
         loop = self.simulator.time.loop
         assert isinstance(loop, SeededLoop)
         if loop.errors:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import gc
 import json
 import random
 from collections.abc import Callable
@@ -128,8 +127,4 @@ def simulate(
     simulator = Platform(jitter=0.0005, seed=scenario.seed)
     simulator.time.follow(loop)
     watch(simulator)
-    gc.disable()  # finalizers would run at moments that differ from run to run
-    try:
-        return run(loop, _mission(specification(scenario, *managing), simulator, scenario.time_limit))
-    finally:
-        gc.enable()
+    return run(loop, _mission(specification(scenario, *managing), simulator, scenario.time_limit))

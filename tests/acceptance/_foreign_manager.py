@@ -1,4 +1,4 @@
-"""A manager in a process of its own, which is killed during a swap: `_foreign_manager.py FOLDER COMPONENT [PHASE S]`.
+"""A separate process with a manager, which is killed during a swap: `_foreign_manager.py FOLDER COMPONENT [PHASE S]`.
 
 It brings the system of tests.acceptance.foreign_support up, or finds it again, and replaces the talker by a COMPONENT.
 With `down` as the component, it ends the system. It prints `TIME begins|ends PHASE` (monotonic, s) for each phase of

@@ -1,4 +1,4 @@
-"""A manager in a process of its own that is killed at an agreed point of a change.
+"""A separate process with a manager that is killed at an agreed point of a change.
 
 managing.py WORKSPACE down: finds the system and ends it.
 managing.py WORKSPACE swap [OP NUMBER before|after]: brings the system up (or finds it again), fails if it is not valid,

@@ -84,7 +84,7 @@ def test_nothing_is_missing_and_one_is_heard_at_each_moment(
 
 @dataclass
 class Managed:
-    """What a manager in a process of its own has printed: when each phase has begun and ended, as far as it came."""
+    """What a separate process with a manager has printed: when each phase has begun and ended, as far as it came."""
 
     begun: dict[str, float] = field(default_factory=dict)
     ended: dict[str, float] = field(default_factory=dict)

@@ -221,7 +221,7 @@ def test_the_death_of_the_fork_server_harms_no_process(tmp_path: Path) -> None:
         assert (in_spare.running, forked.running, spares.ready) == (True, True, 1)
         another = await bench.run(spares, "status.py", log="3")
         assert (await bench.result(another, tmp_path / "3"))[0] == 7
-        assert await bench.run(spares, "status.py") is None  # it is started as a process of its own
+        assert await bench.run(spares, "status.py") is None  # it is started as a new process
         await bench.ready(spares)
         assert spares.server is not None and spares.server is not server
         for process in (in_spare, forked):

@@ -1,20 +1,10 @@
 /* A node on rcl alone that records what it hears: `listener TOPIC FILE --ros-args …`.
  *
  * For each message of type std_msgs/msg/String it writes a line: when it was taken (monotonic, ns), and the text. */
-#include <rcl/error_handling.h>
-#include <rcl/rcl.h>
-#include <std_msgs/msg/string.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <time.h>
+#include "rcl_require.h"
 
-static void require(rcl_ret_t result, const char *what)
-{
-  if (result == RCL_RET_OK)
-    return;
-  fprintf(stderr, "%s: %s\n", what, rcl_get_error_string().str);
-  exit(1);
-}
+#include <std_msgs/msg/string.h>
+#include <time.h>
 
 int main(int count, char **arguments)
 {

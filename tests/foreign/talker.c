@@ -2,25 +2,15 @@
  *
  * Once a period it publishes "NAME NUMBER" on each topic, where NAME is that of its node. With a period of 0 it publishes
  * one message, and then none. */
-#include <rcl/error_handling.h>
-#include <rcl/rcl.h>
+#include "rcl_require.h"
+
 #include <rosidl_runtime_c/string_functions.h>
 #include <std_msgs/msg/string.h>
-#include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 #include <time.h>
 #include <unistd.h>
 
 #define MOST 8
-
-static void require(rcl_ret_t result, const char *what)
-{
-  if (result == RCL_RET_OK)
-    return;
-  fprintf(stderr, "%s: %s\n", what, rcl_get_error_string().str);
-  exit(1);
-}
 
 int main(int count, char **arguments)
 {

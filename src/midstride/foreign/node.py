@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import socket
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -21,6 +20,7 @@ from midstride.model.component import ComponentSpec
 from midstride.node.message_times import window_of
 from midstride.wire.state import (
     NOT_WELCOMED,
+    THIS_HOST,
     ComponentState,
     FunctionalityState,
     GateState,
@@ -148,7 +148,7 @@ class ForeignNode:
             undeclared=self.undeclared,
             node=record.node,
             imported=1,
-            host=socket.gethostname(),
+            host=THIS_HOST,
         )
 
     def gate_states(self) -> dict[str, GateState | None]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import bisect
 import contextlib
-import socket
 import threading
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
@@ -30,7 +29,7 @@ from midstride.node.reflex import Reflex
 from midstride.node.state_hooks import StateHooks
 from midstride.wire import commands, replies
 from midstride.wire.commands import Command
-from midstride.wire.state import ComponentState, WireValue
+from midstride.wire.state import THIS_HOST, ComponentState, WireValue
 
 T = TypeVar("T")
 Handler = Callable[[Any], Awaitable[WireValue]]
@@ -221,7 +220,7 @@ class CommandHandlers:
             clock_speed=self.host.clock_history.speed(self.host.steady()) if self.host.simulated_time else 1.0,
             declared={each.name: each.declared for each in parameters if each.value != each.declared},
             keeps_state=self.parts.callbacks.export_state is not None,
-            host=socket.gethostname(),
+            host=THIS_HOST,
         )
 
     def _parameters(self) -> dict[str, HeldParameter]:

@@ -229,7 +229,7 @@ class HandoverCommands:
                 await self.hooks.import_(state, command.timeout)
             return replies.StateOffer(exports="changes")
         offered = await self._ask(command, commands.OfferStateCommand(changes=self.hooks.imports_changes))
-        if offered.exports in ("whole", "changes"):
+        if offered.has_state:
             self.hooks.check_import()
         return offered
 

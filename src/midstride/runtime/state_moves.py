@@ -57,6 +57,6 @@ class StateMoves:
         except CommandRefused as error:
             self.keeps_own(old, new, str(error))
             return
-        if offer.exports in ("whole", "changes"):
+        if offer.has_state:
             await self.client.change(new, MuteCommand())
             self._muted.add(new)

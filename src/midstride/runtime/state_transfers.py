@@ -97,7 +97,7 @@ class StateTransfers:
                 address=self.client.address(new),
                 order_only=order_only,
             )
-        if offer.exports in ("nothing", "order") and old in self.keeping:
+        if not offer.has_state and old in self.keeping:
             self.note_own_state(old, new, "it does not use Midstride's API")
 
     def note_own_state(self, old: str, new: str, because: str) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextvars
+import gc
 import heapq
 import random
 from collections.abc import Callable, Coroutine
@@ -208,8 +209,15 @@ class SeededLoop(asyncio.AbstractEventLoop):
 
 
 def run(loop: SeededLoop, main: Coroutine[Any, Any, T]) -> T:
-    """Run ``main`` on ``loop``; cancel what is left of it, and close the loop."""
+    """Run ``main`` on ``loop``; cancel what is left of it, and close the loop.
+
+    Without garbage collection: finalizers would run at moments that differ from run to run.
+    """
+    collects = gc.isenabled()
+    gc.disable()
     try:
         return loop.run_until_complete(main)  # type: ignore[no-any-return]
     finally:
         loop.end()
+        if collects:
+            gc.enable()

@@ -93,6 +93,10 @@ class StateOffer(WireValue, frozen=True, kw_only=True):
 
     exports: Literal["nothing", "order", "whole", "changes"]
 
+    @property
+    def has_state(self) -> bool:
+        return self.exports in ("whole", "changes")
+
 
 class GatedWrites(WireValue, frozen=True, kw_only=True):
     """How many messages were written behind the gate; ``wrong_type``: what was wrong with the last refused one.

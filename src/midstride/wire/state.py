@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from typing import Any, Final, Literal, TypeAlias
 
 import msgspec
@@ -10,6 +11,9 @@ GateState: TypeAlias = Literal["open", "closed"]
 
 # By how much a measured rate may be below the declared one: the tolerance of ROS's own diagnostic_updater.
 RATE_TOLERANCE: Final = 0.1
+
+# The name of the computer or container that this process runs on.
+THIS_HOST: Final = socket.gethostname()
 
 
 class WireValue(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -13,7 +13,7 @@ from midstride.model.configuration import Instance
 from midstride.server.view import components
 from midstride.server.view.endpoints import endpoint_views
 from midstride.server.view.forms import EndpointView
-from midstride.wire.state import ComponentState, Endpoint
+from midstride.wire.state import THIS_HOST, ComponentState, Endpoint
 from tests.server.view.support import Viewed, viewed
 
 ALLOWS = (
@@ -68,10 +68,8 @@ def test_the_host_is_named_where_it_is_not_the_managers(
 ) -> None:
     async def body(system: Viewed) -> None:
         await asyncio.sleep(1)
-        host = system.component("listener")["host"]
-        assert (host is not None) == elsewhere
-        assert host != components._THIS_HOST
+        assert system.component("listener")["host"] == (THIS_HOST if elsewhere else None)
 
     if elsewhere:
-        monkeypatch.setattr(components, "_THIS_HOST", "base-station")
+        monkeypatch.setattr(components, "THIS_HOST", "base-station")
     viewed("talker", tmp_path, body)

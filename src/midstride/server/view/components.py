@@ -5,7 +5,6 @@ It is built up to 20 times a second for each component that changes, so what doe
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal
@@ -18,12 +17,11 @@ from midstride.runtime.watched import WatchedSystem
 from midstride.server.view.endpoints import endpoint_views
 from midstride.server.view.figures import NO_FIGURES, Figures, figures
 from midstride.server.view.forms import ComponentView, FunctionalityView, PortView
-from midstride.wire.state import ComponentState, FunctionalityState, LinkState
+from midstride.wire.state import THIS_HOST, ComponentState, FunctionalityState, LinkState
 
 # By how much (s) the beginning of a mode may seem to move between two reports, which travel for different times.
 _SAME_MODE: Final = 0.5
 _NO_LINKS: Final[dict[str, LinkState]] = {}
-_THIS_HOST: Final = socket.gethostname()
 
 
 class Baseline:
@@ -110,7 +108,7 @@ def component_view(
         role=instance.role,
         component=instance.component.name,
         namespace=namespace_of(instance.role),
-        host=None if state is None or state.host in {"", _THIS_HOST} else state.host,
+        host=None if state is None or state.host in {"", THIS_HOST} else state.host,
         node=None if state is None else state.node,
         pid=None if process is None else process.pid,
         answers=state is not None,
