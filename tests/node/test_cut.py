@@ -281,3 +281,47 @@ def test_what_comes_after_the_new_side_has_waited_for_it_is_left_out() -> None:
     clocks.time += 1
     write(link, "too late")
     assert (published, link.gated) == (["in time"], 1)
+
+
+@pytest.mark.parametrize(
+    ("driven", "rate", "heard"),
+    [("rate", Grid(), ["before", "3", "after"]), ("message", None, ["before", "1", "2", "3", "after"])],
+)
+def test_an_old_side_that_writes_again_has_lost_nothing(driven: str, rate: Grid | None, heard: list[str]) -> None:
+    """One late message stands for all slots that have come, as where state moves; and each message is answered."""
+    owner, clocks = Owner(driven=driven, rate=rate), Clocks(T - 10)
+    link, published = link_of(owner)
+    side = OutgoingCut([link], T, clocks.host, PipeClaim({}, "cut"))
+    side.arm()
+    write(link, "before")
+    clocks.time = T + 10
+    message = String()
+    for number in range(1, 4):
+        message.data = str(number)  # an author may fill the same object again
+        link.output.write(message)
+    side.reopen()
+    write(link, "after")
+    assert published == heard
+    assert (link.count, link.gated) == (len(heard), 5 - len(heard))
+
+
+def test_what_was_held_back_is_not_written_once_the_new_side_has_taken_over() -> None:
+    clocks = Clocks(T - 10)
+    link, published = link_of(Owner(driven="message", rate=None, info=T + 10))
+    side = OutgoingCut([link], T, clocks.host, PipeClaim({}, "cut"))
+    side.arm()
+    write(link, "the new side's")
+    side.relieved()
+    side.reopen()
+    assert published == []
+
+
+def test_what_was_held_back_stays_behind_a_gate_that_something_else_has_set() -> None:
+    clocks = Clocks(T - 10)
+    link, published = link_of(Owner(driven="message", rate=None, info=T + 10))
+    side = OutgoingCut([link], T, clocks.host, PipeClaim({}, "cut"))
+    side.arm()
+    write(link, "held back")
+    link.set_gate(False)
+    side.reopen()
+    assert (published, link.gate) == ([], "closed")

@@ -474,6 +474,22 @@ def test_a_cut_that_one_side_learns_of_too_late_is_agreed_again_later(late: type
     bench(CONFIGURATION, tmp_path, body)
 
 
+@pytest.mark.parametrize(("takes", "lead"), [(0.0, 0.1), (0.04, 0.1), (0.06, 0.3), (0.2, 1.0), (0.9, 1.0)])
+def test_a_cut_is_further_ahead_where_the_two_sides_take_long_to_connect(
+    takes: float, lead: float, tmp_path: Path
+) -> None:
+    async def meet(_: MeetCommand) -> None:
+        await asyncio.sleep(takes)
+
+    async def body(b: Bench) -> None:
+        b.client.reply("talker_2", MeetCommand, meet)
+        await swapped(b)
+        [cut] = b.client.of(CutOutCommand, "talker")
+        assert cut.at == lead * 1e9
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
 def test_a_cut_that_cannot_be_agreed_in_time_is_given_up(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.client.reply("talker_2", CutInCommand, REFUSED)

@@ -11,6 +11,7 @@ data thread; :mod:`midstride.node.cut_protocol` runs on the control thread.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -27,6 +28,8 @@ GRACE: Final = 0.05
 # How often at least, between two messages, the data thread finds that none has come before that counts as silence: a
 # thread that has been kept from running has messages waiting.
 LOOKS: Final = 3
+# How many messages of an output without a rate the old side keeps for the case that it writes again; then the newest.
+HELD: Final = 1000
 
 Written = tuple[int, int]  # the publisher's number, and when
 
@@ -134,6 +137,8 @@ class OutgoingCut(_Side):
     newer_at: int | None = field(default=None, init=False)
     # Since when its time grid seems to have stopped (steady, ns).
     _stopped_at: int | None = field(default=None, init=False)
+    # What was written after T, for the case that this side writes again.
+    _held: dict[OutputLink, deque[Any]] = field(default_factory=dict, init=False)
     # How often it was looked whether everything has been written, since the last input.
     _looks: int = field(default=0, init=False)
 
@@ -144,6 +149,8 @@ class OutgoingCut(_Side):
     def arm(self) -> None:
         for link in self.links:
             link.enter(self)
+            # One late call accounts for all slots that have come, as elsewhere; each message is answered.
+            link.held = self._held[link] = deque(maxlen=1 if link.output.owner.rate is not None else HELD)
         for runner in self._runners:
             runner.watch = self._on_input
 
@@ -179,12 +186,17 @@ class OutgoingCut(_Side):
         self._set_gates(False)
 
     def reopen(self) -> None:
-        """Write again: the new side has not taken over in time, or the cut is cancelled."""
+        """Write again, first what was held back: the new side has not taken over in time, or the cut is cancelled."""
         self.over = True
+        held = dict(self._held)
         self.relieved()
         for link in self.links:
             if self._decides(link):
                 link.set_gate(True, self)
+                for message in held.get(link, ()):
+                    link.gated -= 1
+                    link.count += 1
+                    link.publish(message)
 
     @property
     def closed(self) -> bool:
@@ -196,7 +208,11 @@ class OutgoingCut(_Side):
         return (closed or link.cut is self) and link in link.output.links
 
     def relieved(self) -> None:
-        """The new side has taken over, or this one has given up the cut: inputs need not be watched any more."""
+        """The new side has taken over, or this one has given up the cut: no message needs to be held or watched."""
+        for link, held in self._held.items():
+            if link.held is held:
+                link.held = None
+        self._held.clear()
         for runner in self._runners:
             if runner.watch == self._on_input:
                 runner.watch = None

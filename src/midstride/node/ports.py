@@ -7,6 +7,7 @@ thread; other threads only read counters.
 
 from __future__ import annotations
 
+import copy
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, Final, Generic, Literal, Protocol, TypeAlias, TypeVar
@@ -95,6 +96,7 @@ class OutputLink:
         "cut",
         "endpoint",
         "gated",
+        "held",
         "last_gated",
         "open",
         "output",
@@ -114,6 +116,8 @@ class OutputLink:
         self.count = 0
         self.gated = 0
         self.last_gated: Any = None
+        # What the gate has held back since the old side of a cut closed it, as long as that side may write again.
+        self.held: deque[Any] | None = None
         self.cut: GatePolicy | None = None
         # What has set the gate last, where that was the end of a cut.
         self.set_by: GatePolicy | None = None
@@ -152,6 +156,8 @@ class OutputLink:
         if cut is None or not cut.publish(self, message):
             self.gated += 1
             self.last_gated = message
+            if self.held is not None:
+                self.held.append(copy.deepcopy(message))  # the author may fill and write the same object again
 
     def write_last_gated(self) -> bool:
         """Publish the last message that the gate has held back, for late joiners; whether there was one."""

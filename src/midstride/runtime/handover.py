@@ -46,6 +46,9 @@ from midstride.wire.replies import CutResult
 # How far ahead the cut is (s): many round trips, so that both sides know it in time. If the machine is too busy for one
 # of these, the next one is tried.
 LEADS: Final = (0.1, 0.3, 1.0)
+# None is tried that is shorter than so many of the exchanges just before it: a cut that one side learns of too late
+# makes the messages after its moment late.
+EXCHANGES: Final = 2.0
 # The same for an old side that was too slow for these, at most: as far as it may still take to become free.
 LONGEST_LEAD: Final = 10.0
 # An old side that is not free for so long after a cut could not be agreed was too busy for it (s).
@@ -208,12 +211,14 @@ class LiveHandover:
         for connector in connectors:
             await require_found(self.client, self.configuration, self.swaps, connector, found[connector], self.is_gone)
         await self._await_turn(self.swaps, lambda: any(self.is_gone(old) for old, _ in pairs))
+        begun = self.fences.now()
         for old, new in pairs:
             with _old_side_needed():
                 await self._meet(new, old)
+        shortest = EXCHANGES * (self.fences.now() - begun)
         await self.states.prepare()
         await self._before_cut()
-        for lead in leads:
+        for lead in [lead for lead in leads if lead >= shortest] or leads[-1:]:
             with _old_side_needed():
                 self._cuts = await agree_cuts(self.client, self.configuration, self.swaps, lead, self.states.agreed)
                 if await self._announce(last_try=lead == leads[-1]):

@@ -222,7 +222,7 @@ async def resumes_unless_relieved(lab: Lab) -> None:
 
 @check
 async def waits_for_a_question_before_it_resumes(lab: Lab) -> None:
-    """A message-driven old side that receives no question does not resume."""
+    """A message-driven old side that receives no question does not resume; when it does, it has missed none."""
     await lab.start("source", puppets.talker(rate=50))
     await lab.start("old", puppets.relay())
     await lab.listen()
@@ -238,7 +238,14 @@ async def waits_for_a_question_before_it_resumes(lab: Lab) -> None:
     await lab.mode("source", "talk", "normal")
     old = await lab.read("old", "await_cut", cut="cut", timeout=5.0)
     assert old["outcome"] == "resumed", old
-    await lab.eventually("it answers again", lambda: lab.received("sink"))
+    await lab.sleep(0.3)
+    await lab.mode("source", "talk", "degraded")
+    asked = (await lab.exported("source"))["calls"]["talk.normal"]
+    await lab.eventually("all are answered", lambda: lab.received("sink"), lambda words: len(words) >= asked)
+    answered = [int(word.rsplit(" ", 1)[1]) for word in await lab.received("sink")]
+    assert answered == list(range(1, asked + 1)), (
+        f"{asked} questions have been asked, and answered in this order: {answered}"
+    )
 
 
 @check
