@@ -194,8 +194,8 @@ class Running:
 BACKENDS = ["sim", pytest.param("ros2", marks=(pytest.mark.ros2, pytest.mark.full))]
 # One of each kind of step, where each takes seconds.
 ON_ROS_2 = (
-    "a parameter of another kind replaces the node",
     "a changeable parameter is set in place",
+    "a parameter of another kind replaces the node",
     "an input on another topic",
     "a topic with another contract, and another publisher",
 )

@@ -108,6 +108,7 @@ def test_an_excerpt_of_a_log_shows_its_changes() -> None:
     assert twice.count(None) == 1
 
 
+@pytest.mark.full
 def test_as_a_command(midstride: Midstride) -> None:
     done = midstride.process("demo", "--backend", "sim", "--json")
     assert (done.status, done.err) == (0, "")

@@ -408,6 +408,7 @@ def test_dev_stops_its_system_when_the_terminal_is_closed(midstride: Midstride, 
     assert "no system is running" in midstride("status").err
 
 
+@pytest.mark.full
 def test_dev_attaches_to_a_running_system_and_leaves_it_running(midstride: Midstride, project: Path) -> None:
     file = str(project / "talker.stride")
     assert midstride("up", file, "--backend", "sim", "-d").status == 0

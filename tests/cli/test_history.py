@@ -18,6 +18,7 @@ def up(midstride: Midstride, *options: str) -> None:
     assert done.status == 0, done.err
 
 
+@pytest.mark.full
 def test_a_change_is_shown_and_rolled_back(midstride: Midstride) -> None:
     up(midstride)
     refused = midstride("rollback", "--yes")

@@ -123,6 +123,7 @@ raise ValueError({HOSTILE!r} + " and the end")
 """
 
 
+@pytest.mark.full
 def test_what_a_component_says_is_printable(midstride: Midstride, tmp_path: Path) -> None:
     """Its error as a reason and in events, on a terminal and in a pipe; its log if it does not come up."""
     for file in (EXAMPLES / "talker").iterdir():

@@ -7,6 +7,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from tests.cli.conftest import EXAMPLES, Midstride
 
 TALKER = str(EXAMPLES / "talker" / "talker.json")
@@ -17,6 +19,7 @@ def data_of(file: Path) -> Any:
     return json.loads(data)
 
 
+@pytest.mark.full
 def test_a_change_is_written_with_what_its_command_has_reported(midstride: Midstride, tmp_path: Path) -> None:
     assert midstride("up", TALKER, "--backend", "sim", "--detach").status == 0
     outcome = midstride("replace", "talker", "NewTalker", "--yes", "--json").json

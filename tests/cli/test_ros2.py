@@ -188,6 +188,7 @@ def test_a_component_started_by_hand_keeps_a_system_whose_other_components_have_
             talker.kill()
 
 
+@pytest.mark.full
 def test_down_stops_the_components_of_a_killed_manager(midstride: Midstride) -> None:
     assert midstride("up", TALKER, "-d").status == 0
     components = midstride.components("talker")

@@ -31,6 +31,7 @@ def playing(midstride: Midstride, role: str = "talker") -> tuple[str, str]:
     return next((entry["name"], entry["component"]) for entry in components if entry["role"] == role)
 
 
+@pytest.mark.full
 def test_up_shows_its_progress(midstride: Midstride) -> None:
     done = midstride("up", TALKER, "--backend", "sim", "-d")
     assert (done.status, done.err) == (0, "")
@@ -252,6 +253,7 @@ def test_a_change_asks_for_confirmation(talker: Midstride) -> None:
     assert talker("remove", "second", "--yes").status == 0
 
 
+@pytest.mark.full
 def test_only_the_plan_that_was_shown_is_carried_out(talker: Midstride) -> None:
     """A change between the preview and the yes: the plan that was shown is not the one that would be carried out."""
     with Terminal(talker, "remove", "listener") as terminal:
@@ -294,6 +296,7 @@ def test_watch_prints_a_document_on_each_line(command: list[str], talker: Midstr
         watching.communicate()
 
 
+@pytest.mark.full
 def test_the_system_keeps_running_when_the_live_view_is_left(midstride: Midstride) -> None:
     with Terminal(midstride, "up", TALKER, "--backend", "sim") as terminal:
         terminal.until("Ctrl-C leaves the view")
@@ -336,6 +339,7 @@ def test_ctrl_c_before_the_manager_answers_stops_the_system(midstride: Midstride
     assert midstride("status").err.endswith("no system is running; start one with `midstride up FILE`\n")
 
 
+@pytest.mark.full
 def test_the_log_of_a_running_manager_is_cut(midstride: Midstride) -> None:
     midstride("up", TALKER, "--backend", "sim", "--detach")
     log = midstride.runtime / "midstride" / "talker" / "logs" / "manager.log"
@@ -382,6 +386,7 @@ def test_a_component_that_does_not_come_up(
     assert not (midstride.runtime / "midstride" / "talker" / "state.db").exists()
 
 
+@pytest.mark.full
 def test_the_api_over_tcp(midstride: Midstride) -> None:
     with socket.create_server(("127.0.0.1", 0)) as door:
         port = door.getsockname()[1]
@@ -433,6 +438,7 @@ def test_the_state_of_a_killed_manager_is_recovered_from(midstride: Midstride) -
     assert midstride("down").status == 1
 
 
+@pytest.mark.full
 def test_the_view_reports_that_the_manager_has_exited(midstride: Midstride) -> None:
     assert midstride("up", TALKER, "--backend", "sim", "-d").status == 0
     watching = midstride.start("watch", "--all")

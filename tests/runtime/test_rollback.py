@@ -106,7 +106,14 @@ def test_one_lost_message_is_made_good(name: str, request_: PlanRequest, how: st
 
 
 @pytest.mark.parametrize(("name", "request_"), CASES, ids=lambda value: getattr(value, "strategy", value))
-@pytest.mark.parametrize(("how", "times"), [("lost_request", 2), ("lost_reply", 2), ("refused", 1)])
+@pytest.mark.parametrize(
+    ("how", "times"),
+    [
+        pytest.param("lost_request", 2, marks=pytest.mark.full),
+        pytest.param("lost_reply", 2, marks=pytest.mark.full),
+        ("refused", 1),
+    ],
+)
 def test_a_change_in_which_any_one_call_fails_is_done_or_taken_back_whole(
     name: str, request_: PlanRequest, how: str, times: int, tmp_path: Path
 ) -> None:

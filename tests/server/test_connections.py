@@ -178,6 +178,7 @@ def test_a_low_limit_of_descriptors_leaves_most_of_them_to_the_control_plane(mon
         assert connection_limit(64, 1 / 8) == allowed
 
 
+@pytest.mark.full
 def test_slow_connections_to_a_running_manager() -> None:
     """A manager that may open 128 files has 300 slow connections on TCP: its socket answers, its log stays empty."""
     for midstride in running():

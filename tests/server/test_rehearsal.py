@@ -36,6 +36,7 @@ def test_a_change_that_cannot_be_planned_is_refused_with_the_reason() -> None:
         asyncio.run(Rehearser().rehearse(example("talker"), asked))
 
 
+@pytest.mark.full
 def test_no_seed_is_begun_after_the_time() -> None:
     asked = SubmittedRehearsal(request=SWAP, seeds=1000, seconds=0.001)
     assert asyncio.run(Rehearser().rehearse(example("talker"), asked)).seeds == 1
