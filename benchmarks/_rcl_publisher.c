@@ -1,6 +1,8 @@
-/* A node on rcl that publishes as fast as it can: `rcl_publisher TOPIC MESSAGES --ros-args …`.
+/* A node on rcl that publishes as fast as it can: `rcl_publisher TOPIC MESSAGES`.
  *
- * Prints, in ns: the time of one message in the mean, then the median and the 99 % quantile of single calls. */
+ * Prints, in ns: the time of one message in the mean, then the median and the 99 % quantile of single calls.
+ * `rcl_publisher TOPIC MESSAGES PERIOD` publishes one in each period (us) as soon as there is a subscriber, and prints
+ * nothing: each message is the time when it is published (monotonic, ns). */
 #include "../tests/foreign/rcl_require.h"
 
 #include <rosidl_runtime_c/string_functions.h>
@@ -20,6 +22,26 @@ static int compare(const void *one, const void *other)
   return (a > b) - (a < b);
 }
 
+static void publish_times(rcl_publisher_t *publisher, std_msgs__msg__String *message, long messages, long long period)
+{
+  size_t subscribers = 0;
+  struct timespec shortly = {0, 10000000};
+  while (!subscribers) {
+    nanosleep(&shortly, NULL);
+    require(rcl_publisher_get_subscription_count(publisher, &subscribers), "subscribers");
+  }
+  long long next = now() + 1000000000; /* the subscriber may not have found the publisher yet */
+  for (long number = 0; number < messages; number++, next += period) {
+    struct timespec at = {next / 1000000000, next % 1000000000};
+    clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, NULL);
+    char text[24];
+    snprintf(text, sizeof text, "%lld", now());
+    rosidl_runtime_c__String__assign(&message->data, text);
+    require(rcl_publish(publisher, message, NULL), "publish");
+  }
+  require(rcl_publisher_wait_for_all_acked(publisher, 5000000000), "acknowledgement");
+}
+
 int main(int count, char **arguments)
 {
   rcl_init_options_t options = rcl_get_zero_initialized_init_options();
@@ -36,8 +58,12 @@ int main(int count, char **arguments)
           arguments[1]);
   std_msgs__msg__String message;
   std_msgs__msg__String__init(&message);
-  rosidl_runtime_c__String__assign(&message.data, "a message of the gate's benchmark");
   long messages = atol(arguments[2]);
+  if (count > 3) {
+    publish_times(&publisher, &message, messages, atoll(arguments[3]) * 1000);
+    return 0;
+  }
+  rosidl_runtime_c__String__assign(&message.data, "a message of the gate's benchmark");
   long long *took = malloc((size_t)messages * sizeof *took);
   for (long number = 0; number < messages / 10; number++) /* until nothing is allocated any more */
     require(rcl_publish(&publisher, &message, NULL), "publish");

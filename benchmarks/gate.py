@@ -1,8 +1,8 @@
 """What the gate in a node without Midstride's API costs per message: processor time, beside the same node without it.
 
 The node publishes in a loop through a library that stands in for librcl, so nothing but the gate differs. With
-`--rcl` it is one on rcl, whose throughput and calls are timed. The runs are interleaved; a figure is the
-median over the runs, with the lowest and the highest.
+`--rcl` it is one on rcl: its throughput and calls without subscribers, and at 1 kHz the latency to a subscriber on rcl.
+The runs are interleaved; a figure is the median over the runs, with the lowest and the highest.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -21,11 +22,12 @@ sys.path.append(str(ROOT))
 
 from midstride.foreign import build  # noqa: E402
 from midstride.foreign.page import OPEN, OUTPUT, Page, PortFlag  # noqa: E402
-from tests.native import compiled, environment_of_compiled  # noqa: E402
+from tests.native import LISTENER, compiled, environment_of_compiled  # noqa: E402
 
 SOURCES = ROOT / "tests" / "foreign"
 LOG_SIZE = 16 + 24 * 4_000_000
 KINDS = ("bare", "library, no page", "gate")
+PERIOD = 1000  # of the messages whose latency is measured (us)
 
 
 def variables(folder: Path) -> list[dict[str, str]]:
@@ -62,19 +64,38 @@ def measure(folder: Path, runs: int, messages: int) -> dict[str, list[float]]:
 
 
 def measure_rcl(folder: Path, runs: int, messages: int) -> dict[str, list[list[float]]]:
-    """The mean time of a message, and the median and 99 % of a call (ns), of a node on rcl without subscribers."""
+    """Of a node on rcl, in ns: the mean time of a message, then the median and 99 % of a call, and of the latency."""
     import rclpy  # noqa: F401  # it sets the paths of the libraries
 
     program = compiled(folder, Path(__file__).with_name("_rcl_publisher.c"), "rcl_publisher")
+    listener, record = compiled(folder, LISTENER, "listener"), folder / "record"
+    base = environment_of_compiled(os.environ)
+    base |= {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     kinds = dict(zip(KINDS, variables(folder), strict=True))
     figures: dict[str, list[list[float]]] = {kind: [] for kind in KINDS}
     for _ in range(runs):
         for kind, more in kinds.items():
-            command = [str(program), "/chat", str(messages)]
-            environment = {**environment_of_compiled(os.environ), **more}
-            done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-            figures[kind].append([float(word) for word in done.stdout.split()])
+            environment, command = {**base, **more}, [str(program), "/chat"]
+            fast = [*command, str(messages)]
+            done = subprocess.run(fast, env=environment, capture_output=True, text=True, check=True)
+            with subprocess.Popen([str(listener), "/chat", str(record)], env=base) as recorder:
+                try:
+                    subprocess.run([*command, str(messages // 20), str(PERIOD)], env=environment, check=True)
+                    latencies = latencies_of(record, messages // 20)
+                finally:
+                    recorder.terminate()
+            figures[kind].append([*map(float, done.stdout.split()), *latencies])
     return figures
+
+
+def latencies_of(record: Path, messages: int) -> list[int]:
+    """The median and the 99 % quantile (ns), once all messages have been recorded."""
+    deadline = time.monotonic() + 5.0
+    while (count := (text := record.read_text()).count("\n")) < messages:
+        assert time.monotonic() < deadline, f"{count} of {messages} messages have arrived"
+        time.sleep(0.01)
+    found = sorted(taken - published for taken, published in (map(int, line.split()) for line in text.splitlines()))
+    return [found[messages // 2], found[messages * 99 // 100]]
 
 
 def interval(values: list[float]) -> str:
@@ -82,10 +103,12 @@ def interval(values: list[float]) -> str:
 
 
 def print_rcl(figures: dict[str, list[list[float]]]) -> None:
-    print("| node on rcl | messages per second | a call, median, ns | a call, 99 %, ns |\n|---|---|---|---|")
+    print("| node on rcl | messages per second | a call, median, ns | 99 % | latency, median, us | 99 % |")
+    print("|---|---|---|---|---|---|")
     for name, found in figures.items():
-        means, medians, tails = (list(column) for column in zip(*found, strict=True))
-        print(f"| {name} | {interval([1e9 / each for each in means])} | {interval(medians)} | {interval(tails)} |")
+        means, medians, tails, *latencies = (list(column) for column in zip(*found, strict=True))
+        times = [interval(medians), interval(tails), *(interval([each / 1e3 for each in some]) for some in latencies)]
+        print(f"| {name} | {interval([1e9 / each for each in means])} | {' | '.join(times)} |")
 
 
 def main() -> None:
