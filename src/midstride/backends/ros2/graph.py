@@ -12,7 +12,7 @@ every node has one, and the graph may keep the name of one that is gone, for goo
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, TypeAlias
 
 from rclpy.node import NodeNameNonExistentError
@@ -86,24 +86,32 @@ class Graph:
 
     def of_process(self, node: str) -> list[GraphEndpoint]:
         """The endpoints of a node that no component has, by its full name."""
-        name, inside = split(node)
         instances = self._instances()
         found = []
         for output, listed, infos in (
             (True, self._node.get_publisher_names_and_types_by_node, self._publishers),
             (False, self._node.get_subscriber_names_and_types_by_node, self._subscriptions),
         ):
-            try:
-                topics = [topic for topic, _ in listed(name, inside)]
-            except NodeNameNonExistentError:
-                continue
-            for topic in topics:
+            for topic in self._topics_of(node, listed):
                 found += [
                     GraphEndpoint(output, topic, info.topic_type, endpoints.qos_of(info.qos_profile))
                     for info in infos(topic)
                     if _node(info) == node and self._lives(info, node) and names.participant(info) not in instances
                 ]
         return found
+
+    def _topics_of(self, node: str, listed: Callable[[str, str], list[tuple[str, list[str]]]]) -> list[str]:
+        """Those that ``listed`` gives for ``node``; all where there are several of that name, as it knows one of them.
+
+        One that has ended stays for a while, without endpoints.
+        """
+        name, inside = split(node)
+        if self._node.get_node_names_and_namespaces().count((name, inside)) > 1:
+            return list(self._topics())
+        try:
+            return [topic for topic, _ in listed(name, inside)]
+        except NodeNameNonExistentError:
+            return []
 
     def lingering_readers(self, topic: str) -> int:
         """How many subscriptions of dead processes the graph still shows on ``topic``."""
