@@ -113,6 +113,19 @@ def test_the_new_one_takes_over_if_the_old_one_dies(lab: Lab) -> None:
     until(lambda: lab.written_by(new) > 10, "the new one does not take over")
 
 
+def test_of_several_nodes_of_one_name_the_one_that_lives_is_found(lab: Lab) -> None:
+    """A hand-over that broke off may leave one: what succeeded it would write beside the one that lives."""
+    left, living = lab.node(MS, RATED), lab.node(MS, RATED)
+    for index in (left, living):
+        lab.page.layout.nodes[index].instance = b"talker"
+    assert lab.page.index_of("talker") == left
+    lab.kill(left)
+    assert lab.page.index_of("talker") == living
+    lab.kill(living)
+    assert lab.page.index_of("talker") is not None, "it can still be taken over from"
+    assert lab.page.index_of("listener") is None
+
+
 def test_the_old_one_misses_one_slot_if_the_new_one_does_not_write(lab: Lab) -> None:
     old, new, baton = started(lab, MS, RATED)
     os.kill(lab.processes[new].pid, signal.SIGSTOP)

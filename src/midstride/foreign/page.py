@@ -145,8 +145,10 @@ class Page:
         raise BackendError(f"more than {NODES} nodes have a gate")
 
     def index_of(self, instance: str) -> int | None:
+        """The index of the node of ``instance``; of one that lives, as a broken-off hand-over may leave another."""
         name = instance.encode()[: NAME - 1]
-        return next((i for i, node in enumerate(self.layout.nodes) if node.used and node.instance == name), None)
+        found = [index for index, node in enumerate(self.layout.nodes) if node.used and node.instance == name]
+        return min(found, key=lambda index: not self._lives(index), default=None)
 
     def free(self, index: int) -> None:
         self.layout.nodes[index].used = 0
@@ -190,6 +192,9 @@ class Page:
         """Whether the process that has joined as this node has ended."""
         node = self.layout.nodes[index]
         return bool(node.pid) and bool(self._library.midstride_is_dead(self._file, index + 1))
+
+    def _lives(self, index: int) -> bool:
+        return bool(self.layout.nodes[index].pid) and not self.is_dead(index)
 
     def ring(self, index: int) -> None:
         """Have the helper thread of a node look at once."""
