@@ -305,23 +305,24 @@ def test_an_old_side_that_writes_again_has_lost_nothing(driven: str, rate: Grid 
     assert (link.count, link.gated) == (len(heard), 5 - len(heard))
 
 
-def test_what_was_held_back_is_not_written_once_the_new_side_has_taken_over() -> None:
-    clocks = Clocks(T - 10)
+def answered_after_the_moment() -> tuple[OutgoingCut, OutputLink, list[str]]:
+    """The old side that has answered a message of the new one's, its attachment, and what has gone out."""
     link, published = link_of(Owner(driven="message", rate=None, info=T + 10))
-    side = OutgoingCut([link], T, clocks.host, PipeClaim({}, "cut"))
+    side = OutgoingCut([link], T, Clocks(T - 10).host, PipeClaim({}, "cut"))
     side.arm()
-    write(link, "the new side's")
+    write(link, "held back")
+    return side, link, published
+
+
+def test_what_was_held_back_is_not_written_once_the_new_side_has_taken_over() -> None:
+    side, _, published = answered_after_the_moment()
     side.relieved()
     side.reopen()
     assert published == []
 
 
 def test_what_was_held_back_stays_behind_a_gate_that_something_else_has_set() -> None:
-    clocks = Clocks(T - 10)
-    link, published = link_of(Owner(driven="message", rate=None, info=T + 10))
-    side = OutgoingCut([link], T, clocks.host, PipeClaim({}, "cut"))
-    side.arm()
-    write(link, "held back")
+    side, link, published = answered_after_the_moment()
     link.set_gate(False)
     side.reopen()
     assert (published, link.gate) == ([], "closed")

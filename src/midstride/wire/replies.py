@@ -95,6 +95,7 @@ class StateOffer(WireValue, frozen=True, kw_only=True):
 
     @property
     def has_state(self) -> bool:
+        """Whether state moves, and not only the order of messages."""
         return self.exports in ("whole", "changes")
 
 
