@@ -96,21 +96,10 @@ def _unavailable(marker: str) -> str | None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        rerun = "midstride" in getattr(item, "fixturenames", ())  # it starts processes
         for marker in _MARKERS:
             if item.get_closest_marker(marker):
                 if marker in _MODULES:
                     for warning in _ROS_WARNINGS:
                         item.add_marker(pytest.mark.filterwarnings(warning))
-                    rerun = True
                 if reason := _unavailable(marker):
                     item.add_marker(pytest.mark.skip(reason=reason))
-        if rerun and os.environ.get("MIDSTRIDE_RERUN"):
-            item.add_marker(pytest.mark.flaky(reruns=2))
-
-
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Why a test was run again: a rare fault must not hide behind the run that passed."""
-    for report in terminalreporter.stats.get("rerun", ()):
-        terminalreporter.section(f"run again: {report.nodeid}")
-        terminalreporter.line(str(report.longreprtext)[-2000:])

@@ -71,7 +71,6 @@ rclpy.shutdown()
 
 
 @pytest.mark.ros2
-@pytest.mark.timeout(60)
 def test_a_message_and_a_service_pass_between_two_processes() -> None:
     answering = subprocess.Popen([sys.executable, "-c", ANSWERING], stdout=subprocess.PIPE, text=True)
     try:

@@ -8,19 +8,27 @@ from __future__ import annotations
 import sys
 import time
 import xml.etree.ElementTree as ET
+from collections import Counter
+from pathlib import Path
 
 
 def total(paths: list[str]) -> tuple[int, int, int]:
-    """How many tests passed, failed (or could not run) and were skipped."""
-    passed = failed = skipped = 0
-    for path in paths:
-        for suite in ET.parse(path).getroot().iter("testsuite"):
-            wrong = int(suite.get("failures", 0)) + int(suite.get("errors", 0))
-            left_out = int(suite.get("skipped", 0))
-            passed += int(suite.get("tests", 0)) - wrong - left_out
-            failed += wrong
-            skipped += left_out
-    return passed, failed, skipped
+    """How many tests passed, failed (or could not run) and were skipped.
+
+    Of the reports ``suite.xml``, ``suite.1.xml``, … of one suite, the last one that names a test tells how it ended.
+    """
+    ends: dict[tuple[str, str, str], str] = {}
+    for path in sorted(paths):
+        suite = Path(path).name.split(".")[0]
+        tests: dict[tuple[str, str, str], str] = {}
+        for case in ET.parse(path).getroot().iter("testcase"):
+            test = (suite, case.get("classname", ""), case.get("name", ""))
+            found = {child.tag for child in case}
+            end = "failed" if found & {"failure", "error"} else "skipped" if "skipped" in found else "passed"
+            tests[test] = "failed" if tests.get(test) == "failed" else end
+        ends |= tests
+    count = Counter(ends.values())
+    return count["passed"], count["failed"], count["skipped"]
 
 
 def main(begun: float, paths: list[str]) -> int:

@@ -84,7 +84,7 @@ class Recorder:
             start_new_session=True,  # what is left of it is ended as a group, which must not be that of the tests
         )
 
-    def wait_until_it_hears(self, seconds: float = 30.0) -> None:
+    def wait_until_it_hears(self, seconds: float = 90.0) -> None:
         deadline = time.monotonic() + seconds
         while not self._path.exists():
             assert time.monotonic() < deadline, "the recorder hears nothing"

@@ -186,7 +186,7 @@ def test_a_subscriber_stopped_while_its_publisher_is_replaced_is_named_and_answe
             assert outcome.swaps[0].gap is not None
 
     with ended():
-        run(main(), 120)
+        run(main())
 
 
 async def picture(manager: Manager, backend: Any) -> dict[str, Any]:

@@ -32,4 +32,4 @@ def test_a_member_is_replaced_while_the_other_relies_on_it(tmp_path: Path) -> No
             await check_members_replaced(manager)
 
     with ended():
-        run(main(), 180.0)
+        run(main())

@@ -62,14 +62,12 @@ def check_order(bench: Any) -> None:
 
 
 @pytest.mark.full
-@pytest.mark.timeout(300)
 def test_saved_code_is_swapped_in_and_no_number_is_missing(bench: Any) -> None:
     saved_often(bench, 5)
     check_order(bench)
 
 
 @pytest.mark.full
-@pytest.mark.timeout(300)
 def test_faulty_code_is_not_let_in_and_no_number_is_missing(bench: Any) -> None:
     refused_often(bench, 1)
     check_order(bench)

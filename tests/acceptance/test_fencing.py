@@ -96,7 +96,7 @@ def test_a_publisher_that_hangs_in_its_code_is_replaced_and_the_report_is_true(t
             compare(outcome, recorder.stop())
 
     with ended():
-        run(main(), 120)
+        run(main())
 
 
 def test_a_stopped_publisher_is_replaced_and_never_continues(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ def test_a_stopped_publisher_is_replaced_and_never_continues(tmp_path: Path) -> 
             compare(outcome, recorder.stop())
 
     with ended():
-        run(main(), 120)
+        run(main())
 
 
 def test_a_new_publisher_that_is_stopped_costs_a_bounded_time_and_the_old_one_goes_on(tmp_path: Path) -> None:
@@ -147,7 +147,7 @@ def test_a_new_publisher_that_is_stopped_costs_a_bounded_time_and_the_old_one_go
             assert max(silences) / 1e9 < 10 * PERIOD, "the old one resumes within ten periods"
 
     with ended():
-        run(main(), 120)
+        run(main())
     assert moments["step_failed"] - moments["stopped"] < STOPPED + APART
     assert moments["rolled_back"] - moments["step_failed"] < STOPPED
 

@@ -99,7 +99,7 @@ def test_nothing_that_comes_by_ros_changes_a_component(tmp_path: Path) -> None:
             assert await snapshot(manager) == before
             assert (await manager.status()).valid
 
-    run(scenario(), 120)
+    run(scenario())
 
 
 async def snapshot(manager: Manager) -> dict[str, Any]:

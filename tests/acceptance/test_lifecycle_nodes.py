@@ -17,7 +17,7 @@ from midstride.runtime.workspace import Workspace
 from tests.acceptance.support import ended
 from tests.backends.ros2_support import Bare, run
 
-pytestmark = [pytest.mark.ros2, pytest.mark.full, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
 PROGRAM = """
 import sys, time
@@ -196,7 +196,7 @@ def test_their_transitions_are_the_steps_of_a_change(tmp_path: Path) -> None:
         await manager.close()
 
     with ended():
-        run(scenario(), 280)
+        run(scenario())
 
 
 def test_with_the_library_no_message_is_missed(tmp_path: Path) -> None:
@@ -225,6 +225,6 @@ def test_with_the_library_no_message_is_missed(tmp_path: Path) -> None:
         await manager.close()
 
     with ended():
-        run(scenario(), 280)
+        run(scenario())
     assert [(old, new) for (old, _), (new, _) in pairwise(heard) if old != new] == [("talker", "talker_2")]
     assert all(number == last + 1 for (before, last), (writer, number) in pairwise(heard) if before == writer)

@@ -75,7 +75,6 @@ def killed_at_each(folder: Path, only: set[str] | None = None, times: int = 1) -
     assert max(silences(rows)) <= (RESUME_PERIODS + 2) * PERIOD
 
 
-@pytest.mark.timeout(300)
 @pytest.mark.full
 def test_the_topic_is_never_silent_for_longer_than_is_stated(tmp_path: Path) -> None:
     killed_at_each(tmp_path, CRITICAL)
@@ -126,7 +125,6 @@ def assert_found_whole(printed: str) -> None:
     assert left["source"] == left["declared"] and None not in left["outcomes"], left
 
 
-@pytest.mark.timeout(300)
 @pytest.mark.full
 def test_whatever_write_the_manager_is_killed_at_the_next_one_finds_a_whole_system(tmp_path: Path) -> None:
     killed_at_writes(tmp_path, 5, longest=2.0)

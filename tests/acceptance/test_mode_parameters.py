@@ -17,7 +17,7 @@ from tests.acceptance.support import ended
 from tests.backends.ros2_support import Bare, run
 from tests.test_ament_index import planted
 
-pytestmark = [pytest.mark.ros2, pytest.mark.full, pytest.mark.timeout(200)]
+pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
 PROGRAM = """
 import os
@@ -141,4 +141,4 @@ def test_a_mode_sets_parameters_and_one_that_is_refused_is_not_entered(
         await manager.close()
 
     with ended():
-        run(scenario(), 180)
+        run(scenario())

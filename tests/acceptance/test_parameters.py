@@ -62,7 +62,7 @@ def test_what_a_bare_client_sets_before_and_after_a_replacement_is_kept(tmp_path
                 assert state.set_values() == {"gain": 1.9, "label": "left", "speed": 0.7}
                 assert state.declared["speed"] == 0.5
 
-    run(scenario(), 120)
+    run(scenario())
 
 
 def test_a_value_that_the_new_node_refuses_is_rolled_back_and_the_client_still_reads_it(tmp_path: Path) -> None:
@@ -77,7 +77,7 @@ def test_a_value_that_the_new_node_refuses_is_rolled_back_and_the_client_still_r
                 assert "it must be from 0 to 10" in str(outcome.because)
                 assert (await manager.peek("talker")).set_values() == {"gain": 50.0}
 
-    run(scenario(), 120)
+    run(scenario())
 
 
 # The name under which the replacement's parameter services answer.

@@ -24,7 +24,6 @@ FOLDER = ROOT / "examples" / "patrol"
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
 
-@pytest.mark.timeout(240)
 def test_it_never_drives_blind_while_drivers_are_replaced_and_die(tmp_path: Path) -> None:
     specification = load(FOLDER / "patrol_ros2.stride").require()
     observed = tmp_path / "observed.json"
@@ -60,7 +59,6 @@ def test_it_never_drives_blind_while_drivers_are_replaced_and_die(tmp_path: Path
         asyncio.run(main())
 
 
-@pytest.mark.timeout(240)
 def test_the_hall_s_clock_drives_the_robot_twice_as_fast_as_real_time(tmp_path: Path) -> None:
     specification = load(FOLDER / "patrol.stride").require()
     world, trace = specification.nodes["world"], tmp_path / "trace.jsonl"

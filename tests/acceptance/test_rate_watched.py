@@ -52,4 +52,4 @@ def test_a_publisher_that_falls_silent_after_the_cut_hands_back(tmp_path: Path) 
             assert component.name == "source" and component.attachments[0].gate == "open"
 
     with ended():
-        run(main(), 110.0)
+        run(main())

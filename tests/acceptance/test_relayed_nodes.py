@@ -12,7 +12,7 @@ from tests.acceptance.support import ended
 from tests.backends.ros2_support import run
 from tests.native import compiled
 
-pytestmark = [pytest.mark.ros2, pytest.mark.full, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
 
 def test_a_relayed_node_is_replaced(tmp_path: Path) -> None:
@@ -45,4 +45,4 @@ def test_a_relayed_node_is_replaced(tmp_path: Path) -> None:
             assert status.valid, status
 
     with ended():
-        run(scenario(), 170)
+        run(scenario())

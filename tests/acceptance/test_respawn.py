@@ -15,7 +15,7 @@ from midstride.model.respawn import RespawnPolicy
 from tests.acceptance.support import Recorder, ended, managed, swap_specification
 from tests.backends.ros2_support import run, until_async
 
-pytestmark = [pytest.mark.ros2, pytest.mark.full, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
 # How long the restart may take (s): it takes 2 on an idle machine.
 RESTORED = 120.0

@@ -26,7 +26,6 @@ SLACK = 20.0
 
 
 @pytest.mark.full
-@pytest.mark.timeout(300)
 def test_dependants_of_a_publisher_that_is_stopped_and_continued_come_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -65,7 +64,7 @@ def test_dependants_of_a_publisher_that_is_stopped_and_continued_come_back(
             await system.close()
 
     with ended():
-        run(body(), 270.0)
+        run(body())
 
 
 def cut(folder: Path, count: int, *options: str, seconds: float) -> list[dict[str, Any]]:

@@ -123,4 +123,4 @@ def test_a_ros_action_is_answered_by_one_instance_and_goals_in_progress_are_abor
                 client.destroy()
 
     with ended():
-        run(main(), 100.0)
+        run(main())

@@ -14,7 +14,7 @@ from tests.acceptance.support import ended
 from tests.backends.ros2_support import run
 from tests.native import RUST_TALKER
 
-pytestmark = [pytest.mark.ros2, pytest.mark.rust, pytest.mark.full, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.ros2, pytest.mark.rust, pytest.mark.full]
 
 
 def written(folder: Path, first: str) -> Path:
@@ -56,7 +56,7 @@ def test_a_node_in_rust_is_replaced_by_one_in_rclpy_and_the_other_way_round(tmp_
             assert [number for _, number in old] == list(range(old[0][1], old[-1][1] + 1))
 
     with ended():
-        run(scenario(), 230)
+        run(scenario())
 
 
 def test_a_node_in_rust_with_a_preloaded_gate_does_not_start(tmp_path: Path) -> None:
@@ -66,4 +66,4 @@ def test_a_node_in_rust_with_a_preloaded_gate_does_not_start(tmp_path: Path) -> 
                 pass
 
     with ended():
-        run(scenario(), 120)
+        run(scenario())

@@ -13,7 +13,7 @@ from tests.acceptance.support import ended, managed
 from tests.acceptance.test_state_at_the_cut import lines, recorded
 from tests.runtime.side_by_side import all_replaced, three
 
-pytestmark = [pytest.mark.ros2, pytest.mark.full, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
 TOPICS = ("first", "second")
 PROBATION, WATCH = 3.0, 2.0

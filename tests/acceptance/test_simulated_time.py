@@ -52,7 +52,7 @@ def test_a_source_that_waits_for_a_clock_is_shown_and_not_handed_over(tmp_path: 
                 assert (await status_when(manager, None)).valid
                 assert (await manager.change(replace("source", "OtherSource"))).outcome == "done"
 
-    run(scenario(), 120)
+    run(scenario())
 
 
 @pytest.mark.full
@@ -77,7 +77,7 @@ def test_use_sim_time_set_while_it_runs_travels_to_the_replacement(tmp_path: Pat
             clock.stop()
 
     with ended():
-        run(scenario(), 120)
+        run(scenario())
 
 
 @pytest.mark.full
@@ -113,7 +113,7 @@ def test_nothing_is_missed_in_simulated_time_and_a_bare_recorder_agrees(
 
     clocks: list[ClockSource] = []
     with ended():
-        swaps, rows = run(scenario(), 120)
+        swaps, rows = run(scenario())
         moments = clocks[0].stop()
     assert len(swaps) == len(seen) == 3
     for swap, observed in zip(swaps, seen, strict=True):
@@ -155,7 +155,7 @@ def test_a_clock_that_stops_and_one_that_starts_again(tmp_path: Path) -> None:
             clock.stop()
 
     with ended():
-        run(scenario(), 120)
+        run(scenario())
 
 
 @pytest.mark.full
@@ -175,7 +175,7 @@ def test_use_sim_time_set_while_it_runs_neither_silences_nor_bursts(tmp_path: Pa
             return recorder.stop()
 
     with ended():
-        rows = run(scenario(), 120)
+        rows = run(scenario())
     times = sorted(row.source for row in rows if row.source is not None)
     gaps = [(later - earlier) / 1e9 for earlier, later in itertools.pairwise(times)]
     assert len(times) > 200
@@ -300,5 +300,5 @@ def test_answers_to_messages_are_handed_over_in_simulated_time(tmp_path: Path) -
                 return numbers
 
     with ended():
-        numbers = run(scenario(), 120)
+        numbers = run(scenario())
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))

@@ -93,7 +93,7 @@ def test_components_start_in_spares_and_outlive_their_manager(tmp_path: Path) ->
         assert ended_process is None or not ended_process.alive
 
     with ended():
-        run(scenario(), 120)
+        run(scenario())
 
 
 def test_a_component_that_is_forked_is_as_one_that_is_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -137,7 +137,7 @@ def test_a_component_that_is_forked_is_as_one_that_is_started(tmp_path: Path, mo
         return json.loads(lines[0]), lines[1:]
 
     with ended():
-        started, forked_ = run(scenario(0), 120), run(scenario(1), 120)
+        started, forked_ = run(scenario(0)), run(scenario(1))
     assert started[0] == forked_[0]
     assert "stopped" in started[1] and "stopped" in forked_[1]
 
@@ -172,4 +172,4 @@ def test_killing_the_fork_server_harms_no_component_and_no_bring_up(tmp_path: Pa
         await manager.close()
 
     with ended():
-        run(scenario(), 120)
+        run(scenario())

@@ -92,7 +92,7 @@ def program(*arguments: str, source: str = BARE, output: Path | None = None) -> 
         process.wait()
 
 
-def wait_for(path: Path, lines: int, seconds: float = 20.0) -> list[str]:
+def wait_for(path: Path, lines: int, seconds: float = 90.0) -> list[str]:
     """The lines of a file, once there are so many."""
     deadline = time.monotonic() + seconds
     while True:

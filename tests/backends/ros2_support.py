@@ -61,7 +61,7 @@ comp.start()
 """
 
 
-def run(coroutine: Coroutine[Any, Any, T], seconds: float = 60.0) -> T:
+def run(coroutine: Coroutine[Any, Any, T], seconds: float = 300.0) -> T:
     """Run a test's coroutine; one that hangs fails."""
 
     async def bounded() -> T:
@@ -82,7 +82,7 @@ def alive(pid: int) -> bool:
     return seen is not None and seen.alive
 
 
-async def until(condition: Callable[[], Any], seconds: float = 20.0) -> None:
+async def until(condition: Callable[[], Any], seconds: float = 90.0) -> None:
     """Wait for what the test is waiting for, and no longer."""
     deadline = time.monotonic() + seconds
     while not condition():
@@ -90,7 +90,7 @@ async def until(condition: Callable[[], Any], seconds: float = 20.0) -> None:
         await asyncio.sleep(0.005)
 
 
-async def until_async(condition: Callable[[], Awaitable[Any]], seconds: float = 20.0) -> None:
+async def until_async(condition: Callable[[], Awaitable[Any]], seconds: float = 90.0) -> None:
     deadline = time.monotonic() + seconds
     while not await condition():
         assert time.monotonic() < deadline, "it did not come true in time"
@@ -230,7 +230,7 @@ class Bare:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
 
-    async def until(self, condition: Callable[[], Any], seconds: float = 20.0) -> None:
+    async def until(self, condition: Callable[[], Any], seconds: float = 90.0) -> None:
         """Spin, while the test's loop goes on, until ``condition`` holds."""
         deadline = time.monotonic() + seconds
         while not condition():
@@ -241,7 +241,7 @@ class Bare:
         self.executor.spin_once(timeout_sec=0.002)
         await asyncio.sleep(0)
 
-    async def ask(self, client: Any, request: Any, seconds: float = 20.0) -> Any:
+    async def ask(self, client: Any, request: Any, seconds: float = 90.0) -> Any:
         """A service's answer, asked for again where it is lost."""
         await self.until(client.service_is_ready, seconds)
         deadline = time.monotonic() + seconds

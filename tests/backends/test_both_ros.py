@@ -24,7 +24,6 @@ OURS = "MIDSTRIDE_TEST_RUN"
 pytestmark = [
     pytest.mark.ros2,
     pytest.mark.full,
-    pytest.mark.timeout(150),
     pytest.mark.skipif(not ros1.available(), reason="no ROS 1 can be had here beside ROS 2"),
 ]
 

@@ -28,7 +28,7 @@ def test_ros1(check: Check, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setenv(OURS, this)
     with own_master_uri(), Reaper(OURS, this) as guarding:
         backend = create_backend(tmp_path / "components", logs=tmp_path / "logs", guardian=guarding)
-        run(check(backend, tmp_path), 100)
+        run(check(backend, tmp_path))
         assert reaper.remaining_groups({}, OURS, this) - {guarding.pid} == set()
 
 
@@ -43,4 +43,4 @@ def test_ros1_does_what_random_sequences_ask(seed: int, tmp_path: Path, monkeypa
     monkeypatch.setenv(OURS, this)
     with own_master_uri(), Reaper(OURS, this) as guarding:
         backend = create_backend(tmp_path / "components", logs=tmp_path / "logs", guardian=guarding)
-        run(walk(backend, tmp_path, seed), 100)
+        run(walk(backend, tmp_path, seed))

@@ -53,7 +53,6 @@ def _mentions(environ: Path, text: str) -> bool:
         return False
 
 
-@pytest.mark.timeout(180)
 @pytest.mark.full
 def test_the_readme_runs_on_ros_1() -> None:
     from tests.docs.test_snippets import play
@@ -70,7 +69,6 @@ def _connect(uri: str) -> None:
     socket.create_connection((LOOPBACK, int(uri.rpartition(":")[2])), timeout=5).close()
 
 
-@pytest.mark.timeout(180)
 @pytest.mark.full
 def test_the_tutorial_can_be_done_on_ros_1(tmp_path: Path) -> None:
     from tests.docs.test_tutorial import play

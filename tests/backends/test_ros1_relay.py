@@ -18,7 +18,7 @@ from midstride.runtime.workspace import Workspace
 from tests.backends.ros1_support import own_master_uri, program, wait_for
 from tests.backends.ros2_support import run, until, until_async
 
-pytestmark = [pytest.mark.ros1, pytest.mark.full, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.ros1, pytest.mark.full]
 
 TALKER = """
 import rospy
@@ -100,7 +100,7 @@ def system(folder: Path, text: str, body: Callable[[Manager], Awaitable[None]]) 
             await manager.close()
 
     with own_master_uri():
-        run(scenario(), 170)
+        run(scenario())
 
 
 def test_rospy_talkers_replace_each_other_and_a_component(tmp_path: Path) -> None:

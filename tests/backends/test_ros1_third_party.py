@@ -17,7 +17,7 @@ from tests.backends.ros2_support import until, until_async
 from tests.backends.test_ros1_relay import TEXT, system
 
 ROBOT_STATE_PUBLISHER = Path("/usr/lib/robot_state_publisher/robot_state_publisher")
-pytestmark = [pytest.mark.ros1, pytest.mark.full, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.ros1, pytest.mark.full]
 
 JOINTS = """
 import rospy

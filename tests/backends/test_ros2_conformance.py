@@ -27,7 +27,7 @@ def held(check: Check, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(OURS, this)
     with Reaper(OURS, this) as guarding:
         backend = create_backend(folder / "components", logs=folder / "logs", guardian=guarding)
-        run(check(backend, folder), 100)
+        run(check(backend, folder))
         assert reaper.remaining_groups({}, OURS, this) - {guarding.pid} == set()
 
 

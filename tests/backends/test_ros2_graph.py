@@ -33,4 +33,4 @@ def test_the_endpoints_of_every_node_of_a_name_are_found() -> None:
             await watching.until(found)
             assert graph.of_process("/no_such_node") == []
 
-    run(scenario(), 60)
+    run(scenario())

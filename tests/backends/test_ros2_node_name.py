@@ -115,7 +115,7 @@ def test_each_request_is_handled_once_while_the_instances_change(tmp_path: Path)
             assert caller.answered["counter"] > 100 and caller.answered["counter_2"] > 100
             caller.handled_once(tmp_path / "calls")
 
-    run(scenario(), 100.0)
+    run(scenario())
 
 
 @pytest.mark.full

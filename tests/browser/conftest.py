@@ -19,7 +19,7 @@ from tests.server.support import free_port
 
 CHROMIUM = "/usr/bin/chromium"
 # How long a page may take to show something on a busy machine (ms).
-PATIENCE = 30_000
+PATIENCE = 90_000
 expect.set_options(timeout=PATIENCE)
 
 

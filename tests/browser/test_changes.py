@@ -17,7 +17,7 @@ from tests.browser.conftest import Opened, System, system
 from tests.cli.conftest import EXAMPLES
 from tests.cli.test_param import PROGRAM, SPECIFICATION
 
-pytestmark = [pytest.mark.browser, pytest.mark.full, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.browser, pytest.mark.full]
 
 
 def choose(page: Page, node: str, component: str) -> None:
@@ -128,10 +128,10 @@ def scrubbed(page: Page) -> None:
     slider = page.get_by_role("slider", name="Time that is shown")
     slider.focus()
     for _ in range(100):
-        page.keyboard.press("ArrowLeft")
-        if page.locator('.component[data-name="talker"]').count():
+        with page.expect_response(re.compile("/view/at")) as view:
+            page.keyboard.press("ArrowLeft")
+        if {row["name"] for row in view.value.json()["components"]} == {"talker", "listener"}:
             break
-        page.wait_for_timeout(50)
     expect(page.locator('.component[data-name="talker"]')).to_be_visible()
     expect(page.locator('.component[data-name="talker_2"]')).to_have_count(0)
     expect(page.locator("#timeline .cursor")).to_be_visible()

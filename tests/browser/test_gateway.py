@@ -19,7 +19,7 @@ from tests.browser.test_changes import choose, components, press
 from tests.cli.conftest import EXAMPLES, running
 from tests.server.support import free_port
 
-pytestmark = [pytest.mark.browser, pytest.mark.full, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.browser, pytest.mark.full]
 
 
 @dataclass

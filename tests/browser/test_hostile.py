@@ -13,7 +13,7 @@ from midstride.server.view.forms import CrashView, EndpointView
 from tests.browser.conftest import PATIENCE
 from tests.browser.synthetic import Synthetic, component, functionality, parameter, port, serving
 
-pytestmark = [pytest.mark.browser, pytest.mark.full, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.browser, pytest.mark.full]
 
 HOSTILE = [
     "<img src=x onerror=attacked()>",

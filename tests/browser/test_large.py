@@ -12,7 +12,7 @@ from midstride.server.view.forms import ComponentView
 from tests.browser.conftest import PATIENCE
 from tests.browser.synthetic import Synthetic, component, functionality, large, port, serving
 
-pytestmark = [pytest.mark.browser, pytest.mark.full, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.browser, pytest.mark.full]
 
 
 @pytest.fixture

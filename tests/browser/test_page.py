@@ -10,7 +10,7 @@ from playwright.sync_api import expect
 
 from tests.browser.conftest import Opened, System
 
-pytestmark = [pytest.mark.browser, pytest.mark.full, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.browser, pytest.mark.full]
 
 AXE = Path(__file__).parents[2] / ".cache" / "browser" / "axe-4.11.0.min.js"
 

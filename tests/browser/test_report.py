@@ -13,7 +13,7 @@ from midstride.cli import main
 from tests.browser.conftest import PATIENCE
 from tests.cli.conftest import EXAMPLES
 
-pytestmark = [pytest.mark.browser, pytest.mark.full, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.browser, pytest.mark.full]
 
 HOSTILE = "</script><img src=x onerror=fail()>"
 PLANS = {

@@ -15,7 +15,7 @@ from tests.browser.conftest import Opened, System, system
 from tests.browser.test_changes import choose, counts, press
 from tests.cli.conftest import EXAMPLES
 
-pytestmark = [pytest.mark.ros2, pytest.mark.browser, pytest.mark.full, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.ros2, pytest.mark.browser, pytest.mark.full]
 
 
 @pytest.fixture

@@ -160,8 +160,8 @@ def test_on_ros_2(midstride: Midstride, name: str) -> None:
 @pytest.mark.parametrize(
     ("only", "count"),
     [
-        pytest.param(("driver is replaced", "dies"), 3, marks=[pytest.mark.full, pytest.mark.timeout(200)]),
-        pytest.param((), 8, marks=[pytest.mark.long, pytest.mark.timeout(300)]),
+        pytest.param(("driver is replaced", "dies"), 3, marks=pytest.mark.full),
+        pytest.param((), 8, marks=pytest.mark.long),
     ],
 )
 def test_the_patrol_on_ros_2(midstride: Midstride, only: tuple[str, ...], count: int) -> None:

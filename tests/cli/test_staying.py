@@ -20,7 +20,7 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "talker" / "talker.stride"
 COMMAND = [sys.executable, "-m", "midstride", "up", str(EXAMPLE), "--backend", "sim", "--stop-on-exit"]
 # As a shell script runs `command &`.
 BACKGROUND = ["sh", "-c", 'trap "" INT QUIT; exec "$@"', "sh", *COMMAND]
-PATIENCE = 60.0
+PATIENCE = 90.0
 
 
 @pytest.fixture

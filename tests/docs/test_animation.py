@@ -35,7 +35,6 @@ def test_the_readme_shows_it() -> None:
 
 @pytest.mark.browser
 @pytest.mark.full
-@pytest.mark.timeout(240)
 def test_it_can_be_made_anew(tmp_path: Path) -> None:
     made = tmp_path / "swap.svg"
     command = [sys.executable, str(ROOT / "tools" / "animation.py"), str(made)]

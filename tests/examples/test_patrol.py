@@ -94,7 +94,6 @@ def test_a_run_is_the_same_again(trial: Any) -> None:
 
 
 @pytest.mark.full
-@pytest.mark.timeout(300)
 def test_runs_that_share_what_comes_before_the_event_are_those_that_do_not(trial: Any) -> None:
     """In another process, with other hashes; in two halls, one after the other."""
     cases = [("the lidar driver dies", "stop"), ("the manager dies", "minimal")]

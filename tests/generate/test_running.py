@@ -42,7 +42,6 @@ def modes(midstride: Midstride) -> dict[str, str]:
     }  # fmt: skip
 
 
-@pytest.mark.timeout(240)
 @pytest.mark.parametrize(
     "backend",
     [
