@@ -18,7 +18,18 @@ import pytest
 
 from midstride.errors import BackendError, StartFailed
 from midstride.foreign import build
-from midstride.foreign.page import OPEN, Page, PageBaton, PageLayout, PageNode, PagePort, PortFlag
+from midstride.foreign.page import (
+    JOINED_WITHIN,
+    NODES,
+    OPEN,
+    VERSION,
+    Page,
+    PageBaton,
+    PageLayout,
+    PageNode,
+    PagePort,
+    PortFlag,
+)
 from midstride.node.baton import BatonState, BatonStep
 from tests.foreign.lab import LOG_SIZE, Lab, until
 
@@ -45,7 +56,7 @@ def started(lab: Lab, period: int, flags: PortFlag) -> tuple[int, int, int]:
 def test_the_layout_is_that_of_the_library(gate_library: Path) -> None:
     sizes = (ctypes.c_uint32 * 5)()
     ctypes.CDLL(str(gate_library)).midstride_layout(sizes)
-    assert list(sizes) == [1, *(ctypes.sizeof(each) for each in (PageLayout, PageBaton, PageNode, PagePort))]
+    assert list(sizes) == [VERSION, *(ctypes.sizeof(each) for each in (PageLayout, PageBaton, PageNode, PagePort))]
 
 
 @pytest.mark.parametrize(("period", "flags"), [(0, TIMED), (MS, RATED)], ids=["flat out", "1 kHz"])
@@ -124,6 +135,21 @@ def test_of_several_nodes_of_one_name_the_one_that_lives_is_found(lab: Lab) -> N
     lab.kill(living)
     assert lab.page.index_of("talker") is not None, "it can still be taken over from"
     assert lab.page.index_of("listener") is None
+
+
+def test_a_part_of_the_page_that_nobody_joined_is_given_to_another(lab: Lab) -> None:
+    """A manager that is killed in a hand-over leaves one; a node that is only slow to start keeps its own."""
+    nodes = lab.page.layout.nodes
+    left, *others = [lab.page.allocate(f"left_{number}") for number in range(NODES)]
+    with pytest.raises(BackendError, match="more than 128 nodes have a gate"):
+        lab.page.allocate("talker")
+    nodes[left].since -= round(JOINED_WITHIN * 1e9)
+    assert lab.page.allocate("talker") == left
+    assert nodes[left].instance == b"talker"
+    with pytest.raises(BackendError, match="more than 128"):
+        lab.page.allocate("listener")
+    nodes[others[-1]].since = time.monotonic_ns() + 10**15  # from before the machine was started again
+    assert lab.page.allocate("listener") == others[-1]
 
 
 def test_the_old_one_misses_one_slot_if_the_new_one_does_not_write(lab: Lab) -> None:
@@ -220,7 +246,7 @@ def test_without_a_page_a_process_behaves_as_without_the_library(
 ) -> None:
     path, node = tmp_path / "page", "0"
     if page != "nothing there":
-        Page(path, gate_library).layout.version = 2 if page == "another version" else 1
+        Page(path, gate_library).layout.version = VERSION + (page == "another version")
     if page == "cut off":
         os.truncate(path, 100)
     if page == "no number":

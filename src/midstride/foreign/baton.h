@@ -14,7 +14,7 @@
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 1
+#define PAGE_VERSION 2
 #define NODES 128
 #define PORTS 32
 #define NAME 256
@@ -45,6 +45,7 @@ struct node {
   _Atomic uint32_t bell;  /* a futex: counted up to have the helper thread look at once */
   _Atomic uint32_t beat;  /* counted up by the helper thread each time it has looked */
   uint32_t used;          /* flags; 0: free */
+  int64_t since;          /* when it was set aside for this instance: CLOCK_MONOTONIC, ns */
   char instance[NAME];
   struct port ports[PORTS];
 };
@@ -85,8 +86,11 @@ enum { HELD = 0, LAID = 1, FENCED = 2 };
 #define PREDECESSOR(word) FIELD(word, 36, 12)
 #define GENERATION(word) FIELD(word, 48, 16)
 #define MOST_WRITERS 255u
-/* A writer whose baton still lies leaves its slots to its successor, all but the one of this number and later ones. */
-#define SLOTS 2u
+/* A writer whose baton still lies takes it back at this many of its slots, so that nothing is missed where the successor
+ * comes late. The next slot it leaves to a successor that comes always while it publishes itself; later ones it takes. */
+#define TAKEN_BACK 3u
+/* As many slots, for a TIMED port: it has left the baton to its successor for long enough. */
+#define WAITED (TAKEN_BACK + 1)
 
 static inline uint64_t baton_word(unsigned generation, unsigned predecessor, unsigned successor, unsigned holder,
                                   unsigned state, unsigned writers)
@@ -99,18 +103,18 @@ static inline uint64_t baton_word(unsigned generation, unsigned predecessor, uns
  * lives, and ask again; try again, since too many calls are publishing. */
 enum verdict { PASS, HOLD_BACK, SKIP, ASK, BUSY };
 
-/* A writer `me` (index + 1) is about to publish on a port with `flags`. `skipped`: for how many slots it has left the
- * baton to its successor; `waited`: whether its part of the time is over, see below; `dead`: whether the holder is (-1: not known). For PASS,
- * `next` is what the word must become before it publishes.
+/* A writer `me` (index + 1) is about to publish on a port with `flags`. `slots`: at how many of its slots the baton has
+ * lain, up to WAITED; `waited`: whether its part of the time is over, see below; `dead`: whether the holder is (-1: not
+ * known). For PASS, `next` is what the word must become before it publishes.
  *
- * `skipped` goes on from SKIP to SKIP (of a port with a rate), is SLOTS once `patience` was over, and is 0 again after a
- * message that the baton did not lie for.
+ * `slots` is counted by the caller: one more after each message at a slot, and after each SKIP of a port with a rate;
+ * WAITED once `patience` was over; 0 after a message that the baton did not lie for.
  *
  * RATED: the port has a rate, so its writes are slots, but for one that comes sooner than half a period after the baton
  * was laid down (`waited`): a writer that was late catches up, and leaves its successor no time. TIMED: no port that shares
  * the baton has one; `waited` is whether `patience` is over. SHUT: an input that a probe closes, as long as the lease of
  * the page lasts. */
-static inline enum verdict baton_enter(uint64_t word, unsigned me, unsigned flags, unsigned skipped, int waited, int dead,
+static inline enum verdict baton_enter(uint64_t word, unsigned me, unsigned flags, unsigned slots, int waited, int dead,
                                        uint64_t *next)
 {
   unsigned state = STATE(word), generation = GENERATION(word);
@@ -123,7 +127,7 @@ static inline enum verdict baton_enter(uint64_t word, unsigned me, unsigned flag
     }
     if (state != LAID)
       return HOLD_BACK;
-    if (flags & RATED ? waited && skipped + 1 < SLOTS : flags & TIMED && !waited && skipped < SLOTS)
+    if (flags & RATED ? waited && slots == TAKEN_BACK : flags & TIMED && !waited && slots < WAITED)
       return SKIP;
     /* The successor has not come, or nothing of this output may be lost: publish, and lay it down again afterwards. */
     *next = baton_word(generation + 1, PREDECESSOR(word), SUCCESSOR(word), me, HELD, 1);

@@ -19,7 +19,7 @@ from midstride.errors import BackendError
 from midstride.node.baton import BatonStep, BatonWord
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 1
+VERSION: Final = 2
 NODES: Final = 128
 PORTS: Final = 32
 NAME: Final = 256
@@ -32,6 +32,9 @@ UNUSED, OUTPUT, INPUT = range(3)
 CLOSED, OPEN = range(2)
 # Of a node, in `used`. LISTS: the library adds a port for each of its topics, with an open gate.
 IN_USE, LISTS = 1, 2
+
+# A node that no process has joined as for so long (s) may be given to another: its manager had been killed meanwhile.
+JOINED_WITHIN: Final = 60.0
 
 
 class PortFlag(IntFlag):
@@ -72,6 +75,7 @@ class PageNode(ctypes.Structure):
         ("bell", c_uint32),
         ("beat", c_uint32),
         ("used", c_uint32),
+        ("since", c_int64),
         ("instance", c_char * NAME),
         ("ports", PagePort * PORTS),
     ]
@@ -134,15 +138,23 @@ class Page:
 
     def allocate(self, instance: str) -> int:
         """The index of an unused node, which now is that of ``instance``. Raises BackendError where all are used."""
-        nodes = list(enumerate(self.layout.nodes))
-        # One that is used by a process that has ended: its manager had been killed.
-        for index, node in sorted(nodes, key=lambda each: bool(each[1].used)):
-            if not node.used or self.is_dead(index):
-                ctypes.memset(ctypes.addressof(node), 0, ctypes.sizeof(node))
-                node.instance = instance.encode()[: NAME - 1]
-                node.used = IN_USE
-                return index
-        raise BackendError(f"more than {NODES} nodes have a gate")
+        now = time.monotonic_ns()
+
+        def use(index: int) -> int:
+            node = self.layout.nodes[index]
+            if not node.used:
+                return 0
+            if node.pid:  # a manager that was killed has not freed what its nodes had
+                return 1 if self.is_dead(index) else 3
+            return 2 if not 0 <= now - node.since <= JOINED_WITHIN * 1e9 else 3
+
+        index = min(range(NODES), key=use)
+        if use(index) == 3:
+            raise BackendError(f"more than {NODES} nodes have a gate")
+        node = self.layout.nodes[index]
+        ctypes.memset(ctypes.addressof(node), 0, ctypes.sizeof(node))
+        node.instance, node.since, node.used = instance.encode()[: NAME - 1], now, IN_USE
+        return index
 
     def index_of(self, instance: str) -> int | None:
         """The index of the node of ``instance``; of one that lives, as a broken-off hand-over may leave another."""
