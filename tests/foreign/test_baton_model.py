@@ -21,7 +21,6 @@ PASS, HOLD_BACK, SKIP, ASK, BUSY = range(5)
 OLD, NEW = 1, 2
 RATED = int(PortFlag.RATED | PortFlag.LAYS)
 TIMED = int(PortFlag.TIMED | PortFlag.LAYS)
-TAKEN_BACK, WAITED = 3, 4  # as in baton.h
 BESIDE = 0  # an output without a rate beside one that has a rate
 
 
@@ -34,7 +33,7 @@ class Writer:
     at: str = "idle"
     seen: int = 0
     next: int = 0
-    slots: int = 0  # at how many of its slots the baton has lain; 0: fewer than TAKEN_BACK, which all decide alike
+    overdue: bool = False  # whether a successor has let the patience of an output without a rate go by
     again: bool = False
     alive: bool = True
     wrote: int = 0  # at most 2: whether it has written, and again
@@ -81,10 +80,10 @@ class Explorer:
     def __init__(self, library: Any) -> None:
         self.library = library
 
-    def enter(self, word: int, writer: Writer, waited: bool) -> tuple[int, int]:
+    def enter(self, word: int, writer: Writer, waited: bool, collided: bool = False) -> tuple[int, int]:
         following = ctypes.c_uint64(0)
         verdict = self.library.midstride_enter(
-            word, writer.node, writer.flags, writer.slots, waited, writer.knows, ctypes.byref(following)
+            word, writer.node, writer.flags, waited or writer.overdue, collided, writer.knows, ctypes.byref(following)
         )
         return int(verdict), following.value
 
@@ -106,27 +105,26 @@ class Explorer:
             yield world.with_writer(index, at="deciding", seen=world.word, knows=-1)
         elif writer.at == "deciding":
             lies = BatonWord.of(writer.seen).state is BatonState.LAID
-            for waited in (False, True) if lies else (False,):
-                verdict, following = self.enter(writer.seen, writer, waited)
+            # How much time has passed, and whether the other one has come meanwhile, may be either way.
+            for waited, collided in ((False, False), (True, True), (True, False)) if lies else ((False, False),):
+                verdict, following = self.enter(writer.seen, writer, waited, collided)
                 if verdict == PASS:
                     yield world.with_writer(index, at="entering", next=following)
                 elif verdict == ASK:
                     holder = BatonWord.of(writer.seen).holder
                     yield world.with_writer(index, knows=int(not world.living(holder)))
                 else:
-                    slots = writer.slots + bool(writer.flags & PortFlag.RATED) if verdict == SKIP else 0
-                    yield world.with_writer(index, at="idle", slots=slots, seen=0, knows=-1)
+                    overdue = writer.overdue and verdict == SKIP
+                    yield world.with_writer(index, at="idle", overdue=overdue, seen=0, knows=-1)
         elif writer.at == "entering":
             if world.word != writer.seen:
                 yield world.with_writer(index, at="deciding", seen=world.word, knows=-1)
             else:
                 before, after = BatonWord.of(writer.seen), BatonWord.of(writer.next)
                 again = before.state is BatonState.LAID and before.holder == writer.node and bool(after.successor)
-                timed = writer.flags & PortFlag.TIMED
-                # Whether it was one of its slots, and the last of the first ones, may be either way.
-                for slots in [0] if not again else [WAITED] if timed else [writer.slots or n for n in (0, TAKEN_BACK)]:
-                    entered = world.with_writer(index, at="publishing", again=again, slots=slots, seen=0, knows=-1)
-                    yield replace(entered, word=writer.next)
+                overdue = again and bool(writer.flags & PortFlag.TIMED)
+                entered = world.with_writer(index, at="publishing", again=again, overdue=overdue, seen=0, knows=-1)
+                yield replace(entered, word=writer.next)
         elif writer.at == "publishing":
             yield world.with_writer(index, at="leaving", seen=world.word, wrote=min(2, writer.wrote + 1))
         elif writer.at == "leaving":
@@ -283,20 +281,19 @@ def test_a_component_takes_part(explorer: Explorer, manager: str, flags: int, mo
             assert explorer.someone_writes(world), world
 
 
-def test_the_old_one_takes_it_back_and_leaves_its_successor_one_slot(explorer: Explorer) -> None:
-    """One slot is missed, and no more, and that only where the successor did not come in three periods."""
+def test_the_old_one_takes_it_back_and_leaves_a_slot_to_a_successor_that_collides_with_it(explorer: Explorer) -> None:
+    """A successor that comes late costs no slot; one that has come while the old one was publishing costs one."""
     laid = explorer.step(explorer.step(0, BatonStep.GIVE, OLD), BatonStep.NAME_SUCCESSOR, OLD, NEW, True)
     old = Writer(OLD, RATED)
-    for slots in range(7):
-        verdict, word = explorer.enter(laid, replace(old, slots=slots), True)
-        assert verdict == (SKIP if slots == 3 else PASS)
-        assert explorer.enter(laid, replace(old, slots=slots), False)[0] == PASS  # it was late, and this is no slot
-        if verdict == PASS:
-            assert (BatonWord.of(word).holder, BatonWord.of(word).successor) == (OLD, NEW)
-            assert explorer.enter(word, Writer(NEW, RATED, knows=0), False)[0] == HOLD_BACK
-            again = int(explorer.library.midstride_leave(word, word, RATED, True))
-            assert BatonWord.of(again).state is BatonState.LAID
-            assert explorer.enter(again, Writer(NEW, RATED), False)[0] == PASS
+    assert explorer.enter(laid, old, True, collided=True)[0] == SKIP
+    assert explorer.enter(laid, old, False, collided=True)[0] == PASS  # it was late and catches up, so that is no slot
+    verdict, word = explorer.enter(laid, old, True)
+    assert verdict == PASS
+    assert (BatonWord.of(word).holder, BatonWord.of(word).successor) == (OLD, NEW)
+    assert explorer.enter(word, Writer(NEW, RATED, knows=0), False)[0] == HOLD_BACK
+    again = int(explorer.library.midstride_leave(word, word, RATED, True))
+    assert BatonWord.of(again).state is BatonState.LAID
+    assert explorer.enter(again, Writer(NEW, RATED), False)[0] == PASS
 
 
 def test_the_exploration_finds_a_component_that_gives_back_while_it_publishes(explorer: Explorer) -> None:

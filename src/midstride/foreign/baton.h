@@ -54,7 +54,8 @@ struct baton {
   _Atomic uint64_t word;
   _Atomic int64_t laid;     /* when it was laid down last: CLOCK_MONOTONIC, ns */
   _Atomic int64_t patience; /* for how long a writer without a rate leaves it to its successor (ns) */
-  uint64_t padding[5];      /* a cache line each */
+  _Atomic uint64_t collisions; /* how often the successor has come while the holder was publishing, since it was named */
+  uint64_t padding[4];      /* a cache line each */
 };
 
 struct page {
@@ -86,11 +87,8 @@ enum { HELD = 0, LAID = 1, FENCED = 2 };
 #define PREDECESSOR(word) FIELD(word, 36, 12)
 #define GENERATION(word) FIELD(word, 48, 16)
 #define MOST_WRITERS 255u
-/* A writer whose baton still lies takes it back at this many of its slots, so that nothing is missed where the successor
- * comes late. The next slot it leaves to a successor that comes always while it publishes itself; later ones it takes. */
-#define TAKEN_BACK 3u
-/* As many slots, for a TIMED port: it has left the baton to its successor for long enough. */
-#define WAITED (TAKEN_BACK + 1)
+/* How often a successor must have come while the holder was publishing, until the holder leaves it a slot. */
+#define COLLISIONS 2u
 
 static inline uint64_t baton_word(unsigned generation, unsigned predecessor, unsigned successor, unsigned holder,
                                   unsigned state, unsigned writers)
@@ -103,18 +101,15 @@ static inline uint64_t baton_word(unsigned generation, unsigned predecessor, uns
  * lives, and ask again; try again, since too many calls are publishing. */
 enum verdict { PASS, HOLD_BACK, SKIP, ASK, BUSY };
 
-/* A writer `me` (index + 1) is about to publish on a port with `flags`. `slots`: at how many of its slots the baton has
- * lain, up to WAITED; `waited`: whether its part of the time is over, see below; `dead`: whether the holder is (-1: not
- * known). For PASS, `next` is what the word must become before it publishes.
- *
- * `slots` is counted by the caller: one more after each message at a slot, and after each SKIP of a port with a rate;
- * WAITED once `patience` was over; 0 after a message that the baton did not lie for.
+/* A writer `me` (index + 1) is about to publish on a port with `flags`. `waited`: whether its part of the time is over;
+ * `collided`: whether there have been COLLISIONS; `dead`: whether the holder is (-1: not known). For PASS, `next` is what
+ * the word must become before it publishes.
  *
  * RATED: the port has a rate, so its writes are slots, but for one that comes sooner than half a period after the baton
- * was laid down (`waited`): a writer that was late catches up, and leaves its successor no time. TIMED: no port that shares
- * the baton has one; `waited` is whether `patience` is over. SHUT: an input that a probe closes, as long as the lease of
- * the page lasts. */
-static inline enum verdict baton_enter(uint64_t word, unsigned me, unsigned flags, unsigned slots, int waited, int dead,
+ * was laid down (not `waited`): a writer that was late catches up, and leaves its successor no time. TIMED: no port that
+ * shares the baton has one; `waited` is whether `patience` is over, or was before a message that the baton lay for. SHUT:
+ * an input that a probe closes, as long as the lease of the page lasts. */
+static inline enum verdict baton_enter(uint64_t word, unsigned me, unsigned flags, int waited, int collided, int dead,
                                        uint64_t *next)
 {
   unsigned state = STATE(word), generation = GENERATION(word);
@@ -127,7 +122,7 @@ static inline enum verdict baton_enter(uint64_t word, unsigned me, unsigned flag
     }
     if (state != LAID)
       return HOLD_BACK;
-    if (flags & RATED ? waited && slots == TAKEN_BACK : flags & TIMED && !waited && slots < WAITED)
+    if (flags & RATED ? waited && collided : flags & TIMED && !waited)
       return SKIP;
     /* The successor has not come, or nothing of this output may be lost: publish, and lay it down again afterwards. */
     *next = baton_word(generation + 1, PREDECESSOR(word), SUCCESSOR(word), me, HELD, 1);

@@ -105,7 +105,7 @@ struct entry {
   _Atomic(const void *) endpoint; /* NULL: free; the address of `entries`: removed */
   struct port *port;
   const void *type;
-  unsigned slots;
+  bool overdue; /* see `enter` */
   serialized kept; /* the last message that was written behind the gate */
 };
 
@@ -240,7 +240,7 @@ static void add(const void *endpoint, const char *topic, uint32_t direction, con
       continue;
     entry->port = port;
     entry->type = type;
-    entry->slots = 0;
+    entry->overdue = false;
     memset(&entry->kept, 0, sizeof entry->kept);
     atomic_store_explicit(&entry->endpoint, endpoint, memory_order_release);
     atomic_fetch_add(&port->endpoints, 1);
@@ -286,8 +286,8 @@ struct pass {
 };
 
 /* A message of the node `own` (index + 1) of `shared` is about to be published. `file`: the open file of that page.
- * `slots`: see baton_enter. */
-static bool enter(struct page *shared, unsigned own, int file, struct port *port, unsigned *slots, struct pass *pass)
+ * `overdue`: whether a successor has let the patience of this port go by. */
+static bool enter(struct page *shared, unsigned own, int file, struct port *port, bool *overdue, struct pass *pass)
 {
   pass->baton = NULL;
   if (atomic_load_explicit(&port->gate, memory_order_acquire) != OPEN)
@@ -302,8 +302,9 @@ static bool enter(struct page *shared, unsigned own, int file, struct port *port
   for (;;) {
     uint64_t next;
     int64_t left = pass->flags & RATED ? atomic_load(&port->half) * INT64_C(1000) : atomic_load(&baton->patience);
-    int waited = STATE(seen) == LAID && now_ns() - atomic_load(&baton->laid) > left;
-    switch (baton_enter(seen, own, pass->flags, *slots, waited, dead, &next)) {
+    int waited = STATE(seen) == LAID && (*overdue || now_ns() - atomic_load(&baton->laid) > left);
+    int collided = atomic_load(&baton->collisions) >= COLLISIONS;
+    switch (baton_enter(seen, own, pass->flags, waited, collided, dead, &next)) {
     case PASS:
       if (!atomic_compare_exchange_weak(&baton->word, &seen, next)) {
         dead = -1;
@@ -312,16 +313,11 @@ static bool enter(struct page *shared, unsigned own, int file, struct port *port
       pass->baton = baton;
       pass->entered = next;
       pass->again = STATE(seen) == LAID && HOLDER(seen) == own && SUCCESSOR(next) != 0;
-      if (!pass->again)
-        *slots = 0;
-      else if (pass->flags & TIMED)
-        *slots = WAITED;
-      else if (waited && *slots < WAITED)
-        ++*slots;
+      *overdue = pass->again && pass->flags & TIMED;
       return true;
     case SKIP:
       if (pass->flags & RATED)
-        ++*slots;
+        atomic_store(&baton->collisions, 0);
       return false;
     case ASK:
       /* A process does not see its own locks: two seats may be of one. */
@@ -332,7 +328,9 @@ static bool enter(struct page *shared, unsigned own, int file, struct port *port
       seen = atomic_load(&baton->word);
       continue;
     case HOLD_BACK:
-      *slots = 0;
+      if (SUCCESSOR(seen) == own && STATE(seen) == HELD && WRITERS(seen) != 0)
+        atomic_fetch_add(&baton->collisions, 1);
+      *overdue = false;
       return false;
     }
   }
@@ -416,7 +414,7 @@ static void keep(struct entry *entry, const void *message, const serialized *byt
 static void publish_kept(struct entry *entry)
 {
   struct pass pass;
-  if (!entry->kept.buffer || !enter(page, me, descriptor, entry->port, &entry->slots, &pass))
+  if (!entry->kept.buffer || !enter(page, me, descriptor, entry->port, &entry->overdue, &pass))
     return;
   const void *publisher = atomic_load(&entry->endpoint);
   if (real_rcl_publish_serialized_message()(publisher, &entry->kept, NULL) == 0)
@@ -522,7 +520,7 @@ static bool admitted(struct entry *entry, struct pass *pass)
     publish_kept(entry);
     pthread_mutex_unlock(&lock);
   }
-  return enter(page, me, descriptor, entry->port, &entry->slots, pass);
+  return enter(page, me, descriptor, entry->port, &entry->overdue, pass);
 }
 
 static void held_back(struct entry *entry, const void *message, const serialized *bytes)
@@ -625,10 +623,10 @@ EXPORT void midstride_layout(uint32_t *sizes)
   memcpy(sizes, layout, sizeof layout);
 }
 
-EXPORT int midstride_enter(uint64_t word, unsigned index, unsigned flags, unsigned slots, int waited, int dead,
+EXPORT int midstride_enter(uint64_t word, unsigned index, unsigned flags, int waited, int collided, int dead,
                            uint64_t *next)
 {
-  return (int)baton_enter(word, index, flags, slots, waited, dead, next);
+  return (int)baton_enter(word, index, flags, waited, collided, dead, next);
 }
 
 EXPORT uint64_t midstride_leave(uint64_t word, uint64_t entered, unsigned flags, int again)
@@ -666,6 +664,8 @@ EXPORT uint64_t midstride_take_step(struct baton *baton, int step, unsigned inde
     next = midstride_step(seen, step, index, successor, at_once);
     if (STATE(next) == LAID && STATE(seen) != LAID)
       atomic_store(&baton->laid, now_ns());
+    if (SUCCESSOR(next) != SUCCESSOR(seen))
+      atomic_store(&baton->collisions, 0);
   } while (!atomic_compare_exchange_weak(&baton->word, &seen, next));
   return seen;
 }
@@ -689,7 +689,7 @@ struct seat {
   struct page *page;
   int file;
   unsigned index;
-  unsigned slots[PORTS];
+  bool overdue[PORTS];
   struct pass pass;
 };
 
@@ -739,7 +739,7 @@ EXPORT void midstride_rise(struct seat *seat)
 EXPORT int midstride_begin(struct seat *seat, unsigned port)
 {
   return enter(seat->page, seat->index + 1, seat->file, &seat->page->nodes[seat->index].ports[port],
-               &seat->slots[port], &seat->pass);
+               &seat->overdue[port], &seat->pass);
 }
 
 EXPORT void midstride_end(struct seat *seat)

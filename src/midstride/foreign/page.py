@@ -82,7 +82,13 @@ class PageNode(ctypes.Structure):
 
 
 class PageBaton(ctypes.Structure):
-    _fields_ = [("word", c_uint64), ("laid", c_int64), ("patience", c_int64), ("padding", c_uint64 * 5)]
+    _fields_ = [
+        ("word", c_uint64),
+        ("laid", c_int64),
+        ("patience", c_int64),
+        ("collisions", c_uint64),
+        ("padding", c_uint64 * 4),
+    ]
 
 
 class PageLayout(ctypes.Structure):
@@ -100,7 +106,15 @@ class PageLayout(ctypes.Structure):
 def load_library(path: Path) -> Any:
     """The functions of the library that the manager calls."""
     library = ctypes.CDLL(str(path), mode=os.RTLD_LOCAL | os.RTLD_NOW)
-    library.midstride_enter.argtypes = [c_uint64, c_uint32, c_uint32, c_uint32, c_int, c_int, ctypes.POINTER(c_uint64)]
+    library.midstride_enter.argtypes = [
+        c_uint64,
+        c_uint32,
+        c_uint32,
+        c_int,
+        c_int,
+        c_int,
+        ctypes.POINTER(c_uint64),
+    ]
     library.midstride_leave.argtypes = [c_uint64, c_uint64, c_uint32, c_int]
     library.midstride_leave.restype = c_uint64
     library.midstride_step.argtypes = [c_uint64, c_int, c_uint32, c_uint32, c_int]
