@@ -68,11 +68,7 @@ def test_nothing_is_missing_and_one_is_heard_at_each_moment(
             for number in range(SWAPS):
                 seconds.append(await system.replaced(kinds[1 - number % 2], messages=5))
             assert len(system.changes()) == SWAPS
-            found = system.holes()
-            print(f"\nslots left to a successor that came late: {found}", file=sys.stderr)
-            # One for each swap at most, on a machine that keeps the successor from running for a period.
-            assert len(found) <= (SWAPS if rate > 100 else 0)
-            assert all(hole.missing == 1 for hole in found)
+            assert system.holes() == []
             figures(system, 1 / rate, f"{kinds[0]} and {kinds[1]} at {rate:g} Hz")
             for kind in seconds[0]:
                 took = quantiles([each[kind] for each in seconds], "s")
@@ -168,7 +164,6 @@ def test_the_manager_is_killed_at_random_moments(tmp_path: Path) -> None:
     print(f"longest gap around each kill: {quantiles([max(found) for found in around])}", file=sys.stderr)
     print(f"gaps elsewhere: {quantiles(calm)}; jitter (99.9 %) {jitter:.2f} periods", file=sys.stderr)
     found = holes(rows)
-    print(f"slots left to a successor: {found}", file=sys.stderr)
     assert met > KILLS / 2
     assert all(hole.missing <= 2 for hole in found)
     assert max(map(max, around)) <= 3.0 + jitter

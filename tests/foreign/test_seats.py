@@ -241,7 +241,7 @@ async def cut_again(lab: Lab, gated: Gated) -> None:
 
 
 def test_the_node_hangs_after_it_was_named(tmp_path: Path, gate_library: Path) -> None:
-    """The component leaves one slot to it, and then goes on; when the offer has ended, for good."""
+    """The component goes on; when the offer has ended, for good."""
 
     async def main(lab: Lab, gated: Gated) -> None:
         gated.hangs = True
