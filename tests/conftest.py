@@ -3,8 +3,8 @@
 A test that needs ROS is marked ``ros2`` or ``ros1`` and imports it inside the test (or a fixture), so that it can be
 collected without ROS. There it is skipped, with the reason. If ``MIDSTRIDE_NEEDS_ROS2`` is set, ROS 2 is part of the
 environment: the test runs, and fails without it. The same holds for the markers ``alloy`` (the Alloy Analyzer and
-Java), ``graphviz``, ``browser`` (Chromium) and ``rust`` (what tools/rust builds). tools/test sets these variables for
-everything that it was able to install.
+Java), ``graphviz``, ``browser`` (Chromium), ``rust`` (what tools/rust builds) and ``arm64`` (a compiler and an
+emulator). tools/test sets these variables for everything that it was able to install.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ settings.register_profile(
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 _MODULES = {"ros2": "rclpy", "ros1": "rospy"}
-_MARKERS = (*_MODULES, "alloy", "graphviz", "browser", "rust")
+_MARKERS = (*_MODULES, "alloy", "graphviz", "browser", "rust", "arm64")
 
 # ROS's own Python modules cause these warnings when they are imported.
 _ROS_WARNINGS = ("ignore:module 'sre_:DeprecationWarning", "ignore:.*pkg_resources.*:UserWarning")
@@ -80,6 +80,8 @@ def _unavailable(marker: str) -> str | None:
         return None if shutil.which("dot") else "Graphviz is not installed"
     if marker == "browser":
         return None if shutil.which("chromium") else "Chromium is not installed"
+    if marker == "arm64":
+        return None if shutil.which("qemu-aarch64") else "no emulator of arm64 is installed (tools/arm64)"
     if marker == "rust":
         from tests.native import RUST_TALKER
 

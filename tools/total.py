@@ -12,13 +12,19 @@ from collections import Counter
 from pathlib import Path
 
 
+def _round(path: str) -> int:
+    """0 for ``suite.xml``, 1 for ``suite.1.xml``."""
+    parts = Path(path).name.split(".")
+    return int(parts[1]) if len(parts) > 2 else 0
+
+
 def total(paths: list[str]) -> tuple[int, int, int]:
     """How many tests passed, failed (or could not run) and were skipped.
 
     Of the reports ``suite.xml``, ``suite.1.xml``, … of one suite, the last one that names a test tells how it ended.
     """
     ends: dict[tuple[str, str, str], str] = {}
-    for path in sorted(paths):
+    for path in sorted(paths, key=_round):
         suite = Path(path).name.split(".")[0]
         tests: dict[tuple[str, str, str], str] = {}
         for case in ET.parse(path).getroot().iter("testcase"):

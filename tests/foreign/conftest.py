@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -24,10 +25,14 @@ def gate_library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the node and of the library that it is linked with."""
     folder = tmp_path_factory.mktemp("fake")
-    compiler = build.compiler()
-    assert compiler is not None
+    command = build.compiler()
+    assert command is not None
+    fake_programs(folder, command)
+    return folder
+
+
+def fake_programs(folder: Path, compiler: Sequence[str]) -> None:
     options = [*compiler, "-std=c11", "-O2"]
     subprocess.run([*options, "-shared", "-fPIC", "-o", folder / "librcl.so", HERE / "fake_rcl.c"], check=True)
     link = ["-L", str(folder), "-lrcl", f"-Wl,-rpath,{folder}"]
     subprocess.run([*options, "-o", folder / "node", HERE / "fake_node.c", *link], check=True)
-    return folder

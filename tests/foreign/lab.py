@@ -7,7 +7,7 @@ import os
 import struct
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from midstride.foreign.page import OPEN, OUTPUT, Page, PagePort, PortFlag
@@ -50,17 +50,18 @@ class Lab:
     def run(self, index: int, period: int, messages: int, *takes: str) -> None:
         """Start the process of a node, which may take messages from a topic, and wait until it has joined."""
         port = self.port(index)
-        environment = {
-            **os.environ,
+        variables = {
             "LD_PRELOAD": str(self.library),
             "LD_LIBRARY_PATH": str(self.programs),
             "FAKE_LOG": str(self.log),
             "MIDSTRIDE_GATE_PAGE": str(self.page.path),
             "MIDSTRIDE_GATE_NODE": str(index),
         }
-        command = [str(self.programs / "node"), str(index + 1), "/chat", str(period), str(messages), *takes]
-        self.processes[index] = subprocess.Popen(command, env=environment)
+        self.processes[index] = self.start(variables, str(index + 1), "/chat", str(period), str(messages), *takes)
         until(lambda: bool(port.endpoints and port.tried), f"node {index} has not written")
+
+    def start(self, variables: Mapping[str, str], *arguments: str) -> subprocess.Popen[bytes]:
+        return subprocess.Popen([self.programs / "node", *arguments], env={**os.environ, **variables})
 
     def port(self, index: int) -> PagePort:
         port: PagePort = self.page.layout.nodes[index].ports[0]
