@@ -164,6 +164,7 @@ def test_the_manager_is_killed_at_random_moments(tmp_path: Path) -> None:
     print(f"longest gap around each kill: {quantiles([max(found) for found in around])}", file=sys.stderr)
     print(f"gaps elsewhere: {quantiles(calm)}; jitter (99.9 %) {jitter:.2f} periods", file=sys.stderr)
     found = holes(rows)
+    print(f"missing: {found}", file=sys.stderr)
     assert met > KILLS / 2
     assert all(hole.missing <= 2 for hole in found)
     assert max(map(max, around)) <= 3.0 + jitter
