@@ -81,7 +81,8 @@ def _unavailable(marker: str) -> str | None:
     if marker == "browser":
         return None if shutil.which("chromium") else "Chromium is not installed"
     if marker == "arm64":
-        return None if shutil.which("qemu-aarch64") else "no emulator of arm64 is installed (tools/arm64)"
+        found = shutil.which("qemu-aarch64") and shutil.which("aarch64-linux-gnu-gcc")
+        return None if found else "no emulator of arm64, or no compiler for it, is installed (tools/arm64)"
     if marker == "rust":
         from tests.native import RUST_TALKER
 

@@ -21,7 +21,7 @@ def _round(path: str) -> int:
 def total(paths: list[str]) -> tuple[int, int, int]:
     """How many tests passed, failed (or could not run) and were skipped.
 
-    Of the reports ``suite.xml``, ``suite.1.xml``, … of one suite, the last one that names a test tells how it ended.
+    A suite has a report for each round: ``suite.xml``, ``suite.1.xml``, …. A test counts as in its last round.
     """
     ends: dict[tuple[str, str, str], str] = {}
     for path in sorted(paths, key=_round):

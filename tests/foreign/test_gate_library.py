@@ -146,12 +146,12 @@ def test_a_part_of_the_page_that_nobody_joined_is_given_to_another(lab: Lab) -> 
     left, *others = [lab.page.allocate(f"left_{number}") for number in range(NODES)]
     with pytest.raises(BackendError, match="more than 128 nodes have a gate"):
         lab.page.allocate("talker")
-    nodes[left].since -= round(JOINED_WITHIN * 1e9)
+    nodes[left].beat -= JOINED_WITHIN
     assert lab.page.allocate("talker") == left
     assert nodes[left].instance == b"talker"
     with pytest.raises(BackendError, match="more than 128"):
         lab.page.allocate("listener")
-    nodes[others[-1]].since = time.monotonic_ns() + 10**15  # from before the machine was started again
+    nodes[others[-1]].beat += 10**6  # from before the machine was started again
     assert lab.page.allocate("listener") == others[-1]
 
 
@@ -194,7 +194,7 @@ def test_a_slot_is_left_only_to_a_successor_that_comes_while_the_old_one_publish
     old, new = seat(0, 1), seat(1, 0)
 
     def written(*, slot: bool = True, meets: bool = False) -> bool:
-        """Whether the old one publishes; at a slot of its own or sooner, and whether the new one comes meanwhile."""
+        """Whether the old one publishes: at its next slot, or sooner. ``meets``: meanwhile, the new one tries to."""
         page.layout.batons[baton - 1].laid = time.monotonic_ns() - (10**10 if slot else -(10**10))
         if not old.begin(0):
             return False
@@ -202,7 +202,7 @@ def test_a_slot_is_left_only_to_a_successor_that_comes_while_the_old_one_publish
         old.end()
         return True
 
-    assert written(meets=True), "nobody is named yet"
+    assert written(meets=True), "no successor has been named"
     page.step(baton, BatonStep.NAME_SUCCESSOR, *indices)
     assert all(written() for _ in range(20)), "the new one does not come"
     assert written(meets=True) and written(meets=True)

@@ -14,7 +14,7 @@
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 2
+#define PAGE_VERSION 1
 #define NODES 128
 #define PORTS 32
 #define NAME 256
@@ -43,9 +43,9 @@ struct port {
 struct node {
   _Atomic uint32_t pid;   /* 0: no publisher or subscription has been created yet */
   _Atomic uint32_t bell;  /* a futex: counted up to have the helper thread look at once */
-  _Atomic uint32_t beat;  /* counted up by the helper thread each time it has looked */
+  _Atomic uint32_t beat;  /* when it was set aside for the instance (CLOCK_MONOTONIC, s), and from then on counted up by the
+                           * helper thread each time it has looked */
   uint32_t used;          /* flags; 0: free */
-  int64_t since;          /* when it was set aside for this instance: CLOCK_MONOTONIC, ns */
   char instance[NAME];
   struct port ports[PORTS];
 };

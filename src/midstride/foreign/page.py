@@ -19,7 +19,7 @@ from midstride.errors import BackendError
 from midstride.node.baton import BatonStep, BatonWord
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 2
+VERSION: Final = 1
 NODES: Final = 128
 PORTS: Final = 32
 NAME: Final = 256
@@ -34,7 +34,7 @@ CLOSED, OPEN = range(2)
 IN_USE, LISTS = 1, 2
 
 # A node that no process has joined as for so long (s) may be given to another: its manager had been killed meanwhile.
-JOINED_WITHIN: Final = 60.0
+JOINED_WITHIN: Final = 60
 
 
 class PortFlag(IntFlag):
@@ -75,7 +75,6 @@ class PageNode(ctypes.Structure):
         ("bell", c_uint32),
         ("beat", c_uint32),
         ("used", c_uint32),
-        ("since", c_int64),
         ("instance", c_char * NAME),
         ("ports", PagePort * PORTS),
     ]
@@ -152,7 +151,7 @@ class Page:
 
     def allocate(self, instance: str) -> int:
         """The index of an unused node, which now is that of ``instance``. Raises BackendError where all are used."""
-        now = time.monotonic_ns()
+        now = int(time.monotonic())
 
         def use(index: int) -> int:
             node = self.layout.nodes[index]
@@ -160,14 +159,14 @@ class Page:
                 return 0
             if node.pid:  # a manager that was killed has not freed what its nodes had
                 return 1 if self.is_dead(index) else 3
-            return 2 if not 0 <= now - node.since <= JOINED_WITHIN * 1e9 else 3
+            return 3 if 0 <= now - node.beat < JOINED_WITHIN else 2
 
-        index = min(range(NODES), key=use)
-        if use(index) == 3:
+        least, index = min((use(index), index) for index in range(NODES))
+        if least == 3:
             raise BackendError(f"more than {NODES} nodes have a gate")
         node = self.layout.nodes[index]
         ctypes.memset(ctypes.addressof(node), 0, ctypes.sizeof(node))
-        node.instance, node.since, node.used = instance.encode()[: NAME - 1], now, IN_USE
+        node.instance, node.beat, node.used = instance.encode()[: NAME - 1], now, IN_USE
         return index
 
     def index_of(self, instance: str) -> int | None:
