@@ -70,7 +70,11 @@ async def _stop(backend: Backend, handles: list[Handle], token: str) -> list[str
     try:
         for handle in handles:
             try:
-                if await backend.adopt(handle):
+                try:
+                    runs = await backend.adopt(handle)
+                except BackendError:  # what a manager needs of it cannot be used; it has been found, and can be ended
+                    runs = True
+                if runs:
                     await backend.end(handle.instance, STOP_GRACE)
             except MidstrideError as error:
                 failures.append(f"{handle.instance}: {error}")
