@@ -15,7 +15,7 @@ from midstride.model.specification import Specification
 from midstride.runtime import status
 from midstride.runtime.watched import WatchedSystem
 from midstride.server.view.endpoints import endpoint_views
-from midstride.server.view.figures import NO_FIGURES, Figures, figures
+from midstride.server.view.figures import NO_FIGURES, Figures, differ, figures
 from midstride.server.view.forms import ComponentView, FunctionalityView, PortView
 from midstride.wire.state import THIS_HOST, ComponentState, FunctionalityState, LinkState
 
@@ -176,18 +176,20 @@ def port_views(
     for index, (port, declared) in enumerate(zip(shape.ports, shape.declared(state), strict=True)):
         link = None if port.topic is None else state.ports.get(port.name, _NO_LINKS).get(port.topic)
         shown = before[index] if before else None
-        if not refresh and shown is not None and _is_as_shown(shown, link, declared):
+        if shown is not None and _is_as_shown(shown, link, declared, refresh):
             found.append(shown)
         else:
             found.append(_port(port, link, declared, shown, refresh))
     return found
 
 
-def _is_as_shown(shown: PortView, link: LinkState | None, declared: float | None) -> bool:
-    """Whether all but its figures is the same."""
-    if link is None or link.measured is None or shown.gate != link.gate or shown.declared != declared:
+def _is_as_shown(shown: PortView, link: LinkState | None, declared: float | None, refresh: bool) -> bool:
+    """Whether all is the same, but for its figures unless they are to be refreshed."""
+    if link is None or (measured := link.measured) is None or shown.gate != link.gate or shown.declared != declared:
         return False
-    return shown.met is (None if declared is None else link.measured.meets(declared))
+    if shown.met is not (None if declared is None else measured.meets(declared)):
+        return False
+    return not refresh or not differ(shown, measured)
 
 
 def _port(

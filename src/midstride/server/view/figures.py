@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from midstride.wire.state import LinkState
+from midstride.server.view.forms import PortView
+from midstride.wire.state import LinkState, Measured
 
 # By which share of the shown value, and by how much, a figure must differ from it to be refreshed.
 _RATE: Final = (0.01, 0.0)
@@ -41,13 +42,27 @@ def figures(link: LinkState, shown: Figures = NO_FIGURES) -> Figures:
     )
 
 
+def differ(shown: Figures | PortView, measured: Measured) -> bool:
+    """Whether :func:`figures` are others than those ``shown``. Called for every port, so it must be cheap."""
+    return not (
+        _stays(shown.rate, measured.rate, *_RATE)
+        and _stays(shown.age, measured.age, *_AGE)
+        and _stays(shown.jitter, measured.jitter, *_TIMES)
+        and _stays(shown.longest, measured.longest, *_TIMES)
+    )
+
+
 def _refreshed(shown: float | None, value: float | None, share: float, least: float) -> float | None:
-    if value is None or value == shown:
-        return value
+    if value is None:
+        return None
+    return shown if _stays(shown, value, share, least) else _three_digits(value)
+
+
+def _stays(shown: float | None, value: float | None, share: float, least: float) -> bool:
+    if value is None or shown is None or value == shown:
+        return value == shown
     # A zero is not rounded up to what was there before: it may mean that nothing comes any more.
-    if shown is not None and abs(value - shown) <= max(share * shown, least) and (value > 0) == (shown > 0):
-        return shown
-    return _three_digits(value)
+    return abs(value - shown) <= max(share * shown, least) and (value > 0) == (shown > 0)
 
 
 def _three_digits(value: float) -> float:

@@ -31,7 +31,7 @@ from midstride.server.view.forms import VERSION, ComponentView, SilenceView, Tim
 from midstride.server.view.recording import ModeHistory, ViewRecording
 from midstride.server.view.same import rates_as_shown, same_but_figures, same_report, same_values
 from midstride.server.view.table import Part, ViewTable, encode_view
-from midstride.server.view.timing import FIGURES, LOOK, SOON, TOGETHER, Alarm, Wakers
+from midstride.server.view.timing import FIGURES, LOOK, SOON, TOGETHER, Alarm, Wakers, figures_interval
 from midstride.server.view.topics import changed_parts, topic_view
 from midstride.wire.state import ComponentState
 
@@ -73,6 +73,7 @@ class LiveView:
         self._refreshed_at = -math.inf  # when the view was last built (steady s)
         self._revalued_at = -math.inf  # the same with parameters and reasons
         self._figures_at = 0.0  # the same with figures
+        self._interval = FIGURES  # how often that is (s)
         self._figures_of: dict[str, float] = {}  # the same by component
         self._rated_at: dict[str, float] = {}  # when it was last looked whether it keeps its rates, by component
         self._started = False
@@ -104,11 +105,11 @@ class LiveView:
             self._soon()
         elif not self._as_measured(event, now) or not same_values(self._reported.get(name), event):
             self._revalued.add(name)
-            self._tick.at(max(now + SOON, self._revalued_at + FIGURES))
+            self._tick.at(max(now + SOON, self._revalued_at + self._interval))
         else:
             self._measured.add(name)
             if self._wakers:
-                self._tick.at(max(now + SOON, self._figures_at + FIGURES))
+                self._tick.at(max(now + SOON, self._figures_at + self._interval))
 
     def _same(self, state: ComponentState) -> bool:
         """Whether a report differs from the entry of its component in what may wait at most: figures and values."""
@@ -116,9 +117,9 @@ class LiveView:
         return shown is not None and shown.answers and same_report(self._reported.get(state.instance), state)
 
     def _as_measured(self, state: ComponentState, now: float) -> bool:
-        """Whether declared rates are met as the entry says. As a figure, this is looked at twice a second."""
+        """Whether declared rates are met as the entry says. It is looked at as often as figures."""
         name = state.instance
-        if now - self._rated_at.get(name, -math.inf) < FIGURES:
+        if now - self._rated_at.get(name, -math.inf) < self._interval:
             return True
         self._rated_at[name] = now
         return rates_as_shown(self._shown[name], state, self._configuration.context)
@@ -189,10 +190,10 @@ class LiveView:
         """Build what has changed, also ``figures`` if that is all that has; then clients are woken."""
         now, steady = self.now(), self._watched.clock.steady()
         self._refreshed_at = steady
-        due = figures and steady - self._figures_at >= FIGURES
+        due = figures and steady - self._figures_at >= self._interval
         if due:
             self._figures_at = steady
-        if self._revalued and (due or steady - self._revalued_at >= FIGURES):
+        if self._revalued and (due or steady - self._revalued_at >= self._interval):
             self._revalued_at = steady
             self._dirty |= self._revalued
             self._revalued = set()
@@ -221,6 +222,7 @@ class LiveView:
             for name in instances:
                 self._shapes.pop(name, None)
             self._configuration = configuration
+            self._interval = figures_interval(len(configuration.instances))
             self._violations = [str(violation) for violation in violations(configuration)]
             evaluator = Evaluator(configuration)
             for name in sorted(connectors):
@@ -261,7 +263,7 @@ class LiveView:
             shape, before = self._shapes.get(name), () if shown is None else shown.ports
             if shape is None:
                 shape, before = self._shapes.setdefault(name, EntryShape.of(configuration, instance)), ()
-            refresh = steady - self._figures_of.get(name, -math.inf) >= FIGURES
+            refresh = steady - self._figures_of.get(name, -math.inf) >= self._interval
             if refresh:
                 self._figures_of[name] = steady
             ports = port_views(shape, client.responsive(name), before, refresh=refresh)
