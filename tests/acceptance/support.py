@@ -39,6 +39,9 @@ def benchmark(name: str) -> ModuleType:
     """A benchmark as a module: its nodes and its specification serve here too."""
     if str(BENCHMARKS) not in sys.path:
         sys.path.append(str(BENCHMARKS))  # for what it imports beside itself
+    # What it shares with the programs of its nodes is read anew: like these, it may depend on the environment.
+    for shared in [each for each in sys.modules if (BENCHMARKS / f"{each}.py").exists() and each.startswith("_")]:
+        del sys.modules[shared]
     spec = importlib.util.spec_from_file_location(f"benchmark_{name}", BENCHMARKS / f"{name}.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
