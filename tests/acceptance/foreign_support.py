@@ -50,22 +50,25 @@ talk.set_degraded_mode(lambda: None)
 comp.start()
 """
 
-TALKER = """component %s {
-  run "%s"
-  output out%s
-  functionality talk {
-    produces out
-    mode normal   { guarantee out : std_msgs/msg/String @ %g Hz }
-    mode degraded { }
-  }
-}
-"""
-
 
 def programs_of_the_page(folder: Path) -> None:
     """The files that the how-to shows, in ``folder``."""
     for name, text in re.findall(r"```\w+ file=(\S+)\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL):
         (folder / name).write_text(text, encoding="utf-8")
+
+
+def declared_talker(name: str, command: str, gate: str | None = None, rate: float = 50) -> str:
+    """A component in Stride that talks at ``rate`` Hz: a node without the API where it has a ``gate``."""
+    return f"""component {name} {{
+  run "{command}"{f" gate {gate}" if gate else ""}
+  output out{" as chatter" if gate else ""}
+  functionality talk {{
+    produces out
+    mode normal   {{ guarantee out : std_msgs/msg/String @ {rate:g} Hz }}
+    mode degraded {{ }}
+  }}
+}}
+"""
 
 
 def talkers(folder: Path, first: str = "Plain", rate: float = 50, timing: str = "") -> Specification:
@@ -77,13 +80,9 @@ def talkers(folder: Path, first: str = "Plain", rate: float = 50, timing: str = 
     (folder / "ours.py").write_text(OURS, encoding="utf-8")
     compiled(folder)
     text = f"system swaps\n{timing}\ntopic /chat : std_msgs/msg/String @ {rate:g} Hz\n"
-    for name, run, gate in (
-        ("Plain", "python3 talker.py", " gate preload"),
-        ("Native", f"./c_talker {1e9 / rate:.0f} chatter", " gate preload"),
-        ("Ours", "python3 ours.py", ""),
-    ):
-        words = TALKER % (name, run, " as chatter" if gate else "", rate if name == "Native" else 50)
-        text += words.replace(f'"{run}"', f'"{run}"{gate}')
+    text += declared_talker("Plain", "python3 talker.py", "preload")
+    text += declared_talker("Native", f"./c_talker {1e9 / rate:.0f} chatter", "preload", rate)
+    text += declared_talker("Ours", "python3 ours.py")
     path = folder / "swaps.stride"
     path.write_text(f"{text}node talker : {first} {{ out -> /chat }}\n", encoding="utf-8")
     return load(path).require()

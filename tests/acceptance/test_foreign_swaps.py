@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from midstride.lang.load import load
-from tests.acceptance.foreign_support import TALKER, Robot, robot, talkers
+from tests.acceptance.foreign_support import Robot, declared_talker, robot, talkers
 from tests.acceptance.support import ended
 from tests.backends.ros2_support import run
 
@@ -163,8 +163,7 @@ def test_a_node_that_is_not_what_was_declared_is_not_let_in(tmp_path: Path) -> N
     (tmp_path / "faulty.py").write_text(FAULTY, encoding="utf-8")
     text = (tmp_path / "swaps.stride").read_text(encoding="utf-8")
     for kind in REASONS:
-        words = TALKER % (kind.capitalize(), f"python3 faulty.py {kind}", " as chatter", 50)
-        words = words.replace(f'{kind}"', f'{kind}" gate preload')
+        words = declared_talker(kind.capitalize(), f"python3 faulty.py {kind}", "preload")
         text += words if kind != "qos" else words.replace("50 Hz", "50 Hz qos(durability = transient_local)")
     (tmp_path / "swaps.stride").write_text(text, encoding="utf-8")
     specification = load(tmp_path / "swaps.stride").require()
@@ -187,9 +186,9 @@ def test_a_node_that_is_not_what_was_declared_is_not_let_in(tmp_path: Path) -> N
 def test_a_node_at_half_its_rate_is_not_let_in_by_default(tmp_path: Path) -> None:
     talkers(tmp_path)
     (tmp_path / "faulty.py").write_text(FAULTY, encoding="utf-8")
-    words = TALKER % ("Half", "python3 faulty.py half", " as chatter", 50)
+    half = declared_talker("Half", "python3 faulty.py half", "preload")
     path = tmp_path / "swaps.stride"
-    path.write_text(path.read_text(encoding="utf-8") + words.replace('half"', 'half" gate preload'), encoding="utf-8")
+    path.write_text(path.read_text(encoding="utf-8") + half, encoding="utf-8")
 
     async def scenario() -> None:
         async with robot(load(path).require(), tmp_path) as system:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from midstride.lang.load import load
-from tests.acceptance.foreign_support import OURS, TALKER, programs_of_the_page, robot
+from tests.acceptance.foreign_support import OURS, declared_talker, programs_of_the_page, robot
 from tests.acceptance.support import ended
 from tests.backends.ros2_support import run
 from tests.native import compiled
@@ -20,15 +20,11 @@ def test_a_relayed_node_is_replaced(tmp_path: Path) -> None:
     (tmp_path / "ours.py").write_text(OURS, encoding="utf-8")
     compiled(tmp_path)
     text = "system swaps\ntopic /chat : std_msgs/msg/String @ 50 Hz\n"
-    for name, run_, gate in (
-        ("Plain", "python3 talker.py", " gate preload"),
-        ("Relayed", "python3 talker.py", " gate relay"),
-        ("Other", "python3 ./talker.py", " gate relay"),
-        ("Native", "./c_talker 20000000 chatter", " gate relay"),
-        ("Ours", "python3 ours.py", ""),
-    ):
-        words = TALKER % (name, run_, " as chatter" if gate else "", 50)
-        text += words.replace(f'"{run_}"', f'"{run_}"{gate}')
+    text += declared_talker("Plain", "python3 talker.py", "preload")
+    text += declared_talker("Relayed", "python3 talker.py", "relay")
+    text += declared_talker("Other", "python3 ./talker.py", "relay")
+    text += declared_talker("Native", "./c_talker 20000000 chatter", "relay")
+    text += declared_talker("Ours", "python3 ours.py")
     path = tmp_path / "swaps.stride"
     path.write_text(f"{text}node talker : Relayed {{ out -> /chat }}\n", encoding="utf-8")
     components = ("Other", "Plain", "Native", "Ours", "Relayed")

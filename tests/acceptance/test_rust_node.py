@@ -9,7 +9,7 @@ import pytest
 
 from midstride.errors import MidstrideError
 from midstride.lang.load import load
-from tests.acceptance.foreign_support import TALKER, programs_of_the_page, robot
+from tests.acceptance.foreign_support import declared_talker, programs_of_the_page, robot
 from tests.acceptance.support import ended
 from tests.backends.ros2_support import run
 from tests.native import RUST_TALKER
@@ -21,13 +21,10 @@ def written(folder: Path, first: str) -> Path:
     """A system whose talker is at first a ``first``; the programs are beside it."""
     programs_of_the_page(folder)
     text = "system swaps\ntopic /chat : std_msgs/msg/String @ 50 Hz\n"
-    for name, program, gate in (
-        ("Rust", str(RUST_TALKER), "relay"),
-        ("Plain", "python3 talker.py", "preload"),
-        ("Seen", str(RUST_TALKER), "preload"),
-        ("Deaf", f"{RUST_TALKER} --deaf", "relay"),
-    ):
-        text += (TALKER % (name, program, " as chatter", 50)).replace(f'"{program}"', f'"{program}" gate {gate}')
+    text += declared_talker("Rust", str(RUST_TALKER), "relay")
+    text += declared_talker("Plain", "python3 talker.py", "preload")
+    text += declared_talker("Seen", str(RUST_TALKER), "preload")
+    text += declared_talker("Deaf", f"{RUST_TALKER} --deaf", "relay")
     path = folder / "swaps.stride"
     path.write_text(f"{text}node talker : {first} {{ out -> /chat }}\n", encoding="utf-8")
     return path

@@ -15,27 +15,13 @@ import pytest
 
 from midstride.codec.specification import encode_specification
 from midstride.foreign.page import PAGE, VERSION, PageLayout
-from tests.acceptance.foreign_support import programs_of_the_page
+from tests.acceptance.foreign_support import declared_talker, programs_of_the_page
 from tests.acceptance.support import PERIOD, Recorder, ended, swap_specification
 from tests.acceptance.test_fencing import WAIT, hanging_specification
 from tests.acceptance.test_manager_killed import silences
 from tests.cli.conftest import EXAMPLES, Midstride, alive, nothing_lost, unwritten
 
 TALKER = str(EXAMPLES / "talker" / "talker.json")
-# A node without Midstride's API, with a gate.
-GATED = """system gated
-topic /chat : std_msgs/msg/String @ 50 Hz
-component Plain {
-  run "python3 talker.py" gate preload
-  output out as chatter
-  functionality talk {
-    produces out
-    mode normal   { guarantee out : std_msgs/msg/String @ 50 Hz }
-    mode degraded { }
-  }
-}
-node talker : Plain { out -> /chat }
-"""
 
 pytestmark = pytest.mark.ros2
 
@@ -149,7 +135,9 @@ def test_up_restores_what_has_died_with_the_manager(midstride: Midstride) -> Non
 @pytest.mark.full
 def test_nodes_whose_gates_another_version_has_made_can_be_ended(midstride: Midstride, tmp_path: Path) -> None:
     specification = tmp_path / "gated.stride"
-    specification.write_text(GATED, encoding="utf-8")
+    talker = declared_talker("Plain", "python3 talker.py", "preload")
+    node = "node talker : Plain { out -> /chat }"
+    specification.write_text(f"system gated\ntopic /chat : std_msgs/msg/String\n{talker}{node}\n", encoding="utf-8")
     programs_of_the_page(tmp_path)
     up = midstride("up", str(specification), "-d")
     assert up.status == 0, up.err

@@ -72,7 +72,7 @@ async def _stop(backend: Backend, handles: list[Handle], token: str) -> list[str
             try:
                 try:
                     runs = await backend.adopt(handle)
-                except BackendError:  # what a manager needs of it cannot be used; it has been found, and can be ended
+                except BackendError:  # it runs, but cannot be controlled: ending it needs no more than its process
                     runs = True
                 if runs:
                     await backend.end(handle.instance, STOP_GRACE)

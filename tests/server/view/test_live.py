@@ -156,10 +156,10 @@ def test_patches_are_coalesced_and_a_step_is_soon_visible(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(("refreshed", "fewest", "most"), [(timing.REFRESHED, 6, 11), (2, 3, 5)])
-def test_a_mode_is_sent_at_once_and_values_of_parameters_twice_a_second(
+def test_a_mode_is_sent_at_once_and_values_of_parameters_seldom(
     refreshed: int, fewest: int, most: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """In five seconds; each second where two components are as many as are refreshed in one."""
+    """In five seconds: twice a second, or once where its two components are as many as are refreshed in one."""
     monkeypatch.setattr(timing, "REFRESHED", refreshed)
 
     async def body(v: Viewed) -> None:
@@ -181,7 +181,7 @@ def test_a_mode_is_sent_at_once_and_values_of_parameters_twice_a_second(
                 await asyncio.sleep(0.05)
             patches = [each.document.get("components", {}) for each in reader.of("patch")[before:]]
             values = [value["value"] for each in patches if "talker" in each for value in each["talker"]["parameters"]]
-            assert fewest <= len(values) <= len(patches) <= most and values[-1] >= 75
+            assert fewest <= len(values) <= len(patches) <= most and values[-1] >= 80
             await asyncio.sleep(2 * SOON)  # nothing has been sent just before
             (name, known), *_ = client._latest["talker"].state.functionalities.items()
             report(functionalities={name: structs.replace(known, mode="other", since=0.0)})

@@ -15,7 +15,7 @@ from midstride.model.specification import Specification
 from midstride.runtime import status
 from midstride.runtime.watched import WatchedSystem
 from midstride.server.view.endpoints import endpoint_views
-from midstride.server.view.figures import NO_FIGURES, Figures, differ, figures
+from midstride.server.view.figures import Figures, differ, figures
 from midstride.server.view.forms import ComponentView, FunctionalityView, PortView
 from midstride.wire.state import THIS_HOST, ComponentState, FunctionalityState, LinkState
 
@@ -175,37 +175,28 @@ def port_views(
     found: list[PortView] = []
     for index, (port, declared) in enumerate(zip(shape.ports, shape.declared(state), strict=True)):
         link = None if port.topic is None else state.ports.get(port.name, _NO_LINKS).get(port.topic)
-        shown = before[index] if before else None
-        if shown is not None and _is_as_shown(shown, link, declared, refresh):
-            found.append(shown)
-        else:
-            found.append(_port(port, link, declared, shown, refresh))
+        found.append(_port(port, link, declared, before[index] if before else None, refresh))
     return found
-
-
-def _is_as_shown(shown: PortView, link: LinkState | None, declared: float | None, refresh: bool) -> bool:
-    """Whether all is the same, but for its figures unless they are to be refreshed."""
-    if link is None or (measured := link.measured) is None or shown.gate != link.gate or shown.declared != declared:
-        return False
-    if shown.met is not (None if declared is None else measured.meets(declared)):
-        return False
-    return not refresh or not differ(shown, measured)
 
 
 def _port(
     port: _PortShape, link: LinkState | None, declared: float | None, shown: PortView | None, refresh: bool
 ) -> PortView:
-    measured = None if link is None else link.measured
-    gate = None if link is None else link.gate
+    gate, measured = (None, None) if link is None else (link.gate, link.measured)
     met = None if declared is None or measured is None else measured.meets(declared)
-    before = NO_FIGURES if shown is None else Figures(shown.rate, shown.age, shown.jitter, shown.longest)
-    found = before
-    if link is None:
-        found = NO_FIGURES
-    elif refresh or shown is None:
-        found = figures(link, before)
-    if shown is not None and found == before and (shown.gate, shown.declared, shown.met) == (gate, declared, met):
+    refresh = refresh or link is None
+    if shown is None:
+        found = figures(measured)
+    elif (
+        shown.gate == gate
+        and shown.declared == declared
+        and shown.met == met
+        and not (refresh and differ(shown, measured))
+    ):
         return shown
+    else:
+        before = Figures(shown.rate, shown.age, shown.jitter, shown.longest)
+        found = figures(measured, before) if refresh else before
     return PortView(
         name=port.name,
         direction=port.direction,

@@ -9,7 +9,7 @@ import math
 from typing import Final, NamedTuple
 
 from midstride.server.view.forms import PortView
-from midstride.wire.state import LinkState, Measured
+from midstride.wire.state import Measured
 
 # By which share of the shown value, and by how much, a figure must differ from it to be refreshed.
 _RATE: Final = (0.01, 0.0)
@@ -29,9 +29,8 @@ class Figures(NamedTuple):
 NO_FIGURES: Final = Figures()
 
 
-def figures(link: LinkState, shown: Figures = NO_FIGURES) -> Figures:
-    """What to show of a measured attachment, where ``shown`` is shown of it."""
-    measured = link.measured
+def figures(measured: Measured | None, shown: Figures = NO_FIGURES) -> Figures:
+    """What to show of an attachment, where ``shown`` is shown of it."""
     if measured is None:
         return NO_FIGURES
     return Figures(
@@ -42,8 +41,10 @@ def figures(link: LinkState, shown: Figures = NO_FIGURES) -> Figures:
     )
 
 
-def differ(shown: Figures | PortView, measured: Measured) -> bool:
+def differ(shown: Figures | PortView, measured: Measured | None) -> bool:
     """Whether :func:`figures` are others than those ``shown``. Called for every port, so it must be cheap."""
+    if measured is None:
+        return (shown.rate, shown.age, shown.jitter, shown.longest) != NO_FIGURES
     return not (
         _stays(shown.rate, measured.rate, *_RATE)
         and _stays(shown.age, measured.age, *_AGE)

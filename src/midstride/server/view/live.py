@@ -117,7 +117,7 @@ class LiveView:
         return shown is not None and shown.answers and same_report(self._reported.get(state.instance), state)
 
     def _as_measured(self, state: ComponentState, now: float) -> bool:
-        """Whether declared rates are met as the entry says. It is looked at as often as figures."""
+        """Whether declared rates are met as the entry says. Judged as often as figures are refreshed: see `timing`."""
         name = state.instance
         if now - self._rated_at.get(name, -math.inf) < self._interval:
             return True

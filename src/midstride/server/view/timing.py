@@ -14,8 +14,8 @@ from midstride.runtime.clock import Clock
 TOGETHER: Final = 0.005
 # How often it is built at most (s).
 SOON: Final = 0.05
-# How often at most measured figures are refreshed while there are clients, and values of parameters and reasons of
-# modes (s); and of how many components in a second, so that to watch a large system takes no more of the processor.
+# How often at most measured figures, values of parameters and reasons of modes are refreshed while there are clients
+# (s); and those of how many components in a second, so that a large system costs no more to watch.
 FIGURES: Final = 0.5
 REFRESHED: Final = 500
 # How often it is looked for what no report shows: components and ports that are silent (s).
