@@ -1,4 +1,5 @@
-"""Very many replacements in a row: every component stays matched, the status stays true, the report agrees.
+"""Very many replacements in a row: every component stays matched, the status stays true, the report agrees, and no
+process takes more and more memory, descriptors or threads.
 
 A process whose peers come and go could lose its discovery for good (eProsima/Fast-DDS#6502): it then never hears a new
 publisher. MIDSTRIDE_REPLACEMENTS says how many replacements there are, where 2,000 (and 500) take too long.
@@ -9,10 +10,14 @@ from __future__ import annotations
 import asyncio
 import itertools
 import os
+import statistics
 import time
 from bisect import bisect_left, bisect_right
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
+import psutil
 import pytest
 
 from midstride.plan.request import PlanRequest
@@ -31,12 +36,18 @@ from tests.acceptance.support import (
     swap_specification,
     window,
 )
+from tests.backends.ros2_support import Bare
 
 pytestmark = [pytest.mark.ros2, pytest.mark.long, pytest.mark.timeout(7200)]
 
 REPLACEMENTS = int(os.environ.get("MIDSTRIDE_REPLACEMENTS", "2000"))
 # A hand-over may be given up on a machine that is too busy for its cut; the next one has to succeed.
 GIVEN_UP_AT_MOST = 0.02
+# How often the footprint is looked at, and by how much (MB) that of a process may grow from the second quarter of the
+# replacements to the last.
+SAMPLES, GROWS_AT_MOST = 40, 1.0
+# A process that is gone without a word is known to others until its lease is over (s): 20 by default.
+FORGOTTEN_WITHIN = 60.0
 POLLED_REPLACEMENTS = REPLACEMENTS // 4
 
 
@@ -45,13 +56,76 @@ async def received(manager: Manager) -> int:
     return sum(link.count for link in state.ports["in"].values())
 
 
-async def replaced_so_often(manager: Manager) -> list[str]:
+class Footprint(NamedTuple):
+    """What one process takes; memory is what is resident (MB)."""
+
+    memory: float
+    descriptors: int
+    threads: int
+
+    @classmethod
+    def of(cls, pid: int) -> Footprint:
+        process = psutil.Process(pid)
+        return cls(process.memory_info().rss / 1e6, process.num_fds(), process.num_threads())
+
+
+@dataclass
+class Soak:
+    """The processes that stay while others are replaced, and the graph as a bare node sees it."""
+
+    processes: dict[str, int]
+    bare: Bare
+    footprints: list[dict[str, Footprint]] = field(default_factory=list)
+
+    def entities(self) -> int:
+        """Nodes, publishers and subscriptions, those of services among them."""
+        node = self.bare.node
+        topics = [name for name, _ in node.get_topic_names_and_types(no_demangle=True)]
+        finds = (node.get_publishers_info_by_topic, node.get_subscriptions_info_by_topic)
+        return len(node.get_node_names()) + sum(len(find(name, no_mangle=True)) for name in topics for find in finds)
+
+    async def settled(self) -> int:
+        """The number of entities once it has been the same for three seconds."""
+        found, since = self.entities(), time.monotonic()
+        while time.monotonic() < since + 3:
+            await asyncio.sleep(0.1)
+            if (now := self.entities()) != found:
+                found, since = now, time.monotonic()
+        return found
+
+    def sample(self) -> None:
+        self.footprints.append({name: Footprint.of(pid) for name, pid in self.processes.items()})
+
+    async def check(self, before: int) -> None:
+        """Nothing is more at the end than it was once everything had been used for a while; ``before``: entities."""
+        for name in self.processes:
+            rows = [each[name] for each in self.footprints]
+            for figure in Footprint._fields:
+                print(f"{name}, {figure}: {[round(getattr(row, figure), 1) for row in rows]}")
+        quarter = len(self.footprints) // 4
+        for name in self.processes:
+            rows = [each[name] for each in self.footprints]
+            early, late = rows[quarter : 2 * quarter], rows[-quarter:]
+            assert min(row.descriptors for row in late) <= max(row.descriptors for row in early), name
+            assert min(row.threads for row in late) <= max(row.threads for row in early), name
+            grown = statistics.median(row.memory for row in late) - statistics.median(row.memory for row in early)
+            assert grown <= GROWS_AT_MOST, name
+        deadline = time.monotonic() + FORGOTTEN_WITHIN
+        while (after := self.entities()) != before and time.monotonic() < deadline:
+            await asyncio.sleep(0.1)
+        print(f"entities of the graph: {before} before, {after} after")
+        assert after == before
+
+
+async def replaced_so_often(manager: Manager, soak: Soak) -> list[str]:
     """Each replacement is followed by messages at the sink; the reasons of those that were rolled back."""
     given_up: list[str] = []
     last_failed = False
     components = itertools.cycle(("OtherSource", "Source"))
     component = next(components)
     for number in range(REPLACEMENTS):
+        if number % max(1, REPLACEMENTS // SAMPLES) == 0:
+            soak.sample()
         seen = manager.log()[-1].n
         # Waits until the new publisher is matched with the sink, and with as many others as the old one.
         outcome = await manager.change(PlanRequest(replace=(("source", component),)))
@@ -79,7 +153,13 @@ def test_every_component_is_matched_after_very_many_replacements(tmp_path: Path)
         async with managed(tmp_path / "system", swap_specification()) as (manager, _):
             recorder = Recorder(tmp_path)
             await asyncio.to_thread(recorder.wait_until_it_hears)
-            given_up = await replaced_so_often(manager)
+            (sink,) = (each.pid for each in (await manager.status()).components if each.name == "sink")
+            assert sink is not None
+            with Bare() as bare:
+                soak = Soak({"manager": os.getpid(), "sink": sink}, bare)
+                entities = await soak.settled()
+                given_up = await replaced_so_often(manager, soak)
+                await soak.check(entities)
             rows = await asyncio.to_thread(recorder.stop)
         # Numbers restart with each publisher; its identity is not known everywhere.
         numbers = [row.number for row in rows if row.number is not None]
