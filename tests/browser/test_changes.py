@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from midstride.cli.change_options import new_node
 from midstride.cli.commands.param import yaml_value
@@ -139,6 +139,20 @@ def scrubbed(page: Page) -> None:
     page.keyboard.press("n")
     expect(slider).to_have_attribute("aria-valuetext", "live")
     expect(page.locator('.component[data-name="talker_2"]')).to_be_visible()
+
+
+def test_an_earlier_time_is_not_said_to_be_shown_before_its_view_has_come(talker: System, opened: Opened) -> None:
+    page = opened(talker)
+    asked: list[Route] = []
+    page.route(re.compile("/view/at"), lambda route: asked.append(route))
+    page.get_by_role("slider", name="Time that is shown").focus()
+    page.keyboard.press("ArrowLeft")
+    expect(page.locator("#connection")).to_contain_text("◌")
+    expect(page.locator("#stale")).to_be_hidden()
+    for route in asked:
+        route.continue_()
+    expect(page.locator("#stale")).to_contain_text("What is shown is the past")
+    expect(page.locator("#connection")).to_contain_text("◷")
 
 
 def test_why_shows_the_chain_of_what_was_lowered_on_the_graph(own_talker: System, opened: Opened) -> None:

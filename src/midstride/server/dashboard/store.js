@@ -33,7 +33,8 @@ import { follow } from "./stream.js";
  * @typedef {{n: number, at: number, kind: string, words: string, [more: string]: any}} Event
  * @typedef {{state: "connecting" | "live" | "lost" | "refused" | "ended", since: number, because: string | null,
  *   retryAt: number | null}} Connection
- * @typedef {{at: number | null, loading: boolean}} Time
+ * @typedef {{at: number | null, shown: number | null}} Time the moment that was asked for, and that whose view is shown; null is
+ *   the present
  * @typedef {(method: string, path: string, document?: unknown, options?: {signal?: AbortSignal}) => Promise<any>} Ask
  */
 
@@ -79,7 +80,7 @@ export class Store {
   /** @type {View | null} */ live = null;
   /** @type {Event[]} */ events = [];
   /** @type {Connection} */ connection;
-  /** @type {Time} */ time = { at: null, loading: false };
+  /** @type {Time} */ time = { at: null, shown: null };
   /** @type {string | null} */ selected = null;
 
   /** @type {View | null} */ #past = null;
@@ -150,7 +151,7 @@ export class Store {
   async scrub(at) {
     this.#scrubbing?.abort();
     const mine = (this.#scrubbing = new AbortController());
-    this.time = { at, loading: at !== null };
+    this.time = { at, shown: at === null ? null : this.time.shown };
     if (at === null) {
       this.#past = null;
       this.#notifyAll(["time"]);
@@ -161,11 +162,11 @@ export class Store {
       const document = await this.#ask("GET", `/view/at?at=${at}`, undefined, { signal: mine.signal });
       if (mine.signal.aborted) return;
       this.#past = byName(document);
-      this.time = { at, loading: false };
+      this.time = { at, shown: at };
       this.#notifyAll(["time"]);
     } catch (error) {
       if (mine.signal.aborted) return;
-      this.time = { at: null, loading: false };
+      this.time = { at: null, shown: null };
       this.#past = null;
       this.#notifyAll(["time"]);
       throw error;

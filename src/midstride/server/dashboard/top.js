@@ -43,10 +43,10 @@ export function mountTop(element, context) {
     }
   };
   const drawConnection = () => {
-    const { kind, words } = inShort(store.connection, store.time.at);
+    const { kind, words } = inShort(store.connection, store.time);
     connection.dataset.kind = kind;
     connection.textContent = words;
-    const warning = warningOf(store.connection, store.time.at, store.view);
+    const warning = warningOf(store.connection, store.time.shown, store.view);
     stale.hidden = warning === null;
     stale.dataset.kind = store.connection.state === "live" ? "warn" : "bad";
     if (warning !== null && stale.textContent !== warning) stale.textContent = warning;
@@ -88,19 +88,20 @@ export function summaryOf(view) {
 
 /**
  * @param {Connection} connection
- * @param {number | null} past the time that is shown, if it is not the present
+ * @param {import("./store.js").Time} time
  * @returns {{kind: string, words: string}}
  */
-function inShort(connection, past) {
+function inShort(connection, { at, shown }) {
   if (connection.state === "connecting") return { kind: "warn", words: "◌ connecting" };
   if (connection.state === "refused") return { kind: "bad", words: "✕ refused" };
   if (connection.state !== "live") return { kind: "bad", words: "✕ connection lost" };
-  return past === null ? { kind: "good", words: "● live" } : { kind: "warn", words: `◷ ${clock(past)}` };
+  if (at === null) return { kind: "good", words: "● live" };
+  return { kind: "warn", words: at === shown ? `◷ ${clock(at)}` : `◌ ${clock(at)}` };
 }
 
 /**
  * @param {Connection} connection
- * @param {number | null} past
+ * @param {number | null} past the time that is shown, if it is not the present
  * @param {View | null} view
  * @returns {string | null} what has to be known before the picture is believed
  */

@@ -27,13 +27,13 @@ export function reportTimeline(found, view, drawn) {
     view,
     live: view,
     connection: { state: "live" },
-    /** @type {{at: number | null, loading: boolean}} */ time: { at: null, loading: false },
+    /** @type {import("../store.js").Time} */ time: { at: null, shown: null },
     now: () => fixed[1],
     subscribe: (/** @type {string[]} */ keys, /** @type {() => void} */ callback) => {
       if (keys.includes("time")) listeners.add(callback);
     },
     scrub: async (/** @type {number | null} */ at) => {
-      store.time = { at, loading: false };
+      store.time = { at, shown: at };
       drawn.at(at);
       for (const each of listeners) each();
     },
