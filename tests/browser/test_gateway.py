@@ -181,7 +181,7 @@ def test_two_tabs_say_that_the_manager_is_away_and_go_on_when_it_is_back(
     expect(late.locator(".component")).to_have_count(2)
     choose(late, "talker", "NewTalker")
     press(late, "Plan")
-    expect(late.locator("#change .step")).to_have_count(4)
+    expect(late.locator("#change .change-result .step")).to_have_count(4)
 
 
 def test_a_page_of_an_earlier_command_says_that_it_is_refused(gateway: Gateway, window: BrowserContext) -> None:
