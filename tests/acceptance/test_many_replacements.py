@@ -43,7 +43,7 @@ REPLACEMENTS = int(os.environ.get("MIDSTRIDE_REPLACEMENTS", "2000"))
 # A hand-over may be given up on a machine that is too busy for its cut; the next one has to succeed.
 GIVEN_UP_AT_MOST = 0.02
 # How often the footprint is looked at, and by how much (MB) that of a process may grow in the last tenth of the
-# replacements: the manager keeps its latest 10,000 events, which takes some 1,800 of them.
+# replacements. The manager keeps its latest 10,000 events, and grows until it has them.
 SAMPLES, GROWS_AT_MOST = 40, 0.5
 # A process that is gone without a word is known to others until its lease is over (s): 20 by default.
 FORGOTTEN_WITHIN = 60.0
@@ -74,7 +74,7 @@ class Soak:
 
     processes: dict[str, int]
     bare: Bare
-    footprints: list[dict[str, Footprint]] = field(default_factory=list)
+    footprints: dict[str, list[Footprint]] = field(default_factory=dict)
 
     def entities(self) -> int:
         """Nodes, publishers and subscriptions, those of services among them."""
@@ -93,21 +93,20 @@ class Soak:
         return found
 
     def sample(self) -> None:
-        self.footprints.append({name: Footprint.of(pid) for name, pid in self.processes.items()})
+        for name, pid in self.processes.items():
+            self.footprints.setdefault(name, []).append(Footprint.of(pid))
 
     async def check(self, before: int) -> None:
         """Nothing is more at the end than it was once everything had been used for a while; ``before``: entities."""
-        for name in self.processes:
-            rows = [each[name] for each in self.footprints]
+        for name, rows in self.footprints.items():
             for figure in Footprint._fields:
                 print(f"{name}, {figure}: {[round(getattr(row, figure), 1) for row in rows]}")
-        quarter = len(self.footprints) // 4
-        for name in self.processes:
-            rows = [each[name] for each in self.footprints]
+        for name, rows in self.footprints.items():
+            quarter, tenth = len(rows) // 4, len(rows) // 10
             early, late = rows[quarter : 2 * quarter], rows[-quarter:]
             assert min(row.descriptors for row in late) <= max(row.descriptors for row in early), name
             assert min(row.threads for row in late) <= max(row.threads for row in early), name
-            assert rows[-1].memory - rows[-1 - SAMPLES // 10].memory <= GROWS_AT_MOST, name
+            assert rows[-1].memory - rows[-1 - tenth].memory <= GROWS_AT_MOST, name
         deadline = time.monotonic() + FORGOTTEN_WITHIN
         while (after := self.entities()) != before and time.monotonic() < deadline:
             await asyncio.sleep(0.1)

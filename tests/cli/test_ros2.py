@@ -136,8 +136,8 @@ def test_up_restores_what_has_died_with_the_manager(midstride: Midstride) -> Non
 def test_nodes_whose_gates_another_version_has_made_can_be_ended(midstride: Midstride, tmp_path: Path) -> None:
     specification = tmp_path / "gated.stride"
     talker = declared_talker("Plain", "python3 talker.py", "preload")
-    node = "node talker : Plain { out -> /chat }"
-    specification.write_text(f"system gated\ntopic /chat : std_msgs/msg/String\n{talker}{node}\n", encoding="utf-8")
+    head, node = "system gated\ntopic /chat : std_msgs/msg/String @ 50 Hz", "node talker : Plain { out -> /chat }"
+    specification.write_text(f"{head}\n{talker}{node}\n", encoding="utf-8")
     programs_of_the_page(tmp_path)
     up = midstride("up", str(specification), "-d")
     assert up.status == 0, up.err
