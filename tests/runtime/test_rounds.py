@@ -131,8 +131,26 @@ def test_a_crash_is_responded_to_when_the_round_has_ended(tmp_path: Path) -> Non
                 performed.append(str(action))
 
         b.executor.on_performed = respond
-        await b.executor.run(REMOVALS, overlap=AT_ONCE)
-        assert performed == [str(each) for each in REMOVALS]
+        await b.executor.run(UPGRADES, overlap=AT_ONCE)
+        assert performed == [str(each) for each in UPGRADES]
+
+    bench(idle(), tmp_path, body)
+
+
+@pytest.mark.parametrize("overlap", [AT_ONCE, one_by_one(REMOVALS)])
+def test_a_crash_is_responded_to_while_a_process_ends(overlap: Overlap, tmp_path: Path) -> None:
+    """Nothing is commanded but what is removed, and that the response leaves alone."""
+
+    async def body(b: Bench) -> None:
+        ending = Ending(b)
+        running = asyncio.ensure_future(b.executor.run(REMOVALS, overlap=overlap))
+        while not ending.begun:
+            await asyncio.sleep(0.01)
+        await asyncio.wait_for(b.executor.commanding.acquire(), 1)
+        b.executor.commanding.release()
+        for each in ending.may.values():
+            each.set()
+        await running
 
     bench(idle(), tmp_path, body)
 
@@ -293,3 +311,80 @@ def test_a_manager_that_is_superseded_leaves_no_process_that_it_has_started_ahea
         b.journal.close()
 
     bench(build.system({"listener": LISTENER}, ["listener.in /chatter"], modes={}), tmp_path, body)
+
+
+# -- the roll-back ----------------------------------------------------------------------------------------
+
+CREATIONS = [Create(new) for new in NEW.values()]
+LAST_FAILS = Attach(build.port("nobody.out"), "/chatter")
+
+
+class EndingCreated(Ending):
+    """The processes that the change has created end only when they may."""
+
+    def __init__(self, b: Bench) -> None:
+        super().__init__(b)
+        self.may = {name: asyncio.Event() for name in NEW}
+
+
+def test_what_a_change_has_created_in_a_row_is_removed_at_once_in_a_roll_back(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.startable(*NEW.values())
+        ending = EndingCreated(b)
+        running = asyncio.ensure_future(b.executor.run([*CREATIONS, LAST_FAILS]))
+        await ending.have_begun()
+        assert sorted(ending.begun) == sorted(NEW)
+        for each in ending.may.values():
+            each.set()
+        with pytest.raises(StepFailed) as failed:
+            await running
+        assert failed.value.outcome == "rolled_back"
+        assert b.system.configuration == idle() and b.saved() == []
+
+    bench(idle(), tmp_path, body)
+
+
+def test_what_cannot_be_removed_does_not_keep_the_others(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.startable(*NEW.values())
+        b.backend.fail_end["two"] = BackendError("the kernel keeps it")
+        with pytest.raises(StepFailed, match=r"the roll-back failed: remove two: the kernel keeps it$") as failed:
+            await b.executor.run([*CREATIONS, LAST_FAILS])
+        assert failed.value.outcome == "failed"
+        assert set(b.system.configuration.instances) == {*OLD, "two"}
+        assert b.words("rollback_failed") == ["the roll-back is incomplete: remove two: the kernel keeps it"]
+
+    bench(idle(), tmp_path, body)
+
+
+def test_processes_that_a_change_has_removed_in_a_row_start_side_by_side_in_a_roll_back(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        running = asyncio.ensure_future(b.executor.run([*REMOVALS, LAST_FAILS]))
+        await asyncio.sleep(1)
+        launched = [launch.instance for launch in b.backend.launches]
+        assert launched[:2] == ["third", "second"], "how many start at once depends on the machine"
+        assert b.saved() == sorted(launched), "the next manager must find them"
+        for old in OLD.values():
+            b.client.register(old)
+        with pytest.raises(StepFailed) as failed:
+            await running
+        assert failed.value.outcome == "rolled_back"
+        assert b.system.configuration == idle()
+        assert len(b.backend.launches) == 3
+
+    bench(idle(), tmp_path, body)
+
+
+@pytest.mark.parametrize("lost", OLD)
+def test_one_that_cannot_start_again_does_not_keep_the_others(lost: str, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.startable(*OLD.values())
+        b.backend.fail_start[lost] = StartFailed("cannot start `./nosuch`")
+        with pytest.raises(StepFailed, match=f"create {lost} .*: cannot start `./nosuch`$") as failed:
+            await b.executor.run([*REMOVALS, LAST_FAILS])
+        assert failed.value.outcome == "failed"
+        assert set(b.system.configuration.instances) == OLD.keys() - {lost}
+        assert b.saved() == sorted(OLD.keys() - {lost})
+        assert len(b.words("rollback_failed")) == 1
+
+    bench(idle(), tmp_path, body)

@@ -149,10 +149,9 @@ def _started_ahead_left(patch: pytest.MonkeyPatch) -> None:
     """What was started for steps that are not reached is left running."""
 
     async def abandon(self: Any, actions: Any) -> list[str]:
-        await self._starts.stop()
         return []
 
-    patch.setattr(executor.Executor, "_abandon_started", abandon)
+    patch.setattr(executor.Executor, "_abandon", abandon)
 
 
 def _lease_forgotten(patch: pytest.MonkeyPatch) -> None:

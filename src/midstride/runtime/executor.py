@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import logging
 from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -78,8 +79,8 @@ class Executor:
     ``after_step`` checks the configuration after each step of a plan: if it raises, the step has failed. ``entry``
     records the steps in the journal. ``on_performed`` is called after each action of a plan and of its roll-back;
     ``commanding`` is held while an action sends commands to components that run already, and to which the response to a
-    crash may send some: a component refuses the second of two changes at one revision. It sends none to those of the
-    plan's hand-overs (:mod:`.crash_during_change`).
+    crash may send some: a component refuses the second of two changes at one revision. It sends none to those that the
+    plan creates, removes or hands over from or to (:mod:`.crash_during_change`).
     """
 
     driver: ActionDriver
@@ -150,13 +151,14 @@ class Executor:
         if len(indices) == 1:
             await self._take(indices[0], run)
             return {}
-        async with self.commanding:
+        held = self._commanding(run.actions[indices[0]])
+        async with held or contextlib.nullcontext():
             taking = [asyncio.ensure_future(self._take(index, run, place)) for place, index in enumerate(indices)]
             try:
                 await asyncio.wait(taking)
             finally:
                 errors = await asyncio.gather(*map(asyncio.shield, taking), return_exceptions=True)
-        for index in indices:
+        for index in indices if held else ():
             await self._performed(run.actions[index])
         return {index: error for index, error in zip(indices, errors, strict=True) if error is not None}
 
@@ -190,7 +192,7 @@ class Executor:
         action, clock = run.actions[index], self.driver.backend.clock
         key = _estimates(action, self.system.configuration, run.actions) if place is None else None
         begun = clock.steady()
-        await self._step(action, run.done, held=turn is None and place is not None, turn=turn)
+        await self._step(action, run.done, held=place is not None and self._commanding(action) is not None, turn=turn)
         if self.entry is not None:
             self.entry.took(clock.steady() - begun, key, place or 0)
         if turn is not None:
@@ -244,7 +246,8 @@ class Executor:
             await self._starts.stop()
             because += "; nothing is rolled back, since another manager has taken over"
             raise StepFailed(because, "failed") from error
-        problems = [*await self._abandon_started(run.actions[indices[0] :]), *await self._roll_back(run.done)]
+        await self._starts.stop()
+        problems = [*await self._abandon(run.actions[indices[0] :]), *await self._roll_back(run.done)]
         if isinstance(error, asyncio.CancelledError):
             raise error
         if not problems:
@@ -256,8 +259,12 @@ class Executor:
 
         Returns the configuration that it was applied to. ``turn``: of a hand-over beside others.
         """
-        async with contextlib.nullcontext() if isinstance(action, Create | Handover) else self.commanding:
+        async with self._commanding(action) or contextlib.nullcontext():
             return await self._perform(action, turn)
+
+    def _commanding(self, action: Action) -> asyncio.Lock | None:
+        """The lock that is held during ``action``; None if the response to a crash leaves its instances alone."""
+        return None if isinstance(action, Create | Handover | Remove) else self.commanding
 
     async def _perform(self, action: Action, turn: CutTurn | None = None) -> Configuration:
         before = self.system.configuration
@@ -304,7 +311,8 @@ class Executor:
     async def _roll_back(self, done: Done) -> list[str]:
         """Undo the actions in ``done``, last first. Returns what failed; the other actions are undone.
 
-        An instance that the change itself created is removed in any case: if it does not answer, it is killed.
+        Removals in a row are taken at once, and processes of creations in a row start side by side. An instance that
+        the change itself created is removed in any case: if it does not answer, it is killed.
         """
         if not done:
             return list(self.driver.fences.problems())
@@ -314,13 +322,21 @@ class Executor:
         await self._kill(name for name in sorted(created) if self.driver.client.responsive(name) is None)
         problems = list(self.driver.fences.problems())
         kept = self._taken_over(done)
-        for action, before in reversed(done):
-            if kept & set(action.instances()):
-                continue
-            for undoing in action.undo(before):
-                if (problem := await self._undo(undoing, created)) is not None:
-                    problems.append(problem)
-                    self.driver.events.add("rollback_failed", f"the roll-back is incomplete: {problem}")
+        undoing = (
+            each
+            for action, before in reversed(done)
+            if not kept & set(action.instances())
+            for each in action.undo(before)
+        )
+        for kind, actions in itertools.groupby(undoing, type):
+            row = list(actions)
+            if kind is Remove:
+                found = await asyncio.gather(*(self._undo(each, created) for each in row))
+            else:
+                self._starts.begin(each for each in row if isinstance(each, Create))
+                found = [await self._undo(each, created) for each in row]
+                await self._starts.stop()
+            problems += filter(None, found)
         if not problems:
             self.driver.events.add("rolled_back", "every step has been undone")
         return problems
@@ -332,7 +348,7 @@ class Executor:
         return {*fenced, *(swap.new.instance for swap in swaps if swap.old.instance in fenced)}
 
     async def _undo(self, undoing: Action, created: Collection[str]) -> str | None:
-        """Perform ``undoing``; if that fails, again without the instances in ``created``. Returns why it failed."""
+        """Perform ``undoing``; if that fails, again without the instances in ``created``. Returns, and says, why."""
         what = undoing.describe(self.system.configuration)
         while True:
             try:
@@ -344,7 +360,9 @@ class Executor:
             except Exception as error:
                 problem = f"{what}: {_words(error)}"
             if not await self._kill(name for name in undoing.instances() if name in created):
-                return "; ".join([problem, *await self._abandon_started([undoing])])
+                problem = "; ".join([problem, *await self._abandon([undoing])])
+                self.driver.events.add("rollback_failed", f"the roll-back is incomplete: {problem}")
+                return problem
 
     async def _kill(self, instances: Iterable[str]) -> bool:
         """Kill the processes of ``instances``, which then count as crashed; whether there was one."""
@@ -362,10 +380,9 @@ class Executor:
             killed = True
         return killed
 
-    async def _abandon_started(self, actions: Iterable[Action]) -> list[str]:
+    async def _abandon(self, actions: Iterable[Action]) -> list[str]:
         """Terminate what was started for ``actions``. Returns why each of the others could not be."""
         problems: list[str] = []
-        await self._starts.stop()
         for action in actions:
             if isinstance(action, Create) and action.instance.name not in self.system.configuration.instances:
                 error = await self.driver.launcher.abandon(action.instance.name)
