@@ -94,7 +94,7 @@ def planned(change: Change, seconds: float) -> dict[str, Any]:
 def plain(change: Change, seconds: float) -> dict[str, Any]:
     begin = time.process_time()
     part = together(parts(change, ()))
-    search = PartSearch(part, PartLosses(change, part, Levels(change), fullest(change)), {})
+    search = PartSearch(part, PartLosses(change, part, Levels(change), fullest(change)), {}, ends=False)
     search.bounds = OwnAbsences(part, search.losses)
     result = search.run(Budget(inf, seconds, time.process_time).is_used_up, PartResult(0.0))
     return {"proved": result.cost < inf, "seconds": time.process_time() - begin, "bound": result.lower_bound}

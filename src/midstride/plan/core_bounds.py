@@ -21,7 +21,7 @@ _EPSILON: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class _Replacement:
+class Replaced:
     """A role with one old and one new instance: the bits of removing and creating, and what each of them holds.
 
     ``extra`` is what the role's bound grows by where the old one has to go first.
@@ -50,11 +50,15 @@ class RoleBounds:
         self._favourable = sum(1 << bit for bit, op in enumerate(part.ops) if op.kind in ("create", "attach"))
         self._options = [list(self._room(place)) for place in range(len(self._roles))]
         self._tables: list[dict[int, float]] = [{} for _ in self._roles]
-        replaced = list(self._replacements())
+        self.replacements = replaced = list(self._replacements())
         # The order in which replacements need the least room: first those that free some, by what the new one takes,
         # then the others, by what the old one frees.
         self._orders = [
             sorted(replaced, key=lambda r: (0, r.new[place]) if r.new[place] <= r.old[place] else (1, -r.old[place]))
+            for place in range(len(part.free))
+        ]
+        self._users = [  # of each resource: the actions that change its use, and by how much
+            [(bit, 1 << bit, part.usage[bit][place]) for bit in _bits(self.timed) if part.usage[bit][place]]
             for place in range(len(part.free))
         ]
         self._by_extra = sorted(replaced, key=lambda each: each.extra)
@@ -62,20 +66,24 @@ class RoleBounds:
 
     def of(self, state: int) -> float:
         """What is lost at least between ``state`` and the end."""
-        total = 0.0
-        for place, mask in enumerate(self.masks):
-            table, own = self._tables[place], state & mask
-            found = table.get(own)
-            total += self._least(place, own) if found is None else found
         own = state & self.timed
         room = self._rooms.get(own)
         if room is None:
             room = self._rooms[own] = max(
                 (self._least_absences(own, resource) for resource in range(len(self.part.free))), default=0.0
             )
-        return total + room
+        return self.of_roles(state) + room
 
-    def _replacements(self) -> Iterator[_Replacement]:
+    def of_roles(self, state: int) -> float:
+        """As :meth:`of`, of each role by itself, without the room that it needs others to make."""
+        total = 0.0
+        for place, mask in enumerate(self.masks):
+            table, own = self._tables[place], state & mask
+            found = table.get(own)
+            total += self._least(place, own) if found is None else found
+        return total
+
+    def _replacements(self) -> Iterator[Replaced]:
         part = self.part
         for place, mask in enumerate(self.masks):
             creates = [bit for bit in _bits(mask) if part.ops[bit].kind == "create"]
@@ -83,7 +91,7 @@ class RoleBounds:
             if len(creates) == len(removes) == 1 and not part.live[removes[0]]:
                 (create,), (remove,) = creates, removes
                 absent = part.seconds[remove] * self._loss(place, 1 << remove) + self._least(place, 1 << remove)
-                yield _Replacement(
+                yield Replaced(
                     1 << remove,
                     1 << create,
                     tuple(-amount for amount in part.usage[remove]),
@@ -96,7 +104,7 @@ class RoleBounds:
 
         A role that is absent stays so and takes no room; each other one is replaced in the best order.
         """
-        usage, free = self.part.usage, self.part.free[resource]
+        free = self.part.free[resource]
         waiting: dict[int, None] = {}
         gone = 0
         for each in self._by_extra:
@@ -105,11 +113,10 @@ class RoleBounds:
                 if each.extra <= _EPSILON:  # to be absent costs no more
                     free += each.old[resource]
                     gone |= each.remove
-        for bit in _bits(self.timed):
-            amount = usage[bit][resource]
-            if state >> bit & 1:
+        for bit, action, amount in self._users[resource]:
+            if state & action:
                 free -= amount
-            elif amount < 0 and 1 << bit not in waiting and self._is_possible(bit, state):
+            elif amount < 0 and action not in waiting and self._is_possible(bit, state):
                 free -= amount  # leaves when it likes
         order = [
             (each.remove, each.old[resource], each.new[resource])

@@ -16,6 +16,7 @@ from midstride.model.component import FunctionalityRef
 from midstride.model.contract import satisfies
 from midstride.plan.core import Part
 from midstride.plan.core_bounds import RoleBounds
+from midstride.plan.core_ends import Ends
 from midstride.plan.core_losses import PartLosses
 
 _EPSILON: Final = 1e-7
@@ -41,7 +42,8 @@ class PartResult:
 class PartSearch:
     """``keeps``: for some functionalities of roles, how many levels below the baseline they may be.
 
-    ``limits``: for some, how many seconds they may be below it during creations and removals.
+    ``limits``: for some, how many seconds they may be below it during creations and removals. ``ends``: whether to make
+    replacements first or last that lose nothing then, and to try no other moment (:mod:`.core_ends`).
     """
 
     def __init__(
@@ -50,6 +52,8 @@ class PartSearch:
         losses: PartLosses,
         keeps: dict[FunctionalityRef, int],
         limits: dict[FunctionalityRef, float] | None = None,
+        *,
+        ends: bool = True,
     ) -> None:
         self.part, self.losses, self.keeps = part, losses, keeps
         self.limits = tuple((limits or {}).items())
@@ -58,6 +62,14 @@ class PartSearch:
         self._creates = [bit for bit, op in enumerate(ops) if op.kind == "create"]
         self._removes = [bit for bit, op in enumerate(ops) if op.kind == "remove"]
         self._attaches = sum(1 << bit for bit, op in enumerate(ops) if op.kind == "attach")
+        # Where something is to be kept, the moment of each step matters.
+        self._ends = Ends(part, losses, self.bounds) if ends and not (keeps or limits) else None
+        # By what is attached: of two instances that do the same, it matters to nobody which one publishes.
+        self._uncontended = {
+            (exchange & self._attaches).bit_length() - 1: exchange
+            for each in (self._ends.replacements if self._ends is not None else ())
+            for exchange in each.exchanges
+        }
         # A removal brings the detaching of what is still attached with it.
         self._brings = {
             bit: sum(1 << b for b, op in enumerate(ops) if op.kind == "detach" and op.instance == ops[bit].instance)
@@ -128,6 +140,9 @@ class PartSearch:
             if free > 0:
                 exchanges.append(state | low)
                 continue
+            if (exchange := self._uncontended.get(bit)) is not None:
+                yield state | exchange, 0.0
+                return
             olds = topic.detach & ~state
             while olds:
                 old = olds & -olds
@@ -207,9 +222,12 @@ class PartSearch:
                 if cost > costs[node]:
                     continue  # reached more cheaply since
                 state, spent = node
-                if state & self._goal == self._goal:
-                    return PartResult(cost, cost, _moves(parents, node))
-                for after, more in self.moves(state):
+                first, last, finishing = self._at_ends(state, known.cost - cost)
+                if (state | last) & self._goal == self._goal:
+                    return PartResult(cost, cost, (*self._moves(parents, node), *finishing))
+                for after, more in [(first, 0.0)] if first != state else self.moves(state):
+                    if after & last:
+                        continue
                     following = after, self._spent(spent, state, after)
                     total = cost + more
                     if total < costs.get(following, inf) - 1e-12 and self._is_within(following[1]):
@@ -221,6 +239,24 @@ class PartSearch:
             # The least estimate that has been looked at is a lower bound whenever the search ends.
             return PartResult(estimate, known.cost, known.moves)
         return PartResult(known.cost, known.cost, known.moves)
+
+    def _at_ends(self, state: int, most: float) -> tuple[int, int, Iterable[int]]:
+        """The state after a replacement that may be made now, the actions to be made last, and these in order.
+
+        So it is for each way on that costs less than ``most``.
+        """
+        if self._ends is None:
+            return state, 0, ()
+        numbers = self._ends.never_absent(state, most - _EPSILON - self.bounds.of_roles(state))
+        if not numbers:
+            return state, 0, ()
+        last, finishing = self._ends.last(numbers)
+        first = state if self.losses.loss(state) else self._ends.first(state, numbers, last)
+        return first, last, finishing
+
+    def _moves(self, parents: Mapping[Node, Node | None], end: Node) -> tuple[int, ...]:
+        found = _moves(parents, end)
+        return found if self._ends is None else tuple(each for move in found for each in self._ends.split(move))
 
     def _spent(self, spent: tuple[float, ...], before: int, after: int) -> tuple[float, ...]:
         """The seconds below the baseline that the limits count, after one more step."""
