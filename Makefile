@@ -55,4 +55,4 @@ lint: ## ruff and mypy
 	@tools/setup test
 	@tools/in-venv ruff check .
 	@tools/in-venv ruff format --check .
-	@tools/in-venv mypy src tests
+	@tools/in-venv mypy src tests tools/*.py

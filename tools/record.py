@@ -137,7 +137,7 @@ def run(recorder: Recorder, command: str, folder: Path, environment: dict[str, s
 def svg(shown: list[Shown], duration: float) -> str:
     """An animation that repeats; where motion is not wanted, its last picture."""
     styles, lines = [], []
-    spans = {}
+    spans: dict[tuple[float, float], str] = {}
     for entry in shown:
         times = (entry.start, entry.end)
         if times not in spans:

@@ -7,7 +7,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
@@ -16,8 +16,8 @@ from tests.browser.conftest import System, system  # noqa: E402
 from tests.browser.synthetic import Synthetic, large, serving  # noqa: E402
 from tests.cli.conftest import EXAMPLES  # noqa: E402
 
-WIDE = {"width": 1440, "height": 810}
-PHONE = {"width": 390, "height": 844}
+WIDE: ViewportSize = {"width": 1440, "height": 810}
+PHONE: ViewportSize = {"width": 390, "height": 844}
 # The simulator's first rates are measured over a window that fills slowly on a busy machine (ms).
 SETTLED = 8_000
 
