@@ -25,6 +25,7 @@ from midstride.model.action import (
 from midstride.model.component import Connector
 from midstride.model.configuration import Configuration, SystemContext, configure
 from midstride.runtime.backend import Exited
+from midstride.runtime.fencing import DEFAULT_WAIT
 from midstride.runtime.mode_changes import HELD_LONGER
 from midstride.runtime.new_publishers import ATTACH_TIMEOUT, DETACH_TIMEOUT
 from midstride.runtime.reports import ModeSkew
@@ -379,6 +380,16 @@ def test_what_cannot_export_its_state_is_not_removed(tmp_path: Path) -> None:
         with pytest.raises(CommandRefused):
             await perform(b, Remove("talker"))
         assert b.backend.ended == []
+
+    bench(talking(), tmp_path, body)
+
+
+def test_what_leaves_may_take_as_long_to_export_its_state_as_the_change_waits_for_it(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.driver.leaving = {"talker"}
+        await perform(b, Remove("talker"))
+        [export] = b.client.of(ExportStateCommand, "talker")
+        assert export.timeout == pytest.approx(DEFAULT_WAIT, abs=0.1)
 
     bench(talking(), tmp_path, body)
 

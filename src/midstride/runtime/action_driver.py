@@ -48,7 +48,7 @@ from midstride.runtime.probation import watch_after
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.simulated_time import stretch_of
 from midstride.runtime.state_moves import StateMoves
-from midstride.runtime.state_transfers import StateTransfers, keeps_state, own_state
+from midstride.runtime.state_transfers import STATE_TIMEOUT, StateTransfers, keeps_state, own_state
 from midstride.wire import commands, replies
 from midstride.wire.commands import Command
 
@@ -199,7 +199,7 @@ class ActionDriver:
             # attached to another connector of the same topic.
             case Remove(instance) if instance not in self.system.crashed:
                 await self._change_answering(instance, runs=True)
-                await self._remove(action)
+                await self._remove(action, budget)
                 await self._change_answering(instance, runs=False)  # if it did not respond
             case Remove(instance):
                 await self._change_answering(instance, runs=False)
@@ -260,14 +260,15 @@ class ActionDriver:
         topic, others = self.configuration.topic(connector), self.configuration.attached_to(port)
         return any(other != connector and self.configuration.topic(other) == topic for other in others)
 
-    async def _remove(self, action: Remove) -> None:
+    async def _remove(self, action: Remove, budget: StepBudget) -> None:
         instance = self.configuration.instances[action.instance]
         fenced = action.instance in self.fences.fenced
+        export = commands.ExportStateCommand(timeout=budget.timeout(action.instance, STATE_TIMEOUT))
         if (
             not self.rolling_back and not fenced
         ):  # else this change created it, and the instance that returns has its own state
             try:
-                exported = await self.client.read(action.instance, commands.ExportStateCommand())
+                exported = await self.client.read(action.instance, export)
                 if exported.state is not None:
                     self._exported[instance.role] = exported.state
             except (CallTimeout, Unreachable) as error:  # an unresponsive component must still be removable

@@ -111,7 +111,7 @@ class Fences:
         self.fenced[instance] = FencedInstance(
             instance=instance, how="killed" if killed else "gate", because=because, words=words
         )
-        self.events.add("fenced", words)
+        self.events.add("fenced", words, instance=instance)
         return {PortRef(instance, port): last.get(f"{port} {topic}") for port, topic in links}
 
     async def _kill(self, instance: str, error: MidstrideError) -> None:

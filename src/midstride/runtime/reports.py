@@ -350,4 +350,5 @@ class Event(Form, frozen=True, kw_only=True, forbid_unknown_fields=False):
     verdict: Annotated[Verdict | UnsetType, Meta(description="verified: what Alloy found")] = UNSET
     outcome: Annotated[OutcomeKind | UnsetType, Meta(description="outcome: how the change ended")] = UNSET
     functionality: Annotated[str | UnsetType, Meta(description="degraded: which functionality")] = UNSET
+    instance: Annotated[str | UnsetType, Meta(description="fenced: which instance")] = UNSET
     log: Annotated[str | UnsetType, Meta(description="exited: the last of the instance's output")] = UNSET

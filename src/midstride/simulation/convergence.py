@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from types import NoneType
 from typing import Any
 
@@ -15,7 +15,6 @@ from midstride.runtime.state_store import SavedState
 from midstride.simulation.lives import ManagerKilled
 from midstride.simulation.platform import Platform
 from midstride.simulation.stand_in import StandIn
-from midstride.wire.state import ComponentState
 
 
 def differences(manager: Manager, platform: Platform, saved: SavedState | None) -> list[str]:
@@ -56,21 +55,21 @@ def attachments(process: StandIn) -> set[tuple[str, str]]:
     return {(port, topic) for port, topics in ports.items() for topic, link in topics.items() if link.gate != "closed"}
 
 
-def not_done(step: AttachStep | DetachStep, manager: Manager, platform: Platform) -> str | None:
-    """In which way a step that is done has not been: what its process shows, unless it has ended or is fenced."""
+def not_done(
+    step: AttachStep | DetachStep, manager: Manager, platform: Platform, fenced: Container[str]
+) -> str | None:
+    """In which way a step that is done has not been: what its process shows, unless it has ended.
+
+    Nothing is asked of one in ``fenced`` but its end: it hangs, or did.
+    """
     instance, _, port = step.port.rpartition(".")
     process = platform.standing(instance)
-    if process is None or process.state is None or _is_fenced(process.state):
+    if process is None or process.state is None or instance in fenced:
         return None
     attached = (port, manager.configuration.topic(step.connector)) in attachments(process)
     if attached == isinstance(step, AttachStep):
         return None
     return f"{step.port} is {'' if attached else 'not '}attached to {step.connector} after `{step.action}` is done"
-
-
-def _is_fenced(state: ComponentState) -> bool:
-    """Whether it hangs, and was fenced for that: nothing more is asked of it but its end."""
-    return any(link.fenced for topics in state.ports.values() for link in topics.values())
 
 
 def left_attached(step: HandoverStep, manager: Manager, platform: Platform) -> list[str]:

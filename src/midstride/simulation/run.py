@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from midstride.errors import BackendError, MidstrideError
 from midstride.plan.request import PlanRequest
-from midstride.plan.step_forms import AttachStep, DetachStep, HandoverStep
+from midstride.plan.step_forms import AttachStep, DetachStep, HandoverStep, RemoveStep
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Event
 from midstride.simulation.convergence import closed_outputs, differences, left_attached, not_done, uncaught
@@ -32,8 +32,10 @@ REACTION_IF_REFUSED: Final = 2.0
 # How long after a publisher was replaced a call of its may write that hung meanwhile (s): two periods of the slowest
 # topic, and the time of a few messages.
 LATE_WRITE: Final = 0.22
-# A change is done all the same where calls hang for so long altogether (s): that is less than it waits for.
+# A change is done all the same where calls hang for so long altogether (s): of the instances that it removes, for which
+# it waits before it fences them, and of others, which have to do their part within the time-out of a command.
 AWAITED: Final = 3.5
+AWAITED_OF_OTHERS: Final = 1.0
 # How often the processes that a change starts are on two machines.
 TWO_MACHINES: Final = 0.15
 # How long to wait after the last command, for reports and messages to arrive (s).
@@ -44,9 +46,10 @@ TABLES: Final = ("", "", "instances", "changes")
 
 @dataclass
 class Struck:
-    """A fault that struck, the kind of the step in progress then, and what the manager did afterwards."""
+    """A fault that struck ``where``, the kind of the step in progress then, and what the manager did afterwards."""
 
     fault: str
+    where: str
     step: str
     seconds: float
     branches: list[str] = field(default_factory=list)
@@ -97,6 +100,8 @@ class Simulation:
         self._platform.control.before_request = self._before_request
         self._platform.control.on_carried_out_twice = self._on_carried_out_twice
         self._step = "none"
+        self._leaving: set[str] = set()  # the instances that the change removes
+        self._fenced: set[str] = set()
         self._since: dict[str, int] = {}  # requests since the change began, and since the first step of each kind
         self._waiting: list[Fault] = []
         self._struck: list[Struck] = []
@@ -157,6 +162,7 @@ class Simulation:
     async def _up(self) -> None:
         """A new manager, which brings the system up or takes it over."""
         manager = self._system.new_manager()
+        self._fenced.clear()  # it lifts the fences of its predecessor
         life = self._system.lives[-1]
         try:
             await self._ended(life, manager.up())
@@ -276,8 +282,13 @@ class Simulation:
 
     def _is_undisturbed(self) -> bool:
         """Whether nothing has struck that could keep a change from being done."""
-        hung = sum(each.seconds for each in self._struck if each.fault == "hang")
-        return all(each.fault in HARMLESS for each in self._struck) and hung <= AWAITED
+        hung = [each for each in self._struck if each.fault == "hang"]
+        of_others = sum(each.seconds for each in hung if each.where not in self._leaving)
+        return (
+            all(each.fault in HARMLESS for each in self._struck)
+            and sum(each.seconds for each in hung) <= AWAITED
+            and of_others <= AWAITED_OF_OTHERS
+        )
 
     def _uninterrupted(self) -> bool:
         """Whether outputs are handed over, no node is moved away, and at most the manager has failed."""
@@ -302,6 +313,8 @@ class Simulation:
     def _on_event(self, event: Event) -> None:
         if event.kind in ("measured", "plan", "command"):
             self._note(event.kind, "")
+            if event.plan:
+                self._leaving = {step.instance for step in event.plan.steps if isinstance(step, RemoveStep)}
             return
         self._note(event.kind, event.words)
         if event.kind == "measuring" and self._brief:
@@ -310,8 +323,10 @@ class Simulation:
             self._step = event.step.action
             self._since.setdefault(self._step, 0)
         elif event.kind == "step_done" and isinstance(event.step, (AttachStep, DetachStep)):
-            if (words := not_done(event.step, self._manager, self._platform)) is not None:
+            if (words := not_done(event.step, self._manager, self._platform, self._fenced)) is not None:
                 self._violated(words)
+        elif event.kind == "fenced" and event.instance:
+            self._fenced.add(event.instance)
         elif event.kind == "step_failed" and isinstance(event.step, HandoverStep):
             if not self._has_struck(*DEAFENING):
                 for words in left_attached(event.step, self._manager, self._platform):
@@ -374,7 +389,7 @@ class Simulation:
                 where = strike(fault, self._platform, self._targets(fault, instance), self._random)
         if where is not None:
             self._note("fault", f"{fault.kind} ({where}, {fault.seconds:g} s, {fault.times} times)")
-            self._struck.append(Struck(fault.kind, self._step, fault.seconds))
+            self._struck.append(Struck(fault.kind, where, self._step, fault.seconds))
 
     def _targets(self, fault: Fault, instance: str) -> list[str]:
         if fault.op is not None and fault.involved:
