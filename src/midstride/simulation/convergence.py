@@ -55,9 +55,7 @@ def attachments(process: StandIn) -> set[tuple[str, str]]:
     return {(port, topic) for port, topics in ports.items() for topic, link in topics.items() if link.gate != "closed"}
 
 
-def not_done(
-    step: AttachStep | DetachStep, manager: Manager, platform: Platform, fenced: Container[str]
-) -> str | None:
+def not_done(step: AttachStep | DetachStep, manager: Manager, platform: Platform, fenced: Container[str]) -> str | None:
     """In which way a step that is done has not been: what its process shows, unless it has ended.
 
     Nothing is asked of one in ``fenced`` but its end: it hangs, or did.
