@@ -6,6 +6,9 @@ of one run; the replacement is that of a source at 50 Hz. Idle time and memory l
 `up` alone, each way in turns:
 
     python benchmarks/many.py --nodes 30 --kinds spares components bare at-once --idle 0 --replacements 0 --rounds 5
+
+A replacement that uses a spare has another one join, which the others take seconds to discover where they are many.
+`--rest S` leaves them that time before the next.
 """
 
 from __future__ import annotations
@@ -55,7 +58,7 @@ async def idle(pids: list[int], seconds: float) -> Figures:
     return {"idle, % of a core": used, "memory, MiB": memory(pids)}
 
 
-async def components(nodes: int, seconds: float, replacements: int, spares: int) -> Figures:
+async def components(nodes: int, seconds: float, replacements: int, spares: int, rest: float) -> Figures:
     from midstride.plan.request import PlanRequest
     from midstride.runtime.options import SystemOptions
 
@@ -71,22 +74,26 @@ async def components(nodes: int, seconds: float, replacements: int, spares: int)
             if seconds:
                 figures |= await idle(pids, seconds)
                 figures["manager idle, % of a core"] = (await idle([os.getpid()], seconds))["idle, % of a core"]
-            taken = []
+            taken, until_handed_over = [], []
             request = (("source", "OtherSource"),)
             for _ in range(replacements):
                 async with asyncio.timeout(60):
                     while session.manager._backend.spares() < spares:
                         await asyncio.sleep(0.1)
+                await asyncio.sleep(rest)
                 asked, last = time.time(), session.events()[-1].n
                 outcome = await session.manager.change(PlanRequest(replace=request))
                 if outcome.outcome == "done":
-                    taken.append(worker.steps(session.events(last))[-1][2] - asked)
+                    steps = worker.steps(session.events(last))
+                    taken.append(steps[-1][2] - asked)
+                    until_handed_over += [done - asked for words, _, done in steps if " hand over " in words]
                     request = (("source", "Source" if request[0][1] == "OtherSource" else "OtherSource"),)
                 else:
                     print(f"{nodes:4} components  a replacement was {outcome.outcome}: {outcome.because}", flush=True)
             figures["replaced"] = len(taken)
             if taken:
                 figures |= {"replace, median, s": statistics.median(taken), "replace, longest, s": max(taken)}
+                figures["until handed over, median, s"] = statistics.median(until_handed_over)
             begun = time.monotonic()
         figures["down, s"] = time.monotonic() - begun
         return figures
@@ -176,6 +183,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--idle", type=float, default=20.0, help="how long the idle ones are watched (s)")
     parser.add_argument("--replacements", type=int, default=5)
+    parser.add_argument("--rest", type=float, default=0.0, help="how long before each replacement of a component (s)")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "many.json")
     options = parser.parse_args()
     os.environ.setdefault("ROS_DOMAIN_ID", "86")
@@ -185,7 +193,7 @@ def main() -> None:
         for kind in options.kinds * options.rounds:
             if kind in ("spares", "components"):
                 spares = options.spares if kind == "spares" else 0
-                measured = components(nodes, options.idle, options.replacements, spares)
+                measured = components(nodes, options.idle, options.replacements, spares, options.rest)
             else:
                 measured = bare(nodes, options.idle, options.replacements, paced=kind == "bare")
             figures = {name: round(value, 2) for name, value in asyncio.run(measured).items()}

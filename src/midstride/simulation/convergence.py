@@ -6,7 +6,7 @@ from collections.abc import Container, Iterable
 from types import NoneType
 from typing import Any
 
-from midstride.model.component import FunctionalityRef
+from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.specification import initial
 from midstride.plan.step_forms import AttachStep, DetachStep, HandoverStep
 from midstride.runtime.manager import Manager
@@ -71,10 +71,15 @@ def not_done(step: AttachStep | DetachStep, manager: Manager, platform: Platform
 
 
 def left_attached(step: HandoverStep, manager: Manager, platform: Platform) -> list[str]:
-    """The new publishers of a hand-over that has failed which still have an endpoint on its topic."""
+    """The new publishers of a hand-over that has failed which still have an endpoint on its topic.
+
+    Without those that were given up after their cut, while they were watched: the roll-back hands them back.
+    """
     found = []
     for swap in step.swaps:
         instance, _, port = swap.new.rpartition(".")
+        if swap.connector in manager.configuration.attached_to(PortRef(instance, port)):
+            continue
         process = platform.standing(instance)
         if process is not None and process.state is not None:
             topic = manager.configuration.topic(swap.connector)
