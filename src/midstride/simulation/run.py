@@ -100,8 +100,8 @@ class Simulation:
         self._platform.control.before_request = self._before_request
         self._platform.control.on_carried_out_twice = self._on_carried_out_twice
         self._step = "none"
-        self._leaving: set[str] = set()  # the instances that the change removes
-        self._fenced: set[str] = set()
+        self._leaving: set[str] = set()  # the instances that the plan removes
+        self._fenced: set[str] = set()  # those of them that hang, and were fenced; a fence ends with its change
         self._since: dict[str, int] = {}  # requests since the change began, and since the first step of each kind
         self._waiting: list[Fault] = []
         self._struck: list[Struck] = []
@@ -162,7 +162,6 @@ class Simulation:
     async def _up(self) -> None:
         """A new manager, which brings the system up or takes it over."""
         manager = self._system.new_manager()
-        self._fenced.clear()  # it lifts the fences of its predecessor
         life = self._system.lives[-1]
         try:
             await self._ended(life, manager.up())
@@ -315,6 +314,7 @@ class Simulation:
             self._note(event.kind, "")
             if event.plan:
                 self._leaving = {step.instance for step in event.plan.steps if isinstance(step, RemoveStep)}
+                self._fenced.clear()
             return
         self._note(event.kind, event.words)
         if event.kind == "measuring" and self._brief:
