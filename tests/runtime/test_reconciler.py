@@ -13,7 +13,6 @@ from midstride.errors import StartFailed
 from midstride.model.configuration import Configuration
 from midstride.runtime.backend import Exited
 from midstride.runtime.component_client import Disconnected
-from midstride.runtime.reconciler import REFUSED_INTERVAL
 from midstride.testing.clock import run
 from midstride.wire.commands import ModesCommand
 from tests.model import build
@@ -170,11 +169,14 @@ def test_a_component_that_did_not_answer_is_degraded_as_soon_as_it_answers_again
         r.client.reply("listener", ModesCommand, TIMEOUT, TIMEOUT, None)
         r.exits(TALKER_EXITED)
         await moment()
-        for attempts in (2, 3, 3):
+        for attempts in (2, 3):
             r.client.report(listener)
             r.client.report(listener)  # during the attempt
             await moment()
             assert len(r.client.of(ModesCommand)) == attempts
+        r.degrades("listener")
+        await moment()
+        assert len(r.client.of(ModesCommand)) == 3
         assert r.system.configuration == talking().without_instance("talker").with_modes(DEGRADED_LISTENER)
 
     reconciling(talking(), tmp_path, body)
@@ -259,7 +261,6 @@ def test_a_better_mode_that_lacks_its_support_is_left_again(tmp_path: Path) -> N
     configuration = talking().with_modes(DEGRADED_LISTENER).without_instance("talker")
 
     async def body(r: ReconcilingBench) -> None:
-        await asyncio.sleep(REFUSED_INTERVAL)  # until then, a report may be older than a degradation
         r.client.report(reported(r.configuration.instances["listener"], talking()))
         await moment()
         assert [command.modes for command in r.client.of(ModesCommand, "listener")] == [{"work": "degraded"}]

@@ -98,8 +98,11 @@ def changed_attachments(
 def unsupported_modes(configuration: Configuration, state: ComponentState) -> dict[FunctionalityRef, int]:
     """The functionalities of one component that report a better mode than the model has, and lack its support.
 
-    A command that timed out, and was taken back in the model, may be carried out later.
+    A command that timed out, and was taken back in the model, may be carried out later. No report is older than the
+    model: a component reports a change before it replies, on the same connection.
     """
+    if state.instance not in configuration.instances:
+        return {}
     reported = reported_modes(configuration.component(state.instance), state)
     better = {ref: index for ref, index in reported.items() if index < configuration.modes[ref]}
     if not better:

@@ -110,7 +110,7 @@ class Reconciler:
                 degraded = own_degradations_in(configuration, state)
                 if degraded:
                     self.on_failure(state.instance)
-                wrong = differs(configuration, state) or bool(self._unsupported(configuration, state))
+                wrong = differs(configuration, state) or bool(unsupported_modes(configuration, state))
                 if answers_again or degraded or wrong or self._can_retry(state):
                     self._reconcile_soon()
 
@@ -121,12 +121,6 @@ class Reconciler:
         pending = [ref for ref, error in self.pending.items() if isinstance(error, CommandRefused)]
         refused = [ref.functionality for ref in pending if ref.instance == state.instance]
         return any(state.functionalities[name].busy is None for name in refused)
-
-    def _unsupported(self, configuration: Configuration, state: ComponentState) -> dict[FunctionalityRef, int]:
-        """As :func:`unsupported_modes`, unless the report may be older than a degradation."""
-        just_now = self.monitor.clock.steady() - self._reconciled_at < REFUSED_INTERVAL
-        known = state.instance in configuration.instances
-        return unsupported_modes(configuration, state) if known and not just_now else {}
 
     def save_values(self) -> None:
         """Save the parameter values that were set at run time, where they have changed, for the next manager."""
@@ -246,7 +240,7 @@ class Reconciler:
             if lacking or besides:
                 self.client.accept(name)
                 configuration = with_attachments(configuration, lacking, besides)
-            if state is not None and (better := self._unsupported(configuration, state)):
+            if state is not None and (better := unsupported_modes(configuration, state)):
                 self.client.accept(name)
                 modes = {ref: configuration.functionality(ref).modes[index].name for ref, index in better.items()}
                 because += [f"{ref} is in mode {mode}" for ref, mode in modes.items()]
