@@ -92,6 +92,17 @@ class Invariants:
         if self._shown.get(process.instance) != shown:
             self._shown[process.instance] = shown
             self.due = self._changed = True
+        self._check_gates(process)
+
+    def _check_gates(self, process: StandIn) -> None:
+        """Of two instances of one role, not both publish whatever they write: a cut decides for one at least."""
+        others = [each for each in self.platform.processes.values() if isinstance(each, StandIn)]
+        for other in others:
+            if other is process or other.role != process.role or other.machine != process.machine:
+                continue  # those on two machines share no lock, and cannot hear of each other
+            for port, topic in sorted(process.open_outputs() & other.open_outputs()):
+                names = " and ".join(sorted((process.instance, other.instance)))
+                self._violation(f"{port} of both {names} is open on {topic}")
 
     def on_publish(self, writer: SimulatedWriter) -> None:
         """A message is heard on a topic: two instances of one role must not take turns there."""

@@ -25,6 +25,7 @@ from midstride.codec.component import encode_component
 from midstride.model.component import ComponentSpec
 from midstride.model.specification import Specification
 from midstride.node.host import Host
+from midstride.node.ports import Output
 from midstride.runtime.backend import Launch
 from midstride.simulation.threadless import ThreadlessProcess
 from midstride.testing.puppet import Puppet
@@ -110,9 +111,12 @@ class _Program(SimulatedProgram):
             for mode in functionality["modes"]
         }
         self._description = {**described, "modes": self.modes}
+        self.outputs: tuple[Output, ...] = ()
 
     def run(self) -> None:
-        Puppet(self._description, _message_type).start()
+        puppet = Puppet(self._description, _message_type)
+        self.outputs = tuple(puppet.outputs.values())
+        puppet.start()
 
     def interpreter_state(self) -> contextlib.AbstractContextManager[None]:  # type: ignore[override]
         return _NOTHING
@@ -159,6 +163,15 @@ class StandIn(ThreadlessProcess):
     def modes(self) -> dict[str, dict[str, Any]]:
         """The behaviour of each mode (:mod:`midstride.testing.puppet`)."""
         return self._stand_in.modes
+
+    def open_outputs(self) -> set[tuple[str, str]]:
+        """Its outputs with the topics on which whatever they write is published: no gate or cut decides about it."""
+        return {
+            (output.name, link.topic)
+            for output in self._stand_in.outputs
+            for link in output.links
+            if link.open and not link.fenced
+        }
 
     def _run_thread(self, work: Callable[[], None] | None) -> Yielded:
         return self._thread.resume(work)  # its program does not touch the interpreter's state

@@ -46,7 +46,7 @@ class Puppet:
         self._modes: dict[str, dict[str, Any]] = description.get("modes", {})
         self.component = Component(self._declared.name)
         self._inputs: dict[str, Input] = {}
-        self._outputs: dict[str, Output] = {}
+        self.outputs: dict[str, Output] = {}
         self._received: dict[str, list[str]] = {}
         self._calls: dict[str, int] = {}
         self._imported: Any = None
@@ -78,13 +78,13 @@ class Puppet:
         for name in self._declared.outputs:
             endpoint = self._declared.output_endpoint(name)
             type_, qos = endpoint if endpoint is not None else ("std_msgs/msg/String", None)
-            self._outputs[name] = self.component.create_output(name, self._type_of(type_), qos)
+            self.outputs[name] = self.component.create_output(name, self._type_of(type_), qos)
 
     def _functionality(self, declared: model.FunctionalitySpec) -> None:
         functionality = self.component.create_functionality(
             declared.name,
             inputs=[self._inputs[name] for name in declared.inputs],
-            outputs=[self._outputs[name] for name in declared.outputs],
+            outputs=[self.outputs[name] for name in declared.outputs],
             weight=declared.weight,
         )
         last = declared.last_mode
@@ -98,8 +98,8 @@ class Puppet:
         behaviour = self._modes.get(key, {})
         inputs = [self._assumed(declared, assumption) for assumption in mode.assumptions]
         inputs = [entry for entry in inputs if entry is not None]
-        outputs = [self._outputs[name] for name in declared.outputs if name in mode.guarantees]
-        promises = {self._outputs[n]: guarantee(p.rate, dict(p.fields) or None) for n, p in mode.guarantees.items()}
+        outputs = [self.outputs[name] for name in declared.outputs if name in mode.guarantees]
+        promises = {self.outputs[n]: guarantee(p.rate, dict(p.fields) or None) for n, p in mode.guarantees.items()}
         rates = [predicate.rate for predicate in mode.guarantees.values() if predicate.rate is not None]
         rate = behaviour.get("rate", max(rates, default=None))
         if behaviour.get("driven") == "message":
@@ -197,7 +197,7 @@ class Puppet:
         if "sleep" in stop:
             time.sleep(stop["sleep"])
         if "write" in stop:
-            for output in self._outputs.values():
+            for output in self.outputs.values():
                 self._write(output, stop["write"])
 
 
