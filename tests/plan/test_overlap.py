@@ -11,7 +11,7 @@ from random import Random
 import pytest
 
 from midstride.errors import PlanRefused
-from midstride.model.action import Create, Degrade, Handover, Remove, Upgrade
+from midstride.model.action import Attach, Create, Degrade, Handover, Remove, Upgrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.rules import violations
@@ -195,7 +195,8 @@ def test_rounds_are_the_steps_in_order_and_start_no_process_too_early(seeds: ran
             actions = [plan.steps[index].action for index in some]
             if len(some) > 1:
                 several[type(actions[0]).__name__] += 1
-                assert any({*map(type, actions)} <= kind for kind in ({Remove}, {Degrade, Upgrade}, {Handover}))
+                kinds: tuple[set[type], ...] = ({Remove}, {Attach}, {Degrade, Upgrade}, {Handover})
+                assert any({*map(type, actions)} <= kind for kind in kinds)
             assert not {waits for index in some for waits in plan.dependencies[index]} & set(some)
         created = [index for index, step in enumerate(plan.steps) if isinstance(step.action, Create)]
         assert sorted(index for starts in found.starts.values() for index in starts) == created
@@ -208,7 +209,7 @@ def test_rounds_are_the_steps_in_order_and_start_no_process_too_early(seeds: ran
                         ahead += done < index
             assert violations(configuration) == [], which
             assert all(amount <= most[what] for what, amount in held(configuration).items())
-    assert min(several[kind.__name__] for kind in (Remove, Upgrade)) > len(seeds) / 10, several
+    assert min(several[kind.__name__] for kind in (Remove, Attach, Upgrade)) > len(seeds) / 10, several
     assert ahead > len(seeds)
 
 
@@ -312,6 +313,19 @@ def test_independent_replacements_are_taken_kind_by_kind() -> None:
         ["upgrade a_2.work from degraded to normal", "upgrade b_2.work from degraded to normal"],
         ["hand over /x from a.out to a_2.out", "hand over /y from b.out to b_2.out"],
         ["remove a", "remove b"],
+    ]
+
+
+def test_attachments_are_taken_at_once_unless_one_has_to_find_the_other() -> None:
+    """An attachment is done when it has found those at the other end of its topic."""
+    parts = [work("Head", outputs=["out"]), work("Link", inputs=["in"], outputs=["out"]), work("Tail", inputs=["in"])]
+    nodes: dict[str, tuple[str, dict[str, str]]] = {"a": ("Head", {"out": "/x"}), "e": ("Tail", {"in": "/y"})}
+    nodes |= {name: ("Link", {"in": "/x", "out": f"/{name}"}) for name in ("b", "c")} | {
+        "d": ("Link", {"in": "/b", "out": "/y"})
+    }
+    assert rounds_of(system(parts, {}), system(parts, nodes))[:2] == [
+        ["attach a.out to /x", "attach b.out to /b", "attach c.out to /c", "attach d.out to /y"],
+        ["attach b.in to /x", "attach c.in to /x", "attach d.in to /b", "attach e.in to /y"],
     ]
 
 

@@ -15,7 +15,7 @@ from midstride.plan.overlap import Overlap, one_by_one
 from midstride.runtime.backend import Exited, Handle, Launch
 from midstride.runtime.journal import Journal
 from midstride.runtime.journal_records import NewChange
-from midstride.wire.commands import ModesCommand
+from midstride.wire.commands import AttachCommand, DetachCommand, ModesCommand
 from midstride.wire.replies import PreviousModes
 from tests.model import build
 from tests.runtime.scripted import LISTENER, REFUSED, TALKER, Bench, ScriptedBackend, bench, instance
@@ -216,6 +216,24 @@ def test_what_is_begun_at_once_is_durable_before_and_the_next_manager_says_which
         b.journal.close()
 
     bench(idle(), tmp_path, body)
+
+
+ATTACHMENTS = [Attach(build.port(f"{name}.out"), "/chatter") for name in OLD]
+
+
+def test_where_one_attachment_of_a_round_fails_the_others_are_detached_again(tmp_path: Path) -> None:
+    unattached = build.system(dict.fromkeys(OLD, TALKER), [], topics={"/chatter": build.at(5.0)})
+
+    async def body(b: Bench) -> None:
+        b.client.reply("second", AttachCommand, REFUSED)
+        with pytest.raises(StepFailed, match=r"^attach second\.out to /chatter: ") as failed:
+            await b.executor.run(ATTACHMENTS, overlap=AT_ONCE)
+        assert failed.value.outcome == "rolled_back"
+        assert b.system.configuration == unattached
+        detached = {name: len(b.client.of(DetachCommand, name)) for name in OLD}
+        assert detached == {"first": 1, "second": 1, "third": 1}, "what was refused may have been done"
+
+    bench(unattached, tmp_path, body)
 
 
 # -- processes that start before their turn -------------------------------------------------------------

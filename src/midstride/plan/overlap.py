@@ -1,9 +1,9 @@
 """What of a plan overlaps when it is carried out (docs/semantics.md section 6).
 
 The steps keep the order of the plan. What overlaps: a process starts as soon as everything is done that its ``create``
-step must wait for; and steps next to each other are taken at once, in a round, if they are all removals, all mode
-changes or all hand-overs. The hand-overs of a round are prepared and watched at once, and their cuts follow one
-another. How long the plan takes follows from that.
+step must wait for; and steps next to each other are taken at once, in a round, if they are all removals, all
+attachments, all mode changes or all hand-overs. The hand-overs of a round are prepared and watched at once, and their
+cuts follow one another. How long the plan takes follows from that.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from midstride.model.action import Action, Create, Degrade, Handover, Remove, Upgrade
+from midstride.model.action import Action, Attach, Create, Degrade, Handover, Remove, Upgrade
+from midstride.model.component import PortRef
 from midstride.plan.disruption import DIGITS
 from midstride.plan.estimate import Estimate
 from midstride.plan.plan import Plan
 from midstride.plan.state import without_outputs
 
-# How many components answer commands at once, on however small a machine: of mode changes and hand-overs, so many steps
-# are taken at once.
+# How many components answer commands at once, on however small a machine: of attachments, mode changes and hand-overs,
+# so many steps are taken at once.
 WIDEST: Final = 16
 # How much of a hand-over its cut is (s): the moment is agreed 0.1 s ahead, and both sides report a few periods later.
 CUT: Final = 0.3
@@ -99,6 +100,7 @@ class _Neighbours:
 
     def __init__(self, plan: Plan) -> None:
         self._plan, self._change = plan, plan.change
+        self._coming = {instance.name: instance.component for instance in plan.change.coming}
         # Between two instances without outputs, state moves beside a step of either (midstride.runtime.state_moves).
         replaced = without_outputs(plan.change)
         self._partners = {**replaced, **{old: new for new, old in replaced.items()}}
@@ -117,6 +119,8 @@ class _Neighbours:
         commanded = self._commanded(index)
         if len(earlier) >= WIDEST or any(commanded & self._commanded(each) for each in earlier):
             return False
+        if kind == "attachments":
+            return not self._waits_for_peer(earlier, index)
         return kind == "mode changes" or self._is_independent(earlier, index)
 
     def _kind(self, index: int) -> str | None:
@@ -125,6 +129,8 @@ class _Neighbours:
         match self._plan.steps[index].action:
             case Remove():
                 return "removals"
+            case Attach() if not shifts:
+                return "attachments"
             case Upgrade():
                 return "mode changes"
             case Degrade() if not any(shift.after > shift.before for shift in shifts):
@@ -136,6 +142,20 @@ class _Neighbours:
     def _commanded(self, index: int) -> set[str]:
         names = self._plan.steps[index].action.instances()
         return {*names, *(self._partners[name] for name in names if name in self._partners)}
+
+    def _waits_for_peer(self, earlier: Sequence[int], index: int) -> bool:
+        """Whether an attachment has to find what one of ``earlier`` attaches, at the other end of its topic."""
+        ends = [
+            (self._change.start.topic(action.connector), self._is_output(action.port))
+            for each in (*earlier, index)
+            if isinstance(action := self._plan.steps[each].action, Attach)
+        ]
+        topic, output = ends.pop()
+        return (topic, not output) in ends
+
+    def _is_output(self, port: PortRef) -> bool:
+        component = self._coming.get(port.instance) or self._change.start.component(port.instance)
+        return component.has_output(port.port)
 
     def _is_independent(self, earlier: Sequence[int], index: int) -> bool:
         """Whether the two sides of a hand-over write and hear nothing that ``earlier`` ones hand over.

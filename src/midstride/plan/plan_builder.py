@@ -101,8 +101,12 @@ class PlanBuilder:
         return created.touching(ref for instance in instances for ref in instance.functionality_refs())
 
     def attach(self, *attachments: Attachment) -> PlanBuilder:
-        """Attach; call :meth:`raise_touched` later, once for many."""
-        attached = self.do(*(Attach(port, connector) for port, connector in attachments))
+        """Attach, outputs first; call :meth:`raise_touched` later, once for many.
+
+        So inputs are next to each other, as outputs are: those of different components are attached at once.
+        """
+        in_order = sorted(attachments, key=lambda pair: not self.configuration.is_output(pair[0]))
+        attached = self.do(*(Attach(port, connector) for port, connector in in_order))
         affected = (consumers_of(attached.configuration, port, connector) for port, connector in attachments)
         return attached.touching(ref for refs in affected for ref in refs)
 

@@ -16,6 +16,8 @@ MOST_EACH: Final = 8
 # Over this time (s), at least this share of one processor must have been idle before another process starts.
 INTERVAL: Final = 0.1
 SPARE: Final = 0.5
+# How soon it is noticed that one has registered, which makes room for another (s): one that is forked takes 0.1 s.
+LOOK: Final = 0.01
 
 
 async def room_for_a_start(clock: Clock, starting: Callable[[], int]) -> None:
@@ -24,8 +26,10 @@ async def room_for_a_start(clock: Clock, starting: Callable[[], int]) -> None:
     One per processor may start in any case, also on a machine that is busy with other work.
     """
     processors = clock.processors()
+    at, idle = clock.steady(), clock.idle()
     while starting() >= processors:
-        at, idle = clock.steady(), clock.idle()
-        await clock.sleep(INTERVAL)
-        if starting() < MOST_EACH * processors and clock.idle() - idle >= SPARE * (clock.steady() - at):
-            return
+        await clock.sleep(LOOK)
+        if (passed := clock.steady() - at) >= INTERVAL:
+            if starting() < MOST_EACH * processors and clock.idle() - idle >= SPARE * passed:
+                return
+            at, idle = clock.steady(), clock.idle()
