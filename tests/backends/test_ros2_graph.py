@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from random import Random
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from midstride.backends.ros2 import names
 from tests.backends.ros2_support import Bare, run
 
 pytestmark = pytest.mark.ros2
@@ -34,3 +38,92 @@ def test_the_endpoints_of_every_node_of_a_name_are_found() -> None:
             assert graph.of_process("/no_such_node") == []
 
     run(scenario())
+
+
+class ListedGraph:
+    """What rclpy's node tells of a graph that is drawn: processes with nodes, some of one name, with endpoints."""
+
+    TOPICS = ("/parameter_events", "/a", "/b")
+
+    def __init__(self, rng: Random) -> None:
+        self.nodes: list[tuple[str, str]] = []
+        # By topic and whether they publish.
+        self.infos: dict[tuple[str, bool], list[Any]] = {(topic, out): [] for topic in self.TOPICS for out in (True, False)}
+        for process in range(rng.randint(1, 5)):
+            role = rng.choice("pq")
+            control = names.control(f"{role}_{process}", role, rng.choice(("", "0123abcd")))
+            for name in [role, control] if rng.random() < 0.7 else [rng.choice([role, f"{role}_{process}"])]:
+                self.nodes.append((name, "/"))
+                if rng.random() < 0.8:  # else it is one that is gone: its name stays for a while
+                    self._add(name, process, rng)
+
+    def _add(self, name: str, process: int, rng: Random) -> None:
+        places = rng.sample(sorted(self.infos), 2)
+        if rng.random() < 0.8 or names.controlled(f"/{name}"):  # not every foreign node publishes there
+            places.append(("/parameter_events", True))
+        for topic, out in places:
+            gid = bytes([process] * 12 + [sum(map(len, self.infos.values()))] * 4)
+            info = SimpleNamespace(node_name=name, node_namespace="/", endpoint_gid=list(gid))
+            self.infos[topic, out].append(info)
+
+    def get_node_names_and_namespaces(self) -> list[tuple[str, str]]:
+        return self.nodes
+
+    def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]:
+        return [(topic, []) for topic in self.TOPICS]
+
+    def get_publishers_info_by_topic(self, topic: str) -> list[Any]:
+        return self.infos[topic, True]
+
+    def get_subscriptions_info_by_topic(self, topic: str) -> list[Any]:
+        return self.infos[topic, False]
+
+    def _by_node(self, node: tuple[str, str], out: bool) -> list[tuple[str, list[str]]]:
+        """The topics of the first of that name, as of a process that rclpy happens to find first."""
+        from rclpy.node import NodeNameNonExistentError
+
+        if node not in self.nodes:
+            raise NodeNameNonExistentError(node[0])
+        own = [(topic, info) for topic in self.TOPICS for info in self.infos[topic, out] if info.node_name == node[0]]
+        first = min((info.endpoint_gid[0] for _, info in own), default=None)
+        return [(topic, []) for topic, info in own if info.endpoint_gid[0] == first]
+
+    def get_publisher_names_and_types_by_node(self, name: str, inside: str) -> list[tuple[str, list[str]]]:
+        return self._by_node((name, inside), True)
+
+    def get_subscriber_names_and_types_by_node(self, name: str, inside: str) -> list[tuple[str, list[str]]]:
+        return self._by_node((name, inside), False)
+
+
+def test_what_is_looked_up_by_name_is_what_a_look_at_every_endpoint_finds() -> None:
+    from midstride.backends.ros2.graph import Graph
+
+    found = 0
+    for seed in range(300):
+        rng = Random(seed)
+        listed = ListedGraph(rng)
+        graph, dead = Graph(listed), set()
+        known = {f"/{name}" for name in "pq"} | {f"/{role}_{number}" for role in "pq" for number in range(5)}
+        instances = {
+            bytes(info.endpoint_gid[:12]): control
+            for info in listed.infos["/parameter_events", True]
+            if (control := names.controlled(f"/{info.node_name}")) is not None
+        }
+
+        def shown(info: Any, instances: Any = instances) -> tuple[str, Any]:
+            """The name that an endpoint is shown under, and the instance that it belongs to."""
+            node, instance = f"/{info.node_name}", instances.get(bytes(info.endpoint_gid[:12]))
+            return (instance.instance if instance is not None and instance.node == node else node), instance
+
+        every = [info for infos in listed.infos.values() for info in infos]
+        for name in rng.sample(sorted(known), 3):
+            if rng.random() < 0.5:
+                graph.forget(name)
+                dead |= {bytes(info.endpoint_gid) for info in every if shown(info)[0] == name}
+        living = [info for info in every if bytes(info.endpoint_gid) not in dead]
+        for name in sorted(known):
+            assert graph.has(name) == any(shown(info)[0] == name for info in living), (seed, name)
+            expected = {shown(info)[1] for info in living if f"/{info.node_name}" == name}
+            assert graph.of_name(name) == expected, (seed, name)
+            found += len(expected)
+    assert found > 300

@@ -7,8 +7,10 @@ says so where there is none.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from midstride.backends import common_messages
 from midstride.capture.observed import ObservedGraph
@@ -46,9 +48,21 @@ def load() -> None:
     from midstride.backends.ros2 import host  # noqa: F401
     from midstride.node import component  # noqa: F401
 
-    for type_ in common_messages.types("rclpy"):
+    for type_ in (*common_messages.types("rclpy"), *_types_of_every_node()):
         check_for_type_support(type_)  # which loads it
     inspect.getmodule(inspect.currentframe())  # rclpy's logger does, and it then walks all that has been imported
+
+
+def _types_of_every_node() -> Iterator[Any]:
+    from rcl_interfaces.msg import ParameterEvent
+
+    from midstride.backends.ros2.parameter_services import SERVICES
+
+    yield from (ParameterEvent, *SERVICES.values())
+    with suppress(ImportError):  # older ROS has no such service
+        from type_description_interfaces.srv import GetTypeDescription
+
+        yield GetTypeDescription
 
 
 def prepare() -> None:

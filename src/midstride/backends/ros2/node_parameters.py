@@ -126,17 +126,19 @@ def _actions(node: Any, control: str) -> Iterator[tuple[str, bool]]:
     The graph knows them, for rclpy keeps no list. One's own ends are in it at once. Another node may have the same
     name, so they are recognized by the process.
     """
+    status_topics = [topic for topic, _ in node.get_topic_names_and_types() if topic.endswith(_ACTION_STATUS)]
+    if not status_topics:
+        return  # every node is among the publishers of the next line
     own = {
         participant(info)
         for info in node.get_publishers_info_by_topic(PARAMETER_EVENTS)
         if full(info.node_name, info.node_namespace) == control
     }
-    for topic, _ in node.get_topic_names_and_types():
-        if topic.endswith(_ACTION_STATUS):
-            servers, clients = node.get_publishers_info_by_topic(topic), node.get_subscriptions_info_by_topic(topic)
-            for serves, ends in ((True, servers), (False, clients)):
-                if any(participant(info) in own for info in ends):
-                    yield topic.removesuffix(_ACTION_STATUS), serves
+    for topic in status_topics:
+        servers, clients = node.get_publishers_info_by_topic(topic), node.get_subscriptions_info_by_topic(topic)
+        for serves, ends in ((True, servers), (False, clients)):
+            if any(participant(info) in own for info in ends):
+                yield topic.removesuffix(_ACTION_STATUS), serves
 
 
 def _service_name(node: Any, service: Any) -> str:

@@ -158,9 +158,7 @@ class ComponentNodes:
         now = time.monotonic()
         if now >= self._checked_until and self._foreign_since is None:
             return False
-        in_graph = self._in_graph()  # once, since others may come and go between two looks
-        known = max(1, names.instances_of(self._full_name, in_graph, self._system)) + self._shares_name
-        if in_graph.count(self._full_name) <= known:
+        if not self._is_foreign_in_graph():
             self._foreign_since = None
         elif self._foreign_since is None:
             self._foreign_since = now
@@ -168,17 +166,23 @@ class ComponentNodes:
             self._refuse_name()
         return True
 
+    def _is_foreign_in_graph(self) -> bool:
+        """Whether there are more nodes of its name than its role has instances."""
+        in_graph = self._control.get_node_names_and_namespaces()  # once, since others may come and go meanwhile
+        nodes: int = in_graph.count(names.split(self._full_name)) - self._shares_name
+        if nodes <= 1:
+            return False
+        full_names = [names.full(name, inside) for name, inside in in_graph]
+        return nodes > max(1, names.instances_of(self._full_name, full_names, self._system))
+
     def _check_free(self) -> None:
         """Raises NodeError where a node of our name appears soon, before ours has joined."""
         deadline = time.monotonic() + LOOK_BEFORE
-        while self._full_name not in self._in_graph():
+        while names.split(self._full_name) not in self._control.get_node_names_and_namespaces():
             if time.monotonic() >= deadline:
                 return
             time.sleep(0.02)
         self._refuse_name()
-
-    def _in_graph(self) -> list[str]:
-        return [names.full(name, inside) for name, inside in self._control.get_node_names_and_namespaces()]
 
     def _refuse_name(self) -> None:
         raise NodeError(

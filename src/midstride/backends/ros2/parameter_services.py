@@ -25,7 +25,7 @@ from rclpy.task import Future
 from midstride.backends.ros2.names import PARAMETER_EVENTS, PREFIX, STATE
 from midstride.wire.state import ComponentState
 
-_SERVICES: Final = {
+SERVICES: Final = {
     "describe_parameters": srv.DescribeParameters,
     "get_parameters": srv.GetParameters,
     "get_parameter_types": srv.GetParameterTypes,
@@ -47,7 +47,7 @@ class ParameterServices:
         self._full_name = data_node.get_fully_qualified_name()
         self._events = control_node.create_publisher(ParameterEvent, PARAMETER_EVENTS, qos_profile_parameter_events)
         group = ReentrantCallbackGroup()
-        for name, type_ in _SERVICES.items():
+        for name, type_ in SERVICES.items():
             serve = getattr(self, f"_{name}")
             control_node.create_service(type_, f"{self._full_name}/{name}", serve, callback_group=group)
 
