@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from midstride.errors import BackendError, MidstrideError
+from midstride.node.agent import HEARTBEAT
 from midstride.plan.request import PlanRequest
 from midstride.plan.step_forms import AttachStep, DetachStep, HandoverStep, RemoveStep
 from midstride.runtime.manager import Manager
@@ -25,9 +26,10 @@ from midstride.wire.frames import Reply
 
 # How long (s) a change may take that faults strike, and a system to converge once they are over.
 LONGEST_CHANGE: Final = 600.0
-# How long a functionality may stay in a mode whose assumption is broken, where the manager is free to react (s), and
-# where a component has refused what it was asked: it is asked again.
+# How long a functionality may stay in a mode whose assumption is broken, where the manager is free to react (s); where
+# a component could not be reached: it is asked again when it next reports, every 0.5 s; and where it has refused.
 REACTION: Final = 0.25
+REACTION_IF_UNREACHED: Final = REACTION + HEARTBEAT
 REACTION_IF_REFUSED: Final = 2.0
 # How long after a publisher was replaced a call of its may write that hung meanwhile (s): two periods of the slowest
 # topic, and the time of a few messages.
@@ -269,7 +271,9 @@ class Simulation:
     def _reaction(self) -> float:
         if self._busy or self._faulty or not self._system.lives[-1].alive:
             return math.inf
-        return REACTION_IF_REFUSED if self._has_struck("refused request") else REACTION
+        if self._has_struck("refused request"):
+            return REACTION_IF_REFUSED
+        return REACTION_IF_UNREACHED if self._has_struck(*LOSSES) else REACTION
 
     def _lateness(self, apart: bool) -> float:
         if apart and self._has_struck(*DEAFENING):
