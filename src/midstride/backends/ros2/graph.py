@@ -12,7 +12,7 @@ every node has one, and the graph may keep the name of one that is gone, for goo
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final, TypeAlias
 
 from rclpy.node import NodeNameNonExistentError
@@ -36,6 +36,7 @@ class Graph:
         self._node = node
         self._died: dict[str, float] = {}
         self._dead_endpoints: dict[bytes, float] = {}
+        self._known: _Instances = {}
 
     def died(self, full_name: str) -> None:
         """The process of a node has ended."""
@@ -69,7 +70,7 @@ class Graph:
                 living.add(names.participant(info))
             if len(living) == listed:  # each is in another process
                 break
-        instances = self._instances() if living else {}
+        instances = self._instances_of(living)
         return {instances.get(participant) for participant in living}
 
     def endpoints(self) -> Endpoints:
@@ -101,8 +102,9 @@ class Graph:
         seen = set(self._node_names())
         controlled = filter(None, map(names.controlled, seen))
         nodes = seen & {full_name, *(found.node for found in controlled if found.instance == full_name)}
-        instances = self._instances() if nodes else {}
-        return (info for node in nodes for _, _, info in self._of_node(node) if _name(info, instances) == full_name)
+        infos = [info for node in nodes for _, _, info in self._of_node(node)]
+        instances = self._instances_of(map(names.participant, infos))
+        return (info for info in infos if _name(info, instances) == full_name)
 
     def _of_node(self, node: str) -> Iterator[tuple[bool, str, Any]]:
         """Whether it is an output, its topic, and the endpoint itself: of every node of that name.
@@ -134,12 +136,19 @@ class Graph:
 
     def lingering_readers(self, topic: str) -> int:
         """How many subscriptions of dead processes the graph still shows on ``topic``."""
-        instances = self._instances()
-        return sum(not self._lives(info, _name(info, instances)) for info in self._subscriptions(topic))
+        infos = self._subscriptions(topic)
+        instances = self._instances_of(map(names.participant, infos))
+        return sum(not self._lives(info, _name(info, instances)) for info in infos)
 
     def _visible(self, infos: list[Any], instances: _Instances) -> list[str]:
         named = [(info, _name(info, instances)) for info in infos if not names.is_hidden(_node(info))]
         return [name for info, name in named if self._lives(info, name)]
+
+    def _instances_of(self, processes: Iterable[bytes]) -> _Instances:
+        """The instances of these processes, if they have any. Which one a process is never changes."""
+        if not self._known.keys() >= set(processes):
+            self._known = self._instances()
+        return self._known
 
     def _instances(self) -> _Instances:
         return {
