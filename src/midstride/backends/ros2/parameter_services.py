@@ -19,7 +19,6 @@ from rcl_interfaces.msg import ListParametersResult, ParameterDescriptor, Parame
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.exceptions import ParameterNotDeclaredException, ParameterUninitializedException
 from rclpy.parameter import Parameter
-from rclpy.qos import qos_profile_parameter_events
 from rclpy.task import Future
 
 from midstride.backends.ros2.names import PARAMETER_EVENTS, PREFIX, STATE
@@ -45,7 +44,8 @@ class ParameterServices:
         self._values: Mapping[str, Any] = {}
         self._published: Mapping[str, Any] = {}
         self._full_name = data_node.get_fully_qualified_name()
-        self._events = control_node.create_publisher(ParameterEvent, PARAMETER_EVENTS, qos_profile_parameter_events)
+        # rclpy makes one for each node. One more endpoint would cost every other process of the graph its discovery.
+        self._events = next(each for each in control_node.publishers if each.topic_name == PARAMETER_EVENTS)
         group = ReentrantCallbackGroup()
         for name, type_ in SERVICES.items():
             serve = getattr(self, f"_{name}")
