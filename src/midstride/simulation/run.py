@@ -16,6 +16,7 @@ from midstride.plan.request import PlanRequest
 from midstride.plan.step_forms import AttachStep, DetachStep, HandoverStep, RemoveStep
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Event
+from midstride.runtime.state_transfers import STATE_TIMEOUT
 from midstride.simulation.convergence import closed_outputs, differences, left_attached, not_done, uncaught
 from midstride.simulation.faults import DEAFENING, HARMLESS, LATE, LOSSES, OF_THE_MANAGER, PROMPT, Fault, draw, strike
 from midstride.simulation.lives import Life, ManagerKilled
@@ -48,12 +49,16 @@ TABLES: Final = ("", "", "instances", "changes")
 
 @dataclass
 class Struck:
-    """A fault that struck ``where``, the kind of the step in progress then, and what the manager did afterwards."""
+    """A fault that struck ``where``, the kind of the step in progress then, and what the manager did afterwards.
+
+    ``op``: the kind of the request at which it struck, where that was drawn.
+    """
 
     fault: str
     where: str
     step: str
     seconds: float
+    op: str | None
     branches: list[str] = field(default_factory=list)
 
 
@@ -287,7 +292,9 @@ class Simulation:
         """Whether nothing has struck that could keep a change from being done."""
         hung = [each for each in self._struck if each.fault == "hang"]
         of_others = sum(each.seconds for each in hung if each.where not in self._leaving)
-        return (
+        # Once the cut is agreed, the old side has to give its state within that time-out.
+        in_cut = any(each.step == "handover" and each.op != "cut_out" and each.seconds > STATE_TIMEOUT for each in hung)
+        return not in_cut and (
             all(each.fault in HARMLESS for each in self._struck)
             and sum(each.seconds for each in hung) <= AWAITED
             and of_others <= AWAITED_OF_OTHERS
@@ -393,7 +400,7 @@ class Simulation:
                 where = strike(fault, self._platform, self._targets(fault, instance), self._random)
         if where is not None:
             self._note("fault", f"{fault.kind} ({where}, {fault.seconds:g} s, {fault.times} times)")
-            self._struck.append(Struck(fault.kind, where, self._step, fault.seconds))
+            self._struck.append(Struck(fault.kind, where, self._step, fault.seconds, fault.op))
 
     def _targets(self, fault: Fault, instance: str) -> list[str]:
         if fault.op is not None and fault.involved:
