@@ -284,8 +284,8 @@ class Simulation:
         if apart and self._has_struck(*DEAFENING):
             return math.inf
         if not self._has_struck(*LATE):
-            # A cut that was passed is cancelled if its manager hears nothing: the old side goes on, on its own grid.
-            return LATE_WRITE if self._has_struck(*LOSSES) else 0.0
+            # A cut that was passed is cancelled if its manager does not hear so: the old side goes on, on its own grid.
+            return LATE_WRITE if self._has_struck(*LOSSES, "refused request") else 0.0
         return LATE_WRITE if {each.fault for each in self._struck} <= PROMPT else math.inf
 
     def _is_undisturbed(self) -> bool:
