@@ -48,7 +48,9 @@ class ListedGraph:
     def __init__(self, rng: Random) -> None:
         self.nodes: list[tuple[str, str]] = []
         # By topic and whether they publish.
-        self.infos: dict[tuple[str, bool], list[Any]] = {(topic, out): [] for topic in self.TOPICS for out in (True, False)}
+        self.infos: dict[tuple[str, bool], list[Any]] = {
+            (topic, out): [] for topic in self.TOPICS for out in (True, False)
+        }
         for process in range(rng.randint(1, 5)):
             role = rng.choice("pq")
             control = names.control(f"{role}_{process}", role, rng.choice(("", "0123abcd")))
