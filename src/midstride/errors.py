@@ -5,7 +5,8 @@
     ├── ActionRefused           an action's precondition does not hold; nothing has changed
     ├── PlanRefused             no plan meets the request; says why
     ├── NodeError               the author's API was used wrongly
-    ├── CommandRefused          a component refused a command of the manager (token, revision, state)
+    ├── CommandRefused          a component refused a command of the manager (token, state)
+    │   └── RevisionChanged     it has changed since the manager last heard of it
     ├── BackendError            the platform below failed
     │   ├── StartFailed         a component did not start, register or match its declaration
     │   ├── CallTimeout         a component did not answer in time
@@ -63,6 +64,10 @@ class NodeError(MidstrideError):
 
 class CommandRefused(MidstrideError):
     """A component refused a command, and nothing in it changed."""
+
+
+class RevisionChanged(CommandRefused):
+    """A component refused a command because it has changed since it was last heard of. Observed again, it may do."""
 
 
 class BackendError(MidstrideError):

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from midstride.backends.simulator.clock import SimulatedClock
-from midstride.errors import CallTimeout, CommandRefused, ProtocolError, Superseded, Unreachable
+from midstride.errors import CallTimeout, CommandRefused, ProtocolError, RevisionChanged, Superseded, Unreachable
 from midstride.runtime.component_client import (
     ANSWER_TIMEOUT,
     REOPEN_INTERVAL,
@@ -191,7 +191,7 @@ def test_after_a_refusal_the_next_change_observes_first() -> None:
     async def body(c: Control) -> None:
         await c.client.observe("talker")
         c.component.revision += 1  # it has degraded by itself, and has not been heard of yet
-        with pytest.raises(CommandRefused):
+        with pytest.raises(RevisionChanged):
             await c.client.change("talker", GATE)
         await c.client.change("talker", GATE)
         assert c.component.names() == ["observe", "gate", "observe", "gate"]

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from midstride.errors import StartFailed
+from midstride.errors import RevisionChanged, StartFailed
 from midstride.model.configuration import Configuration
 from midstride.runtime.backend import Exited
 from midstride.runtime.component_client import Disconnected
@@ -196,6 +196,19 @@ def test_a_component_that_refuses_to_degrade_is_not_asked_again_at_each_report(t
     reconciling(talking(), tmp_path, body)
 
 
+def test_a_component_that_has_just_changed_is_degraded_all_the_same(tmp_path: Path) -> None:
+    """It was stopped, and carries out what it was sent before that between being observed and being degraded."""
+
+    async def body(r: ReconcilingBench) -> None:
+        r.client.reply("listener", ModesCommand, RevisionChanged("it is at revision 11"), None)
+        r.exits(TALKER_EXITED)
+        await moment()
+        assert len(r.client.of(ModesCommand)) == 2
+        assert r.system.configuration == talking().without_instance("talker").with_modes(DEGRADED_LISTENER)
+
+    reconciling(talking(), tmp_path, body)
+
+
 def test_a_degradation_that_was_carried_out_late_is_not_called_unexpected(tmp_path: Path) -> None:
     """The component was stopped when the command arrived, and reads it once it continues."""
 
@@ -294,6 +307,23 @@ def test_a_command_begins_with_what_has_happened(tmp_path: Path) -> None:
         r.exits(TALKER_EXITED)
         async with r.reconciler.around():
             assert "talker" not in r.system.configuration.instances
+
+    reconciling(talking(), tmp_path, body)
+
+
+def test_a_command_may_expect_what_has_been_reported_unless_the_model_lacks_it(tmp_path: Path) -> None:
+    """The worst mode of a functionality may have raised: that changes nothing but the revision of its component."""
+
+    async def body(r: ReconcilingBench) -> None:
+        r.busy = True
+        for name in ("talker", "listener"):
+            r.client.report(reported(r.configuration.instances[name], talking()))
+        async with r.reconciler.around():
+            assert r.client.accepted == ["listener", "talker"]
+        r.client.accepted.clear()
+        r.degrades("talker")
+        r.reconciler._accept_reported()
+        assert r.client.accepted == ["listener"]
 
     reconciling(talking(), tmp_path, body)
 

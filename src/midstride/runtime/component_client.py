@@ -13,7 +13,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
-from midstride.errors import BackendError, CallTimeout, CommandRefused, ProtocolError, Superseded, Unreachable
+from midstride.errors import (
+    BackendError,
+    CallTimeout,
+    CommandRefused,
+    ProtocolError,
+    RevisionChanged,
+    Superseded,
+    Unreachable,
+)
 from midstride.runtime.clock import Clock
 from midstride.wire.channel import Channel, Report, result_of
 from midstride.wire.commands import Command, ObserveCommand
@@ -232,7 +240,7 @@ class ComponentClient:
         return await self._send(instance, command, None)
 
     async def change(self, instance: str, command: Command[R]) -> R:
-        """Send a command that changes the component. Raises as ``read``, and Superseded."""
+        """Send a command that changes the component. Raises as ``read``, RevisionChanged and Superseded."""
         if self.superseded():
             raise Superseded("another manager of this system has taken over")
         if instance not in self._revisions:
@@ -294,7 +302,8 @@ class ComponentClient:
             return result_of(reply, command)
         except CommandRefused as error:
             self.forget(instance)  # its state is not the expected one
-            raise CommandRefused(f"{instance} refused `{command.name}`: {error}") from None
+            kind = CommandRefused if revision in (None, reply.revision) else RevisionChanged
+            raise kind(f"{instance} refused `{command.name}`: {error}") from None
 
     async def _request(self, instance: str, command: Command[R], revision: int | None) -> Reply:
         """Send a request, and once more under the same id if no reply comes: it is carried out only once."""

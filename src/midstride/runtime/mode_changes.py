@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from midstride.errors import CommandRefused
+from midstride.errors import CommandRefused, RevisionChanged
 from midstride.model.action import Degrade, Upgrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
@@ -109,8 +109,13 @@ class ModeChanges:
 
         A failure is not undone: if only the reply was lost, undoing would upgrade them without their inputs.
         """
-        if not self.is_gone(instance):
-            await self.client.change(instance, self._command(modes, because, self.drain_timeout))
+        if self.is_gone(instance):
+            return
+        command = self._command(modes, because, self.drain_timeout)
+        try:
+            await self.client.change(instance, command)
+        except RevisionChanged:  # one that was stopped may just have carried out what it was sent before
+            await self.client.change(instance, command)
 
     def _command(self, modes: Mapping[FunctionalityRef, int], because: str, timeout: float) -> commands.ModesCommand:
         names: dict[str, Any] = {

@@ -144,6 +144,7 @@ class Reconciler:
         """Reconcile before and after a command."""
         try:
             await self.reconcile()
+            self._accept_reported()
             yield
             await self.reconcile()
         finally:
@@ -151,6 +152,18 @@ class Reconciler:
             if self.system.crashed or own_degradations(self.system.configuration, self.client, ()):
                 self._start_reconciling()
             self.on_reconciled()
+
+    def _accept_reported(self) -> None:
+        """Commands may expect what components have reported by now, where the model has it or it is none of its affair.
+
+        A mode that has raised, and that is the worst, changes the revision of its component alone.
+        """
+        configuration = self.system.configuration
+        for name in sorted(configuration.instances):
+            state = self.client.responsive(name)
+            if state is None or own_degradations_in(configuration, state) or differs(configuration, state):
+                continue
+            self.client.accept(name)
 
     def _reconcile_soon(self) -> None:
         if not self.busy():

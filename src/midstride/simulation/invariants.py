@@ -114,6 +114,7 @@ class Invariants:
         if now - at > RESUMED and self.oracle.period(writer.topic) and self.uninterrupted():
             self._violation(f"{writer.topic} was silent for {now - at:.1f} s although its publishers were alive")
         self._publishers[key] = owner, now
+        self._note_heard(owner, writer.topic)
         if before.instance == owner.instance:
             return
         apart = before.machine != owner.machine
@@ -131,6 +132,14 @@ class Invariants:
         most = EXCHANGES + 2 if late else EXCHANGES
         if len(times) >= most and now - times[-most] < EXCHANGES_WITHIN:
             self._violation(f"{before.instance} and {owner.instance} are both heard on {writer.topic}")
+
+    def _note_heard(self, process: StandIn, topic: str) -> None:
+        """What publishes is open, also where it reports so later: once its peer has answered."""
+        shown = self._shown.get(process.instance)
+        if shown is not None and not any(topic == other for _, other in shown.links):
+            links = [(port, topic) for port in sorted(process.outputs_on(topic))]
+            self._shown[process.instance] = shown._replace(links=(*shown.links, *links))
+            self.due = self._changed = True
 
     def check(self) -> None:
         """After each event that makes it ``due``."""

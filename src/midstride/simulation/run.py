@@ -19,6 +19,7 @@ from midstride.runtime.reports import Event
 from midstride.runtime.state_transfers import STATE_TIMEOUT
 from midstride.simulation.convergence import closed_outputs, differences, left_attached, not_done, uncaught
 from midstride.simulation.faults import DEAFENING, HARMLESS, LATE, LOSSES, OF_THE_MANAGER, PROMPT, Fault, draw, strike
+from midstride.simulation.invariants import RESUMED
 from midstride.simulation.lives import Life, ManagerKilled
 from midstride.simulation.scenario import Scenario
 from midstride.simulation.stand_in import StandIn
@@ -237,6 +238,8 @@ class Simulation:
             if unrecorded := running - set(self._system.recorded()):
                 self._violated(f"{sorted(unrecorded)} run, and are not saved")
         if self._outcomes[-1] == "rolled_back":
+            if self._has_struck(*DEAFENING):  # a side that could not be told of the end of its cut resumes by itself
+                await asyncio.sleep(RESUMED)
             for name in closed_outputs(self._platform):
                 self._violated(f"{name} is closed after a roll-back")
         request = self._again(manager)
