@@ -104,7 +104,7 @@ def test_what_is_looked_up_by_name_is_what_a_look_at_every_endpoint_finds() -> N
     for seed in range(300):
         rng = Random(seed)
         listed = ListedGraph(rng)
-        graph, dead = Graph(listed), set()
+        graph, dead, died = Graph(listed), set(), set(rng.sample(["/p", "/q", "/p_0", "/q_1"], 1))
         known = {f"/{name}" for name in "pq"} | {f"/{role}_{number}" for role in "pq" for number in range(5)}
         instances = {
             bytes(info.endpoint_gid[:12]): control
@@ -122,7 +122,9 @@ def test_what_is_looked_up_by_name_is_what_a_look_at_every_endpoint_finds() -> N
             if rng.random() < 0.5:
                 graph.forget(name)
                 dead |= {bytes(info.endpoint_gid) for info in every if shown(info)[0] == name}
-        living = [info for info in every if bytes(info.endpoint_gid) not in dead]
+        for name in died:
+            graph.died(name)
+        living = [info for info in every if bytes(info.endpoint_gid) not in dead and shown(info)[0] not in died]
         for name in sorted(known):
             assert graph.has(name) == any(shown(info)[0] == name for info in living), (seed, name)
             expected = {shown(info)[1] for info in living if f"/{info.node_name}" == name}

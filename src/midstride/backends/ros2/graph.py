@@ -64,14 +64,16 @@ class Graph:
     def of_name(self, node: str) -> set[InstanceNode | None]:
         """The living instances whose node has that name; None among them is a foreign node."""
         living: set[bytes] = set()
-        listed = self._node_names().count(node)
+        listed, looked_up = self._node_names().count(node), False
         for _, _, info in self._of_node(node):
-            if self._lives(info, node):
-                living.add(names.participant(info))
+            process = names.participant(info)
+            if process not in self._known and not looked_up:  # once: that of a foreign node stays unknown
+                self._known, looked_up = self._instances(), True
+            if self._lives(info, _name(info, self._known)):
+                living.add(process)
             if len(living) == listed:  # each is in another process
                 break
-        instances = self._instances_of(living)
-        return {instances.get(participant) for participant in living}
+        return {self._known.get(process) for process in living}
 
     def endpoints(self) -> Endpoints:
         instances = self._instances()
