@@ -271,6 +271,30 @@ def test_where_every_report_is_lost_the_old_side_does_not_write_again(tmp_path: 
     in_lab(tmp_path, main)
 
 
+def test_a_new_side_does_not_ask_another_process_that_has_the_name_of_the_old_one(tmp_path: Path) -> None:
+    """Its report has not been answered yet when the old one ends, and the next instance is given the name."""
+
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
+        simulator.faults.fail_next("old", "taken", "lost_reply", 1000)
+        await cut_at(lab, await next_slot(lab, 0.2))
+        await lab.sleep(0.5)
+        simulator.faults.kill("old")
+        await lab.exited("old")
+        simulator.faults.clear()
+        lab.exits.clear()
+        lab.registrations.clear()
+        await lab.start("old", puppets.talker(rate=20))
+        told = await lab.read("new", "await_cut", cut="cut", timeout=20.0)
+        assert told["outcome"] == "done"
+        assert (await lab.port("new", "out", TOPIC))["gate"] == "open"
+        before = len(await lab.received("sink"))
+        await lab.sleep(1.0)
+        assert len(await lab.received("sink")) >= before + 19
+
+    in_lab(tmp_path, main)
+
+
 def test_a_new_side_that_was_stopped_over_the_cut_writes_nothing_once_the_old_one_does(tmp_path: Path) -> None:
     async def main(lab: Lab, simulator: Simulator) -> None:
         await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))

@@ -148,9 +148,17 @@ class HandoverCommands:
 
         await self._arm(side, arm)
 
+        met = self._channels.get(command.address)
+        old = "" if met is None else met.greeting.uuid
+
         async def report(timeout: float, failed: bool) -> bool:
+            nonlocal old
             taken = commands.CutTakenCommand(cut=command.cut, failed=failed, claim="" if failed else side.claim.place)
-            reply = await self.call(command.address, taken, timeout)
+            channel = await self._channel(command.address, timeout)
+            old = old or channel.greeting.uuid
+            if channel.greeting.uuid != old:  # that one knows nothing of the cut, and would say that it writes
+                raise Unreachable(f"{command.peer} has ended, and another process has its name")
+            reply = await channel.request(taken, timeout=timeout)
             return not reply.ok or result_of(reply, taken).resumed
 
         self._begin(command.cut, CutInTask(self.host, self.changed, side, report, state))
@@ -327,6 +335,10 @@ class HandoverCommands:
 
     async def call(self, address: str, command: Command[Any], timeout: float) -> Reply:
         """A peer's reply. Raises CallTimeout or Unreachable."""
+        return await (await self._channel(address, timeout)).request(command, timeout=timeout)
+
+    async def _channel(self, address: str, timeout: float) -> Channel:
+        """A connection to a peer, which is kept. Raises CallTimeout or Unreachable."""
         channel = self._channels.get(address)
         if channel is None or channel.closed.is_set():
             if self.host.transport is None:
@@ -336,7 +348,7 @@ class HandoverCommands:
             channel = self._channels.setdefault(address, made)
             if channel is not made:  # another cut has connected to the same peer meanwhile
                 made.close()
-        return await channel.request(command, timeout=timeout)
+        return channel
 
 
 def _in_order(links: Sequence[OutputLink]) -> bool:
