@@ -10,6 +10,7 @@ from immutables import Map
 
 from midstride.errors import PlanRefused
 from midstride.model.action import Handover
+from midstride.model.best import best
 from midstride.model.component import Connector, EnvironmentGuarantee, FunctionalitySpec, Mode, ParameterSpec
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification, initial
@@ -99,6 +100,25 @@ def test_an_instance_of_no_role_leaves() -> None:
 
 def exactly(measured: dict[str, float]) -> dict[str, Estimate]:
     return {kind: Estimate.exactly(seconds) for kind, seconds in measured.items()}
+
+
+@pytest.mark.parametrize("strategy", ["minimal", "paper"])
+def test_of_two_instances_the_one_that_has_the_topics_is_replaced(strategy: str) -> None:
+    """As after a roll-back that failed: the old one was fenced, and its successor has taken over."""
+    start = talker()
+    running = initial(start)
+    attachments = running.attached_ports("talker")
+    running = running.with_instance(start.instance("talker", "talker_2"))
+    for port, connector in attachments:
+        running = running.without_attachment(port, connector)
+        running = running.with_attachment(port._replace(instance="talker_2"), connector)
+    running = best(running)
+    target = start.with_replaced("talker", "NewTalker")
+    change = change_between(running, start, target)
+    assert dict(change.replaced) == {"talker_2": "talker_3"} and set(change.leaving) == {"talker", "talker_2"}
+    plan = STRATEGIES[strategy](change)
+    for configuration in plan.configurations():
+        assert len(configuration.publishers_on("/chatter")) <= 1
 
 
 def test_durations_are_declared_else_measured_else_the_default() -> None:

@@ -136,7 +136,9 @@ class ChangeBuilder:
             self.coming[name] = self.target.instance(role, name)
             self.attached.extend(self._wanted(role, name))
             if running:
-                self.replaced[running[0].name] = name
+                # After a failed roll-back there may be two: the topics are with one of them.
+                old = max(running, key=lambda instance: len(self.start.attached_ports(instance.name)))
+                self.replaced[old.name] = name
         for instance in running:
             if instance is not kept:
                 self._leave(instance)
