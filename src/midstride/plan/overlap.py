@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Final
 
 from midstride.model.action import Action, Attach, Create, Degrade, Handover, Remove, Upgrade
-from midstride.model.component import PortRef
 from midstride.plan.disruption import DIGITS
 from midstride.plan.estimate import Estimate
 from midstride.plan.plan import Plan
@@ -100,7 +99,6 @@ class _Neighbours:
 
     def __init__(self, plan: Plan) -> None:
         self._plan, self._change = plan, plan.change
-        self._coming = {instance.name: instance.component for instance in plan.change.coming}
         # Between two instances without outputs, state moves beside a step of either (midstride.runtime.state_moves).
         replaced = without_outputs(plan.change)
         self._partners = {**replaced, **{old: new for new, old in replaced.items()}}
@@ -146,16 +144,12 @@ class _Neighbours:
     def _waits_for_peer(self, earlier: Sequence[int], index: int) -> bool:
         """Whether an attachment has to find what one of ``earlier`` attaches, at the other end of its topic."""
         ends = [
-            (self._change.start.topic(action.connector), self._is_output(action.port))
+            (self._change.start.topic(action.connector), self._change.is_output(action.port))
             for each in (*earlier, index)
             if isinstance(action := self._plan.steps[each].action, Attach)
         ]
         topic, output = ends.pop()
         return (topic, not output) in ends
-
-    def _is_output(self, port: PortRef) -> bool:
-        component = self._coming.get(port.instance) or self._change.start.component(port.instance)
-        return component.has_output(port.port)
 
     def _is_independent(self, earlier: Sequence[int], index: int) -> bool:
         """Whether the two sides of a hand-over write and hear nothing that ``earlier`` ones hand over.

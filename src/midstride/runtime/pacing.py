@@ -26,10 +26,11 @@ async def room_for_a_start(clock: Clock, starting: Callable[[], int]) -> None:
     One per processor may start in any case, also on a machine that is busy with other work.
     """
     processors = clock.processors()
-    at, idle = clock.steady(), clock.idle()
     while starting() >= processors:
-        await clock.sleep(LOOK)
-        if (passed := clock.steady() - at) >= INTERVAL:
-            if starting() < MOST_EACH * processors and clock.idle() - idle >= SPARE * passed:
+        at, idle = clock.steady(), clock.idle()
+        while (passed := clock.steady() - at) < INTERVAL:
+            await clock.sleep(LOOK)
+            if starting() < processors:
                 return
-            at, idle = clock.steady(), clock.idle()
+        if starting() < MOST_EACH * processors and clock.idle() - idle >= SPARE * passed:
+            return

@@ -154,9 +154,9 @@ class Reconciler:
             self.on_reconciled()
 
     def _accept_reported(self) -> None:
-        """Commands may expect what components have reported by now, where the model has it or it is none of its affair.
+        """Expect the revisions that components have reported, except of those that report what the model lacks.
 
-        A mode that has raised, and that is the worst, changes the revision of its component alone.
+        A worst mode that raises changes the revision of its component, and nothing in the model.
         """
         configuration = self.system.configuration
         for name in sorted(configuration.instances):

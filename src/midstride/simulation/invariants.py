@@ -96,8 +96,7 @@ class Invariants:
 
     def _check_gates(self, process: StandIn) -> None:
         """Of two instances of one role, not both publish whatever they write: a cut decides for one at least."""
-        others = [each for each in self.platform.processes.values() if isinstance(each, StandIn)]
-        for other in others:
+        for other in self.platform.stand_ins():
             if other is process or other.role != process.role or other.machine != process.machine:
                 continue  # those on two machines share no lock, and cannot hear of each other
             for port, topic in sorted(process.open_outputs() & other.open_outputs()):
@@ -137,7 +136,7 @@ class Invariants:
         """What publishes is open, also where it reports so later: once its peer has answered."""
         shown = self._shown.get(process.instance)
         if shown is not None and not any(topic == other for _, other in shown.links):
-            links = [(port, topic) for port in sorted(process.outputs_on(topic))]
+            links = [(port, topic) for port in process.outputs_on(topic)]
             self._shown[process.instance] = shown._replace(links=(*shown.links, *links))
             self.due = self._changed = True
 

@@ -238,7 +238,7 @@ class Simulation:
             if unrecorded := running - set(self._system.recorded()):
                 self._violated(f"{sorted(unrecorded)} run, and are not saved")
         if self._outcomes[-1] == "rolled_back":
-            if self._has_struck(*DEAFENING):  # a side that could not be told of the end of its cut resumes by itself
+            if self._has_struck(*DEAFENING):  # an old side that was not told so waits before it writes again
                 await asyncio.sleep(RESUMED)
             for name in closed_outputs(self._platform):
                 self._violated(f"{name} is closed after a roll-back")

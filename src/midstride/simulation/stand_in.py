@@ -173,9 +173,9 @@ class StandIn(ThreadlessProcess):
             if link.open and not link.fenced
         }
 
-    def outputs_on(self, topic: str) -> set[str]:
+    def outputs_on(self, topic: str) -> list[str]:
         """Its outputs that are attached to ``topic``."""
-        return {output.name for output in self._stand_in.outputs if output.link(topic) is not None}
+        return [output.name for output in self._stand_in.outputs if output.link(topic) is not None]
 
     def _run_thread(self, work: Callable[[], None] | None) -> Yielded:
         return self._thread.resume(work)  # its program does not touch the interpreter's state

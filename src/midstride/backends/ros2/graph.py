@@ -63,17 +63,16 @@ class Graph:
 
     def of_name(self, node: str) -> set[InstanceNode | None]:
         """The living instances whose node has that name; None among them is a foreign node."""
-        living: set[bytes] = set()
-        listed, looked_up = self._node_names().count(node), False
+        living: dict[bytes, InstanceNode | None] = {}
+        listed = self._node_names().count(node)
         for _, _, info in self._of_node(node):
             process = names.participant(info)
-            if process not in self._known and not looked_up:  # once: that of a foreign node stays unknown
-                self._known, looked_up = self._instances(), True
-            if self._lives(info, _name(info, self._known)):
-                living.add(process)
+            instances = self._instances_of([process])
+            if self._lives(info, _name(info, instances)):
+                living[process] = instances.get(process)
             if len(living) == listed:  # each is in another process
                 break
-        return {self._known.get(process) for process in living}
+        return set(living.values())
 
     def endpoints(self) -> Endpoints:
         instances = self._instances()
