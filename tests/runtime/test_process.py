@@ -253,7 +253,7 @@ class Platform(processes.ProcessBackend):
 
 
 def test_the_logs_of_running_components_are_kept_short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processes, "CHECK_LOGS", 0.01)
+    monkeypatch.setattr(processes, "UPKEEP", 0.01)
     monkeypatch.setattr(processes, "LONGEST_LOG", 100_000)
     monkeypatch.setattr(processes, "KEPT_OF_LOG", 10_000)
     log = tmp_path / "log"

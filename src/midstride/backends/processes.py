@@ -13,6 +13,7 @@ from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from midstride.backends import heap
 from midstride.backends.spares import Spares, fits
 from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.runtime.backend import Handle, Launch
@@ -26,8 +27,9 @@ from midstride.wire.transport import Transport
 _OURS: Final = ("python", "python3")
 log = logging.getLogger(__name__)
 
-# How often the logs of components are checked (s), how long one may get, and how much is then kept of it (bytes).
-CHECK_LOGS: Final = 60.0
+# How often free memory is given back and the logs of components are checked (s).
+UPKEEP: Final = 60.0
+# How long a log may get, and how much is then kept of it (bytes).
 LONGEST_LOG: Final = 8 * 1024 * 1024
 KEPT_OF_LOG: Final = 1024 * 1024
 
@@ -96,7 +98,7 @@ class ProcessBackend(abc.ABC):
         self._guardian = guardian
         # The processes that it watches, by instance.
         self._processes: dict[str, Process] = {}
-        self._shortening: asyncio.Task[None] | None = None
+        self._upkeep: asyncio.Task[None] | None = None
         self._spares: Spares | None = None
 
     @abc.abstractmethod
@@ -191,8 +193,8 @@ class ProcessBackend(abc.ABC):
             self._exited(instance, status, process)
 
         process.on_exit = exited
-        if self._shortening is None:
-            self._shortening = asyncio.get_running_loop().create_task(self._shorten_logs())
+        if self._upkeep is None:
+            self._upkeep = asyncio.get_running_loop().create_task(self._keep_up())
 
     def _forget(self, instance: str, process: Process) -> None:
         if self._processes.get(instance) is process:
@@ -201,9 +203,10 @@ class ProcessBackend(abc.ABC):
             self._guardian.release(process.pid)
         process.close()
 
-    async def _shorten_logs(self) -> None:
+    async def _keep_up(self) -> None:
         while True:
-            await asyncio.sleep(CHECK_LOGS)
+            await asyncio.sleep(UPKEEP)
+            heap.give_back()
             for process in list(self._processes.values()):
                 process.shorten_log(LONGEST_LOG, KEPT_OF_LOG)
 
@@ -211,9 +214,9 @@ class ProcessBackend(abc.ABC):
         """The processes go on, but for spares."""
         if self._spares is not None:
             await self._spares.close()
-        if self._shortening is not None:
-            self._shortening.cancel()
-            self._shortening = None
+        if self._upkeep is not None:
+            self._upkeep.cancel()
+            self._upkeep = None
         for process in self._processes.values():
             process.close()
         self._processes.clear()
