@@ -1,7 +1,7 @@
 """Many components on ROS 2 in one domain, beside as many bare rclpy nodes: up, idle, a replacement, down.
 
 The bare nodes have the endpoints of the components and the discovery settings of `midstride up`, and are started at the
-same pace, or all at once; instead of a replacement, one more node joins until it is matched. All figures of a row are
+same pace, or all at once (`ros-settings`: with ROS's own discovery settings on one host); instead of a replacement, one more node joins until it is matched. All figures of a row are
 of one run; the replacement is that of a source at 50 Hz. Idle time and memory leave that source and its sink out. For
 `up` alone, each way in turns:
 
@@ -28,7 +28,7 @@ import _control_plane_worker as worker
 
 HERE = Path(__file__).resolve().parent
 FEW = 10
-KINDS = ("spares", "components", "bare", "at-once")
+KINDS = ("spares", "components", "bare", "at-once", "ros-settings")
 # How long after `up` the idle time begins (s): until then the middleware acknowledges what it has discovered.
 SETTLE = 15.0
 
@@ -99,13 +99,13 @@ async def components(nodes: int, seconds: float, replacements: int, spares: int,
         return figures
 
 
-async def bare(nodes: int, seconds: float, joins: int, *, paced: bool) -> Figures:
+async def bare(nodes: int, seconds: float, joins: int, *, paced: bool, tuned: bool) -> Figures:
     from midstride.backends.ros2.dds_profiles import tuned_environment
     from midstride.runtime.clock import SystemClock
     from midstride.runtime.launcher import STOP_GRACE
     from midstride.runtime.pacing import room_for_a_start
 
-    environment = tuned_environment(dict(os.environ))
+    environment = tuned_environment(dict(os.environ)) if tuned else dict(os.environ)
     clock = SystemClock()
     processes: list[asyncio.subprocess.Process] = []
     created, matched = 0, asyncio.Semaphore(0)
@@ -195,7 +195,9 @@ def main() -> None:
                 spares = options.spares if kind == "spares" else 0
                 measured = components(nodes, options.idle, options.replacements, spares, options.rest)
             else:
-                measured = bare(nodes, options.idle, options.replacements, paced=kind == "bare")
+                measured = bare(
+                    nodes, options.idle, options.replacements, paced=kind == "bare", tuned=kind != "ros-settings"
+                )
             figures = {name: round(value, 2) for name, value in asyncio.run(measured).items()}
             rows.append({"nodes": nodes, "kind": kind, **figures})
             print(f"{nodes:4} {kind:<11}", ", ".join(f"{name} {value}" for name, value in figures.items()), flush=True)
