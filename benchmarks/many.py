@@ -1,11 +1,11 @@
 """Many components on ROS 2 in one domain, beside as many bare rclpy nodes: up, idle, a replacement, down.
 
 The bare nodes have the endpoints of the components and the discovery settings of `midstride up`, and are started at the
-same pace, or all at once (`ros-settings`: with ROS's own discovery settings on one host); instead of a replacement, one more node joins until it is matched. All figures of a row are
-of one run; the replacement is that of a source at 50 Hz. Idle time and memory leave that source and its sink out. For
-`up` alone, each way in turns:
+same pace, or all at once; `ros-settings` are started at once with ROS's own settings on one host. Instead of a
+replacement, one more node joins until it is matched. All figures of a row are of one run; the replacement is that of a
+source at 50 Hz. Idle time and memory leave that source and its sink out. For `up` alone, each way in turns:
 
-    python benchmarks/many.py --nodes 30 --kinds spares components bare at-once --idle 0 --replacements 0 --rounds 5
+    python benchmarks/many.py --nodes 30 --kinds spares bare at-once ros-settings --idle 0 --replacements 0 --rounds 5
 
 A replacement that uses a spare has another one join, which the others take seconds to discover where they are many.
 `--rest S` leaves them that time before the next.
