@@ -9,6 +9,7 @@ import asyncio
 import os
 import signal
 import sys
+import time
 from collections.abc import Coroutine
 from pathlib import Path
 from typing import Any
@@ -127,7 +128,9 @@ def test_exactly_one_instance_answers_whenever_the_manager_is_killed(tmp_path: P
                 killed = await asyncio.to_thread(manage, system, "swap", *point)
                 assert killed.returncode == -signal.SIGKILL, f"{point}: {killed.stdout}{killed.stderr}"
                 before = caller.answered.total()  # without a manager, too
+                deadline = time.monotonic() + 60
                 while caller.answered.total() < before + 20:
+                    assert time.monotonic() < deadline, f"{point}: {caller.unanswered()}; {caller.answered}"
                     await asyncio.sleep(0.01)
 
             for point in POINTS:

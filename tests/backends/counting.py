@@ -47,7 +47,7 @@ class Caller:
 
         self._request = ListParameters.Request
         self._clients = [node.create_client(ListParameters, service) for _ in range(clients)]
-        self._waiting: dict[int, tuple[Any, float]] = {}
+        self._waiting: dict[int, tuple[Any, float, int]] = {}
         self._calls = 0
         self.answered: Counter[str] = Counter()  # by instance
         self.longest = 0.0  # from a request to its answer (s)
@@ -61,7 +61,7 @@ class Caller:
         now = time.monotonic()
         for index, client in enumerate(self._clients):
             if index in self._waiting:
-                future, since = self._waiting[index]
+                future, since, _ = self._waiting[index]
                 if not future.done():
                     continue
                 self.longest = max(self.longest, now - since)
@@ -69,13 +69,18 @@ class Caller:
                 del self._waiting[index]
             if self.calling:
                 self._calls += 1
-                self._waiting[index] = client.call_async(self._request(prefixes=[f"{self._calls}"])), now
+                self._waiting[index] = client.call_async(self._request(prefixes=[f"{self._calls}"])), now, self._calls
 
     def finished(self) -> bool:
         """Whether every call has been answered, once no more are to be made."""
         self.calling = False
         self.step()
         return not self._waiting
+
+    def unanswered(self) -> list[str]:
+        """The requests that wait for their answers, with their ages."""
+        now = time.monotonic()
+        return [f"request {number} for {now - since:.1f} s" for _, since, number in self._waiting.values()]
 
     def handled_once(self, calls: Path) -> None:
         """Every request was handled by one instance, the one that answered it, once."""
