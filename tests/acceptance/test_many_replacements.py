@@ -10,8 +10,10 @@ from __future__ import annotations
 import asyncio
 import itertools
 import os
+import re
 import time
 from bisect import bisect_left, bisect_right
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -76,17 +78,19 @@ class Soak:
     bare: Bare
     footprints: dict[str, list[Footprint]] = field(default_factory=dict)
 
-    def entities(self) -> int:
-        """Nodes, publishers and subscriptions, those of services among them."""
+    def entities(self) -> Counter[str]:
+        """Nodes, publishers and subscriptions, those of services among them; without the numbers of instances."""
         node = self.bare.node
-        topics = [name for name, _ in node.get_topic_names_and_types(no_demangle=True)]
-        finds = (node.get_publishers_info_by_topic, node.get_subscriptions_info_by_topic)
-        return len(node.get_node_names()) + sum(len(find(name, no_mangle=True)) for name in topics for find in finds)
+        found = [f"node {name}" for name in node.get_node_names()]
+        for topic, _ in node.get_topic_names_and_types(no_demangle=True):
+            for find in (node.get_publishers_info_by_topic, node.get_subscriptions_info_by_topic):
+                found += [f"{each.endpoint_type.name} on {topic}" for each in find(topic, no_mangle=True)]
+        return Counter(re.sub(r"_[0-9]+", "", each) for each in found)
 
-    async def settled(self) -> int:
-        """The number of entities once it has been the same for three seconds."""
+    async def settled(self) -> Counter[str]:
+        """The entities once they have been the same for longer than one repeats its graph (3 s)."""
         found, since = self.entities(), time.monotonic()
-        while time.monotonic() < since + 3:
+        while time.monotonic() < since + 4:
             await asyncio.sleep(0.1)
             if (now := self.entities()) != found:
                 found, since = now, time.monotonic()
@@ -96,7 +100,7 @@ class Soak:
         for name, pid in self.processes.items():
             self.footprints.setdefault(name, []).append(Footprint.of(pid))
 
-    async def check(self, before: int) -> None:
+    async def check(self, before: Counter[str]) -> None:
         """Nothing is more at the end than it was once everything had been used for a while; ``before``: entities."""
         for name, rows in self.footprints.items():
             for figure in Footprint._fields:
@@ -110,8 +114,8 @@ class Soak:
         deadline = time.monotonic() + FORGOTTEN_WITHIN
         while (after := self.entities()) != before and time.monotonic() < deadline:
             await asyncio.sleep(0.1)
-        print(f"entities of the graph: {before} before, {after} after")
-        assert after == before
+        print(f"entities of the graph: {before.total()} before, {after.total()} after")
+        assert after == before, f"more: {after - before}, fewer: {before - after}"
 
 
 async def replaced_so_often(manager: Manager, soak: Soak) -> list[str]:
