@@ -1,6 +1,6 @@
 """What one node that joins and leaves costs the others on ROS 2: datagrams on this host, and their processor time.
 
-So many bare rclpy nodes are idle in one domain. A process that has joined creates a node with ROS's own endpoints, and
+Bare rclpy nodes are idle in one domain. A process that has joined it creates a node with ROS's own endpoints, and
 destroys it. Three ways in turns: with the discovery settings of `midstride up`; with the same, but a heartbeat in each
 message about the graph; and with ROS's own settings on one host, where part of it goes over shared memory and is not
 counted.
@@ -25,9 +25,9 @@ from pathlib import Path
 
 from midstride.backends.ros2 import dds_profiles
 
-# The others announce themselves now and then: what is counted is counted for so long (s), and compared with a rest.
+# How long each phase is counted (s). The others announce themselves meanwhile; the phase `rest` shows how much that is.
 COUNTED = 1.5
-# From the start of a process until it is known to all, and the others are at rest (s).
+# How long after each change all processes know of it, and are at rest again (s).
 SETTLE = 8.0
 
 IDLE = """
@@ -41,12 +41,13 @@ JOINS = """
 import rclpy, sys
 rclpy.init()
 hidden = rclpy.create_node("_joined", enable_rosout=False, start_parameter_services=False)
-for number, _ in enumerate(iter(sys.stdin.readline, "")):
-    if number % 2 == 0:
-        node = rclpy.create_node("node")
-    else:
-        node.destroy_node()
-    print("done", flush=True)
+sys.stdin.readline()
+node = rclpy.create_node("node")
+print("joined", flush=True)
+sys.stdin.readline()
+node.destroy_node()
+print("left", flush=True)
+sys.stdin.readline()
 """
 WAYS = ("midstride up", "heartbeat in each message", "ROS's own")
 

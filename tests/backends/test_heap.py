@@ -1,4 +1,4 @@
-"""Free memory goes back to the system, in a process of its own: that of the tests has a heap of many tests."""
+"""Free heap memory is returned to the system. Measured in a fresh process: the heap of the test run is not known."""
 
 from __future__ import annotations
 
