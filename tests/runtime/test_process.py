@@ -10,14 +10,15 @@ import sys
 import time
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import psutil
 import pytest
 
 from midstride.backends import processes
-from midstride.errors import StartFailed
+from midstride.errors import BackendError, StartFailed
+from midstride.runtime import process as process_module
 from midstride.runtime import reaper
 from midstride.runtime.process import Process, end_orphans, find, shorten, spawn, tail
 from midstride.runtime.reaper import Reaper, group_members, process_info
@@ -35,6 +36,27 @@ print("up", os.getpid(), child.pid, flush=True)
 if "leaves" in sys.argv:
     os._exit(3)
 time.sleep(600)
+"""
+
+# Any process may trace it; `threads`: it has a second thread. Then it waits.
+TRACED = """
+import ctypes, sys, threading, time
+ctypes.CDLL(None).prctl(0x59616D61, ctypes.c_ulong(-1), 0, 0, 0)
+if "threads" in sys.argv:
+    threading.Thread(target=time.sleep, args=(600,), daemon=True).start()
+print("up", flush=True)
+time.sleep(600)
+"""
+
+# Traces all threads of the process that it is given, as a debugger does at its prompt: it looks at nothing that happens
+# to them. It ends with its input, or after a while.
+DEBUGGER = """
+import ctypes, os, select, sys
+for thread in os.listdir(f"/proc/{sys.argv[1]}/task"):
+    if ctypes.CDLL(None, use_errno=True).ptrace(0x4206, int(thread), None, None):
+        sys.exit(os.strerror(ctypes.get_errno()))
+print("traces", flush=True)
+select.select([0], [], [], 20)
 """
 
 
@@ -178,6 +200,101 @@ def test_a_stopped_process_ends_in_order(tmp_path: Path, token: str) -> None:
     assert asyncio.run(run()) == -signal.SIGTERM
 
 
+@contextmanager
+def debugged(pid: int) -> Iterator[None]:
+    command = [sys.executable, "-S", "-c", DEBUGGER, str(pid)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as debugger:
+        assert debugger.stdout is not None and debugger.stderr is not None
+        if debugger.stdout.readline() != b"traces\n":
+            pytest.skip(f"no process can be traced here: {debugger.stderr.read().decode()}")
+        yield
+        assert debugger.poll() is None, "its end was waited for"
+        debugger.communicate(b"")
+
+
+def traced(tmp_path: Path, token: str, *arguments: str) -> Process:
+    environment = {"PATH": os.environ["PATH"], VARIABLE: token}
+    process = spawn([sys.executable, "-S", "-c", TRACED, *arguments], tmp_path, environment, tmp_path / "log.txt")
+    until(lambda: tail(process.log) == "up\n")
+    return process
+
+
+def test_an_exit_under_a_debugger_is_reported_at_once_and_reaped_later(
+    tmp_path: Path, token: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel shows the end of a traced process to its debugger alone, as long as that does not look."""
+    monkeypatch.setattr(process_module, "REAP_AGAIN", 0.01)
+
+    async def main() -> None:
+        heard: list[int | None] = []
+        process = traced(tmp_path, token)
+        process.on_exit = heard.append
+        with debugged(process.pid):
+            os.kill(process.pid, signal.SIGKILL)
+            await asyncio.wait_for(process.wait(), 10)
+            process.close()
+            assert heard == [None]
+            assert process_info(process.pid) is not None
+        while process_info(process.pid) is not None:
+            await asyncio.sleep(0.005)
+        assert process.status == -signal.SIGKILL
+
+    asyncio.run(asyncio.wait_for(main(), 15))
+
+
+@pytest.mark.parametrize("arguments", [(), ("threads",)])
+def test_what_a_debugger_holds_is_ended(
+    tmp_path: Path, token: str, arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process_module, "REAP_AGAIN", 0.01)
+
+    async def main() -> None:
+        process = traced(tmp_path, token, *arguments)
+        with debugged(process.pid):
+            await process.end(grace=0.0)
+            process.close()
+            assert not process.running
+        while process_info(process.pid) is not None:
+            await asyncio.sleep(0.005)
+
+    asyncio.run(asyncio.wait_for(main(), 15))
+
+
+@pytest.mark.parametrize("leader_stays", [True, False])
+def test_a_process_that_outlives_its_end_is_reported_when_it_exits(
+    leader_stays: bool, tmp_path: Path, token: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As one that waits for a driver or a file server: the kernel removes it later, or a child of it."""
+    monkeypatch.setattr(process_module, "KILL_PATIENCE", 0.1)
+
+    async def main() -> None:
+        exits: list[tuple[str, int | None]] = []
+        backend = Platform(tmp_path / "control", None, None, exits)
+        process = family(tmp_path, token)
+        backend._watch("stuck", process)
+        child = await child_of(process)
+        stuck = {process.pid, child} if leader_stays else {child}
+
+        def signal_group(group: int, number: signal.Signals) -> None:
+            for member in set(group_members(group)) - stuck:
+                os.kill(member, number)
+
+        monkeypatch.setattr(reaper, "signal_group", signal_group)
+        with pytest.raises(BackendError, match=r"was killed, but .* did not exit"):
+            await backend.end("stuck", 0.0)
+        if leader_stays:
+            assert exits == []
+            stuck.clear()
+            os.kill(process.pid, signal.SIGKILL)
+            await asyncio.wait_for(process.wait(), 10)
+            until(lambda: not alive(child))
+        assert exits == [("stuck", -signal.SIGKILL)]
+        assert "stuck" not in backend._processes
+        await backend._stop_watching()
+
+    asyncio.run(main())
+
+
 def test_what_cannot_be_started_is_named(tmp_path: Path) -> None:
     async def run(arguments: list[str], directory: Path) -> None:
         spawn(arguments, directory, {}, tmp_path / "log.txt")
@@ -237,10 +354,16 @@ def test_a_long_log_is_cut_to_its_last_lines_and_its_writer_goes_on(tmp_path: Pa
 
 
 class Platform(processes.ProcessBackend):
-    """Processes without any middleware."""
+    """Processes without any middleware. ``exits``: of which instance, and with which status."""
+
+    def __init__(
+        self, control: Path, logs: Path | None, guardian: Reaper | None, exits: list[tuple[str, int | None]]
+    ) -> None:
+        super().__init__(control, logs, guardian)
+        self._exits = exits
 
     def _exited(self, instance: str, status: int | None, process: Process) -> None:
-        raise AssertionError(f"{instance} exited")
+        self._exits.append((instance, status))
 
     async def _died(self, instance: str) -> None:
         pass
@@ -265,7 +388,8 @@ def test_the_logs_of_running_components_are_kept_short(tmp_path: Path, monkeypat
         return int(tail(log).rstrip("\n").rpartition("\n")[2] or 0)
 
     async def main() -> None:
-        backend = Platform(tmp_path / "control", None, None)
+        exits: list[tuple[str, int | None]] = []
+        backend = Platform(tmp_path / "control", None, None, exits)
         backend._watch("talkative", spawn([sys.executable, "-u", "-c", talkative], tmp_path, os.environ, log))
         deadline = time.monotonic() + 60
         while not log.read_bytes()[:1] or log.read_bytes().startswith(b"0\n"):
@@ -278,6 +402,7 @@ def test_the_logs_of_running_components_are_kept_short(tmp_path: Path, monkeypat
         assert "talkative" in backend._processes
         await backend.end("talkative", 3.0)
         assert "talkative" not in backend._processes
+        assert exits == []
         await backend._stop_watching()
 
     asyncio.run(main())

@@ -170,7 +170,6 @@ class ProcessBackend(abc.ABC):
 
     async def end(self, instance: str, grace: float) -> None:
         if (process := self._processes.get(instance)) is not None:
-            process.on_exit = None
             await process.end(grace)
             self._forget(instance, process)
         await self._died(instance)

@@ -29,6 +29,8 @@ from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
 # How long the kernel may take to remove a killed process (s).
 KILL_PATIENCE: Final = 10.0
+# How often a process that has exited is reaped again, while a debugger keeps it (s).
+REAP_AGAIN: Final = 1.0
 _TICK: Final = 0.02
 _LIBC: Final = ctypes.CDLL(None)
 _PR_SET_CHILD_SUBREAPER: Final = 36
@@ -47,7 +49,7 @@ class Process:
         self.started = started
         self.log = log
         self.status: int | None = None  # negative for a signal, None while it runs and if unknown
-        self.on_exit: Callable[[int | None], object] | None = None  # called with the status when it has exited
+        self.on_exit: Callable[[int | None], object] | None = None  # called with the status if it exits unexpectedly
         self._log_begins = log_begins
         self._child = child
         self._exited = asyncio.Event()
@@ -86,16 +88,26 @@ class Process:
     def _ended(self) -> None:
         self._loop.remove_reader(self._fd)
         if self._child:
-            try:
-                result = os.waitid(os.P_PIDFD, self._fd, os.WEXITED)
-            except ChildProcessError:  # already reaped elsewhere
-                result = None
-            if result is not None:
-                self.status = result.si_status if result.si_code == os.CLD_EXITED else -result.si_status
-        if not self._ending and self._group == self.pid:
+            self._reap()
+        self._exited.set()
+        if not self._ending:
+            self._ended_unexpectedly()
+
+    def _reap(self) -> None:
+        """Take its status. A debugger sees the end first, and may keep it for as long as it likes: nobody waits."""
+        try:
+            result = os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG)  # not reused before: it is a zombie
+        except ChildProcessError:  # already reaped elsewhere
+            return
+        if result is None:
+            self._loop.call_later(REAP_AGAIN, self._reap)
+        else:
+            self.status = result.si_status if result.si_code == os.CLD_EXITED else -result.si_status
+
+    def _ended_unexpectedly(self) -> None:
+        if self._group == self.pid:
             # A shell that is killed must not leave the component that it ran.
             reaper.signal_group(self._group, signal.SIGKILL)
-        self._exited.set()
         if self.on_exit is not None:
             self.on_exit(self.status)
 
@@ -103,9 +115,21 @@ class Process:
         """End the process and its group: with SIGTERM, and after ``grace`` seconds with SIGKILL.
 
         With a ``grace`` of 0 with SIGKILL at once: one that is stopped does not run again, not for an instant. Returns
-        when all of them have exited. Raises BackendError if the kernel does not remove a killed process.
+        when all of them have exited. Raises BackendError if the kernel does not remove a killed process; then
+        ``on_exit`` is called as soon as it has.
         """
         self._ending = True
+        try:
+            await self._end(grace)
+        except BaseException:
+            self._ending = False
+            if not self.running:  # but one of its group is
+                self._ended_unexpectedly()
+            raise
+        if self.running:  # all of its threads have exited, and a debugger keeps one: the pidfd does not tell
+            self._ended()
+
+    async def _end(self, grace: float) -> None:
         if grace > 0:
             deadline = self._loop.time() + grace
             self._signal(signal.SIGTERM)
