@@ -14,7 +14,11 @@ from pathlib import Path
 import pytest
 
 from midstride.backends.ros2 import dds_profiles
-from midstride.errors import CallTimeout, StartFailed, Unreachable
+from midstride.backends.ros2.foreign_nodes import ForeignNodes
+from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
+from midstride.foreign.page import GATES
+from midstride.foreign.record import ForeignRecord
+from midstride.lang import load_text
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.component_client import ComponentClient
 from midstride.wire.commands import AttachCommand, AwaitWriteCommand, MeetCommand, PingCommand
@@ -33,6 +37,7 @@ from tests.backends.ros2_support import (
     until_async,
     without_midstride,
 )
+from tests.foreign.chat import chat
 
 pytestmark = pytest.mark.ros2
 
@@ -244,6 +249,42 @@ def test_a_program_that_is_not_there(tmp_path: Path) -> None:
         async with rig(tmp_path) as r:
             with pytest.raises(StartFailed, match="no program no-such-program"):
                 await r.backend.start(Launch("talker", "", ("no-such-program",), r.token, tmp_path))
+
+    run(scenario())
+
+
+@pytest.mark.parametrize("fault", ["its record", "its socket", "cancelled"])
+def test_a_node_without_the_api_that_nobody_can_answer_for_does_not_run(
+    fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[int] = []
+    answering = ForeignNodes.started
+
+    async def started_then(nodes: ForeignNodes, record: ForeignRecord, handle: Handle) -> None:
+        assert handle.pid is not None and alive(handle.pid)
+        started.append(handle.pid)
+        if fault == "cancelled" and len(started) == 1:
+            raise asyncio.CancelledError
+        await answering(nodes, record, handle)
+
+    monkeypatch.setattr(ForeignNodes, "started", started_then)
+    component = load_text(chat("none")).require().components["Talker"]
+
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            blocked = Path(r.backend.transport.address("talker").removeprefix("unix:"))
+            if fault == "its record":
+                blocked = tmp_path / "components" / GATES / "talker.new"
+            if fault != "cancelled":
+                (blocked / "a file").mkdir(parents=True)
+            sleeping = "import time; time.sleep(600)"
+            with pytest.raises(asyncio.CancelledError if fault == "cancelled" else BackendError):
+                await r.launch("talker", sleeping, foreign=component)
+            assert not alive(started[0])
+            if fault != "cancelled":
+                shutil.rmtree(blocked)
+            handle = await r.launch("talker", sleeping, foreign=component)  # its name is free
+            assert handle.pid == started[1]
 
     run(scenario())
 

@@ -133,9 +133,13 @@ class SimulatedRos(Simulator):
         behaviour = self._behaviour.get(launch.foreign.name, {})
         node = self.nodes[launch.instance] = SimulatedNode(launch.instance, self.events, **behaviour)
         node.values = {"own": 1.5, **node.values, **launch.parameters, **launch.set_parameters}
-        _, record = await self._foreign.prepare(launch, launch.foreign, full(launch.instance, launch.namespace), {})
         handle = Handle(launch.instance, None, self.time.steady())
-        await self._foreign.started(record, handle)
+        try:
+            _, record = await self._foreign.prepare(launch, launch.foreign, full(launch.instance, launch.namespace), {})
+            await self._foreign.started(record, handle)
+        except BaseException:
+            self._gone(launch.instance)
+            raise
         return handle
 
     async def adopt(self, handle: Handle) -> bool:

@@ -256,7 +256,7 @@ class ScriptedBackend:
         self.running: set[str] = set()
         self.ended: list[tuple[str, float]] = []
         self.disconnections: list[str] = []
-        self.fail_start: dict[str, Exception] = {}
+        self.fail_start: dict[str, BaseException] = {}
         self.fail_end: dict[str, Exception] = {}
         self.lingering: dict[str, int] = {}
         self.instances: dict[str, Instance] = {}  # those that register when they are started

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from asyncio import CancelledError
 from collections.abc import Container
 from dataclasses import replace as changed
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 from immutables import Map
 
-from midstride.errors import BackendError, StartFailed, Unreachable
+from midstride.errors import BackendError, NodeError, StartFailed, Unreachable
 from midstride.model.component import ComponentSpec, ParameterSpec
 from midstride.model.configuration import Instance
 from midstride.runtime.backend import Exited, Handle, Launch
@@ -94,10 +95,11 @@ def test_a_command_that_is_none_is_refused(run: str, words: str, tmp_path: Path)
     bench(NOTHING, tmp_path, body)
 
 
-def test_a_back_end_that_cannot_start_it_can_be_tried_again(tmp_path: Path) -> None:
+@pytest.mark.parametrize("error", [StartFailed("no such program"), NodeError("no such socket"), CancelledError()])
+def test_a_back_end_that_cannot_start_it_can_be_tried_again(error: BaseException, tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        b.backend.fail_start["front/camera"] = StartFailed("no such program")
-        with pytest.raises(StartFailed, match="no such program"):
+        b.backend.fail_start["front/camera"] = error
+        with pytest.raises(type(error)):
             await b.launcher.start(CAMERA)
         assert b.launcher.handles == {}
         del b.backend.fail_start["front/camera"]

@@ -143,7 +143,7 @@ class Launcher:
         except ValueError as error:
             self._forget_start(name)
             raise StartFailed(f"{name}: the `run` command {command!r} cannot be split: {error}") from None
-        except BackendError:
+        except BaseException:
             self._forget_start(name)
             raise
         return True

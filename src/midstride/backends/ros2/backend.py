@@ -32,7 +32,7 @@ from midstride.backends.ros2.early_join import hidden_node
 from midstride.backends.ros2.foreign_nodes import ForeignNodes, ros_arguments
 from midstride.backends.ros2.graph import Graph
 from midstride.backends.ros2.node_services import RosNodeServices
-from midstride.errors import BackendError, StartFailed, Unreachable
+from midstride.errors import BackendError, NodeError, StartFailed, Unreachable
 from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.page import GATES
 from midstride.foreign.relayed_program import differing
@@ -140,10 +140,13 @@ class Ros2Backend(ProcessBackend):
         try:
             command = (*command, *ros_arguments(launch, launch.foreign, full_name))
             handle = await self._spawn(launch, full_name, command, environment)
-        except BackendError:
+            await self._foreign_nodes.started(record, handle)
+        except BaseException as error:  # one that nobody answers for must not run
+            await super().end(launch.instance, 0.0)
             self._foreign_nodes.discard(record)
+            if isinstance(error, NodeError):
+                raise StartFailed(f"{launch.instance}: {error}") from error
             raise
-        await self._foreign_nodes.started(record, handle)
         return handle
 
     async def _start_relay(

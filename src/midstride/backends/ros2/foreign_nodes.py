@@ -141,12 +141,12 @@ class ForeignNodes:
         return node in self._relayed.values() or any(a.node.record.node == node for a in self._agents.values())
 
     def discard(self, record: ForeignRecord) -> None:
-        """The process could not be started."""
+        """The process could not be started, or has ended."""
         if record.index is not None and self._page is not None:
             self._page.free(record.index)
 
     async def started(self, record: ForeignRecord, handle: Handle) -> None:
-        """Have an agent answer for the process."""
+        """Have an agent answer for the process. Raises BackendError, NodeError."""
         await self._answer(replace(record, pid=handle.pid or 0))
 
     async def adopt(self, instance: str) -> None:
