@@ -156,6 +156,9 @@ class SimulatedRos(Simulator):
         self._gone(instance)
         self.events.append(f"{instance} {'ended' if grace else 'killed'}")
 
+    def unwritten(self) -> str | None:
+        return self._foreign.unwritten()
+
     def _gone(self, instance: str) -> None:
         self.nodes.pop(instance, None)
         self._foreign.gone(instance)

@@ -12,8 +12,10 @@ import pytest
 from midstride.backends.simulator import loop as virtual
 from midstride.errors import CommandRefused
 from midstride.foreign.lifecycle import NodeLifecycle
+from midstride.foreign.record import ForeignRecord
 from midstride.model.rules import violations
 from midstride.plan.request import PlanRequest
+from midstride.runtime.backend import Handle
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Outcome
 from midstride.runtime.workspace import Workspace
@@ -180,6 +182,27 @@ def test_one_that_leaves_its_state_by_itself_is_degraded(tmp_path: Path) -> None
             await asyncio.sleep(0.1)
         status = await manager.status()
         assert "its lifecycle state is inactive" in str(status)
+
+    managed(tmp_path, body)
+
+
+def test_what_the_disk_refuses_is_written_later(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        full = tmp_path / "gates" / "talker.new"
+        full.mkdir()
+        simulator.nodes["talker"].state = "inactive"
+        while simulator.active():
+            await asyncio.sleep(0.1)
+        status = await manager.status()
+        assert status.unwritten == f"{tmp_path / 'gates' / 'talker.json'} cannot be written: Is a directory"
+        full.rmdir()
+        while (await manager.status()).unwritten is not None:
+            await asyncio.sleep(0.1)
+        record = ForeignRecord.read(tmp_path / "gates", "talker")
+        assert record is not None and record.modes == {"talk": "degraded"}
+        full.mkdir()  # the next manager finds it so
+        await simulator.manager_killed()
+        assert await simulator.adopt(Handle("talker"))
 
     managed(tmp_path, body)
 

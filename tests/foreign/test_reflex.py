@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from midstride.codec.component import NamedComponentForm
+from midstride.foreign import agent as agent_module
 from midstride.foreign import reflex
 from midstride.foreign.agent import ForeignAgent
 from midstride.foreign.gates import Gates
@@ -203,6 +204,39 @@ def test_on_simulated_time_nothing_is_judged(robot: Robot) -> None:
     robot.received(30)
     robot.driver.change_record(stated={"use_sim_time": True})
     assert broken_assumptions(robot.driver) == {}
+
+
+def test_on_a_full_disk_the_gate_closes_and_the_reflex_goes_on(
+    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reflex, "tolerated_periods", lambda *_: 0.0)
+    monkeypatch.setattr(agent_module, "HEARTBEAT", 0.01)
+    gates = robot.gates["Driver"]
+    full = tmp_path / "driver.new"
+
+    async def scenario() -> None:
+        for port in ("scan", "cmd"):
+            gates.entry(port).endpoints = 1
+        agent = ForeignAgent(robot.record, tmp_path, gates)
+        node = agent.node
+        full.mkdir()
+        await agent.open(SocketFolder(tmp_path / "components"))
+        try:
+            while "drive" not in node.record.fallen:
+                await asyncio.sleep(0.005)
+            assert node.unwritten == f"{tmp_path / 'driver.json'} cannot be written: Is a directory"
+            node.enter_modes({"drive": "degraded"}, "a command")
+            assert not gates.entry("cmd").gate
+            node.enter_modes({"drive": "normal"}, "a command")  # again
+            while "drive" not in node.record.fallen:
+                await asyncio.sleep(0.005)
+            full.rmdir()
+            while ForeignRecord.read(tmp_path, "driver") != node.record:
+                await asyncio.sleep(0.005)
+        finally:
+            await agent.close()
+
+    asyncio.run(asyncio.wait_for(scenario(), 30))
 
 
 def test_the_agent_enters_the_mode_and_says_why(robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -309,6 +309,9 @@ class ScriptedBackend:
     def reported(self, state: ComponentState) -> None:
         pass
 
+    def unwritten(self) -> str | None:
+        return None
+
     def middleware(self) -> Middleware:
         return Middleware(name="scripted")
 

@@ -216,10 +216,15 @@ class ForeignAgent:
                 self._report()
 
     async def _heartbeat(self) -> None:
-        """Report twice a second, and soon after a baton has moved, which the nodes do without a command."""
+        """Report twice a second, and soon after a baton has moved, which the nodes do without a command.
+
+        A record that the disk has refused is written again.
+        """
         await self._registered.wait()
         while True:
             await self.node.comes_true(lambda: self.node.gate_states() != self._reported, HEARTBEAT, every=WATCH)
+            if self.node.unwritten is not None:
+                self.node.write_record()
             self._report()
 
     async def _watch_lifecycle(self) -> None:

@@ -13,7 +13,7 @@ from typing import Any, Final
 from immutables import Map
 from msgspec.structs import replace
 
-from midstride.errors import CommandRefused
+from midstride.errors import BackendError, CommandRefused
 from midstride.foreign.gates import Gates
 from midstride.foreign.record import ForeignRecord
 from midstride.model.component import ComponentSpec
@@ -40,6 +40,7 @@ class ForeignNode:
 
     def __init__(self, record: ForeignRecord, folder: Path, gates: Gates | None) -> None:
         self.record = record
+        self.unwritten: str | None = None  # why its file has an earlier one
         self.gates = gates
         self.component = record.declaration.declared()
         # As of the last time that the node was asked: its parameters, and those set while it ran with what they were.
@@ -65,9 +66,17 @@ class ForeignNode:
         return True
 
     def change_record(self, **changes: Any) -> None:
-        """Change these fields of the record, also in its file. Raises BackendError."""
+        """Change these fields of the record, also in its file; if the disk refuses, ``unwritten`` says why."""
         self.record = replace(self.record, **changes)
-        self.record.write(self._folder)
+        self.write_record()
+
+    def write_record(self) -> None:
+        try:
+            self.record.write(self._folder)
+        except BackendError as error:  # its gates must close all the same
+            self.unwritten = str(error)
+        else:
+            self.unwritten = None
 
     def require_gates(self) -> Gates:
         """Raises CommandRefused where no library is preloaded."""

@@ -140,6 +140,9 @@ class Backend(Protocol):
     def reported(self, state: ComponentState) -> None:
         """A component has reported its state."""
 
+    def unwritten(self) -> str | None:
+        """Why what the next manager needs to know of the components could not be written to disk."""
+
     def middleware(self) -> Middleware:
         """The middleware, and what is set for it. To be asked after ``open``."""
 

@@ -306,7 +306,8 @@ class Manager:
         running = None
         if self._current is not None:
             running = RunningCommand(self._current, round(self._backend.clock.steady() - self._since, 3))
-        unwritten = "; ".join(filter(None, [self._store.unwritten, self._journal.unwritten])) or None
+        refused = [self._store.unwritten, self._journal.unwritten, self._backend.unwritten()]
+        unwritten = "; ".join(filter(None, refused)) or None
         return status.status(
             self.system,
             self._client,

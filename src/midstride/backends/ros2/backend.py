@@ -217,6 +217,9 @@ class Ros2Backend(ProcessBackend):
     def reported(self, state: ComponentState) -> None:
         self._foreign_nodes.reported.note(state)
 
+    def unwritten(self) -> str | None:
+        return self._foreign_nodes.unwritten()
+
     def middleware(self) -> Middleware:
         return self.settings.described(os.environ, self.warnings)
 

@@ -140,6 +140,10 @@ class ForeignNodes:
         """Whether a process without Midstride's API has the ROS node of this full name."""
         return node in self._relayed.values() or any(a.node.record.node == node for a in self._agents.values())
 
+    def unwritten(self) -> str | None:
+        """Why the record of one of them could not be written."""
+        return next((why for agent in self._agents.values() if (why := agent.node.unwritten) is not None), None)
+
     def discard(self, record: ForeignRecord) -> None:
         """The process could not be started, or has ended."""
         if record.index is not None and self._page is not None:
@@ -147,7 +151,9 @@ class ForeignNodes:
 
     async def started(self, record: ForeignRecord, handle: Handle) -> None:
         """Have an agent answer for the process. Raises BackendError, NodeError."""
-        await self._answer(replace(record, pid=handle.pid or 0))
+        record = replace(record, pid=handle.pid or 0)
+        record.write(self._folder)
+        await self._answer(record)
 
     async def adopt(self, instance: str) -> None:
         """The process of an earlier manager runs: answer for it, if it has no agent inside it. Raises BackendError."""
@@ -163,7 +169,6 @@ class ForeignNodes:
         gates = None
         if record.index is not None and self._page is not None:
             gates = Gates(self._page, record.index, record.declaration.declared())
-        record.write(self._folder)
         self.names.add(record.node)
         services = self._services(record.node)
         graph = None if self._graph is None else partial(self._graph, record.node)

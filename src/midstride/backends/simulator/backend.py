@@ -161,6 +161,9 @@ class Simulator:
     def reported(self, state: ComponentState) -> None:
         pass  # every component has its agent inside
 
+    def unwritten(self) -> str | None:
+        return None
+
     def middleware(self) -> Middleware:
         return Middleware(name="none: messages stay in the manager's process")
 
