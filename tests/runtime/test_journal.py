@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from midstride.errors import ManagerError, Superseded
-from midstride.model.specification import Specification
+from midstride.model.specification import Order, Specification
 from midstride.plan.estimate import Estimate
 from midstride.runtime import journal_records
 from midstride.runtime.disk import Database, Disk, Statement
@@ -255,6 +255,18 @@ def test_the_next_manager_finds_what_was_interrupted_and_where(tmp_path: Path) -
         last = (await changes(second))[1]
         assert (last.outcome, last.because) == ("failed", f"{found}; no component of the system was left")
         assert await journal(tmp_path).take_over() == []
+
+    run(body)
+
+
+def test_what_was_interrupted_is_found_whatever_its_names_are(tmp_path: Path) -> None:
+    async def body() -> None:
+        target = changed(SECOND, constraints=(Order("talker", "no node"),))
+        first = journal(tmp_path)
+        await first.begin(new(target))
+        first.close()
+        [found] = await journal(tmp_path).take_over()
+        assert found.target == target
 
     run(body)
 

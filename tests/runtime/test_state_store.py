@@ -132,8 +132,9 @@ def test_only_what_differs_of_the_specification_is_written(path: Path) -> None:
         changed(SPECIFICATION, environment=(EnvironmentGuarantee("sun", TEXT, "/chatter"),)),
         changed(SPECIFICATION, constraints=(Order("talker", "listener"),)),
         changed(SPECIFICATION, timing=Map({"create": 2.0})),
+        changed(SPECIFICATION, constraints=(Order("talker", "no node"),)),  # it ran, whatever its names are
     ],
-    ids=["topics", "components", "resources", "environment", "constraints", "timing"],
+    ids=["topics", "components", "resources", "environment", "constraints", "timing", "names"],
 )
 def test_each_part_of_the_specification_comes_and_goes(path: Path, target: Specification) -> None:
     store = begun(path)

@@ -16,8 +16,9 @@ import pytest
 
 from midstride.backends.simulator import Simulator
 from midstride.errors import ManagerError, MidstrideError, Unreachable
+from midstride.model.component import FunctionalityRef
 from midstride.model.contract import DEFAULT_QOS
-from midstride.model.specification import Specification, initial
+from midstride.model.specification import Keep, Order, Specification, initial
 from midstride.plan.request import PlanRequest
 from midstride.runtime.backend import Launch
 from midstride.runtime.manager import Manager
@@ -100,6 +101,17 @@ def test_what_relies_on_the_dead_one_is_degraded_before_it_is_restored(tmp_path:
         assert "the plan asked for it" in (await manager.peek("filter")).functionalities["smooth"].because
 
     again("filter", tmp_path, between, after)
+
+
+def test_what_runs_is_taken_over_whatever_the_specification_names(tmp_path: Path) -> None:
+    async def before(manager: Manager) -> None:
+        constraints = (Order("no node", "sink"), Keep(FunctionalityRef("sink", "gone"), "normal"))
+        manager._store.write_specification(changed(manager.specification, constraints=constraints))
+
+    async def between(_: Manager, simulator: Simulator) -> None:
+        simulator.faults.kill("source")
+
+    again("filter", tmp_path, between, whole, before=before)
 
 
 def test_topics_that_do_not_depend_on_the_dead_one_are_not_disturbed(tmp_path: Path) -> None:

@@ -299,6 +299,14 @@ def decode_specification(document: object) -> Specification:
     return decode(document, SpecificationForm, SpecificationForm.specification, specification_names)
 
 
+def decode_saved_specification(document: object) -> Specification:
+    """The same of what a manager has saved: by it a system runs, whatever its names are.
+
+    Raises SpecificationError with every fault of form.
+    """
+    return decode(document, SpecificationForm, SpecificationForm.specification)
+
+
 def encode_specification(specification: Specification) -> Document:
     """The document of a specification; what is empty or the default is left out."""
     return encode(SpecificationForm.of(specification))

@@ -13,7 +13,7 @@ from typing import Final
 
 import msgspec
 
-from midstride.codec.specification import SpecificationForm, decode_specification
+from midstride.codec.specification import SpecificationForm, decode_saved_specification
 from midstride.model.specification import Specification
 from midstride.plan.estimate import Estimate
 from midstride.plan.forms import PlanPreview
@@ -133,14 +133,17 @@ def _removals(database: Database, number: int) -> list[Statement]:
 
 
 def interrupted(database: Database) -> list[Interrupted]:
-    """The changes that were begun and have not ended, oldest first. Raises as :func:`decode_specification` does."""
+    """The changes that were begun and have not ended, oldest first.
+
+    Raises as :func:`decode_saved_specification` does.
+    """
     query = """
     SELECT changes.number, command, total, form, (SELECT max(number) FROM steps WHERE change = changes.number),
         (SELECT min(number) FROM steps WHERE change = changes.number AND outcome IS NULL)
     FROM changes JOIN specifications ON version = after WHERE outcome IS NULL ORDER BY changes.number
     """
     return [
-        Interrupted(number, command, steps, decode_specification(msgspec.json.decode(form)), step, since)
+        Interrupted(number, command, steps, decode_saved_specification(msgspec.json.decode(form)), step, since)
         for number, command, steps, form, step, since in database.read(query)
     ]
 

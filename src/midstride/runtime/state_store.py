@@ -20,7 +20,7 @@ from immutables import Map
 
 from midstride.codec.component import ComponentForm
 from midstride.codec.configuration import InstanceForm
-from midstride.codec.specification import NodeForm, SpecificationForm, TopicForm, decode_specification
+from midstride.codec.specification import NodeForm, SpecificationForm, TopicForm, decode_saved_specification
 from midstride.errors import ManagerError, MidstrideError, Superseded
 from midstride.model.configuration import Instance
 from midstride.model.specification import Specification
@@ -275,7 +275,7 @@ def _specification(parts: tuple[tuple[str, str, str], ...]) -> Specification:
             rest = msgspec.json.decode(form, type=dict[str, Any])
         else:
             sections.setdefault(section, {})[name] = msgspec.json.decode(form)
-    return decode_specification({**rest, **sections})
+    return decode_saved_specification({**rest, **sections})
 
 
 def _instance(form: str, handle: str | None) -> SavedInstance:
