@@ -215,6 +215,20 @@ def test_old_entries_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     run(body)
 
 
+def test_old_incidents_are_removed_while_nothing_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(journal_records, "INCIDENTS", 3)
+
+    async def body() -> None:
+        found = journal(tmp_path)
+        for number in range(10):
+            found.note(Event(n=number, at=float(number), kind="parameters", words=str(number)))
+            await found.write()
+        assert [each.words for each in (await found.history(100)).incidents] == ["7", "8", "9"]
+        found.close()
+
+    run(body)
+
+
 def test_the_size_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     largest = 400_000
     monkeypatch.setattr(journal_records, "LARGEST", largest)

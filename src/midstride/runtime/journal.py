@@ -160,7 +160,8 @@ class Journal:
 
     def _commit(self, database: Database, statements: Sequence[Statement]) -> None:
         waiting = self._backlog[:]
-        self._lease.write(database, [*waiting, *statements])
+        removal = [journal_records.removal_of_incidents()] if waiting else []
+        self._lease.write(database, [*waiting, *removal, *statements])
         del self._backlog[: len(waiting)]
         self.unwritten = None
 

@@ -127,9 +127,14 @@ def _removals(database: Database, number: int) -> list[Statement]:
         ("DELETE FROM steps WHERE change NOT IN (SELECT number FROM changes)", ()),
         ("DELETE FROM records WHERE change NOT IN (SELECT number FROM changes)", ()),
         (f"DELETE FROM specifications WHERE version NOT IN ({_REFERENCED})", ()),
-        ("DELETE FROM incidents WHERE number <= (SELECT max(number) FROM incidents) - ?", (INCIDENTS,)),
+        removal_of_incidents(),
         ("DELETE FROM durations WHERE number <= (SELECT max(number) FROM durations) - ?", (DURATIONS,)),
     ]
+
+
+def removal_of_incidents() -> Statement:
+    """Removes those that are too old: they come without a change as well, as many as a program causes."""
+    return "DELETE FROM incidents WHERE number <= (SELECT max(number) FROM incidents) - ?", (INCIDENTS,)
 
 
 def interrupted(database: Database) -> list[Interrupted]:
