@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import resource
+import shutil
 import sqlite3
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace as changed
 from pathlib import Path
 
@@ -245,6 +248,42 @@ def test_a_disk_that_refuses_is_reported_once_and_caught_up_with(path: Path, mon
     found = StateStore(path).load()
     assert found is not None
     assert [entry.handle for entry in found.instances] == [HANDLE], "what the disk refused was lost"
+
+
+@contextmanager
+def full_disk() -> Iterator[None]:
+    """Meanwhile no file can get longer."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_what_an_earlier_manager_left_is_read_on_a_full_disk(killed: bool, path: Path, tmp_path: Path) -> None:
+    store = begun(path)
+    store.write_instance(TALKER, HANDLE)
+    left = path
+    if killed:  # after a restart of the machine, only its index of the write-ahead log is missing
+        left = tmp_path / "state.db"
+        for suffix in ("", "-wal"):
+            shutil.copy(f"{path}{suffix}", f"{left}{suffix}")
+    store.close()
+    with full_disk():
+        found = StateStore(left).load()
+    assert found is not None and found.instances == (SavedInstance(TALKER, HANDLE),)
+    assert StateStore(left).load() == found
+
+
+def test_a_state_that_cannot_be_read_now_is_not_called_damaged(path: Path) -> None:
+    begun(path).close()
+    path.with_name("state.db-wal").mkdir()
+    with pytest.raises(ManagerError, match=r"cannot read .*state\.db now: .* keep running; make room"):
+        StateStore(path).load()
+    path.with_name("state.db-wal").rmdir()
+    assert StateStore(path).load() is not None
 
 
 DEEP = '{"a": ' * 100_000 + "1" + "}" * 100_000

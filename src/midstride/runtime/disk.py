@@ -21,6 +21,8 @@ from midstride.errors import Superseded
 Statement: TypeAlias = tuple[str, Sequence[str | float | None]]
 
 _FILES: Final = ("", "-wal", "-shm")
+# SQLite's words for damage that it reports as an error of the statement.
+_DAMAGE: Final = ("no such table", "no such column", "Could not decode")
 
 
 class Database:
@@ -118,7 +120,18 @@ class Disk:
         if not path.exists():
             return None
         # Not SQLite's own read-only mode: what a killed manager wrote last must be taken from the write-ahead log.
-        return Database(sqlite3.connect(f"file:{path}?mode=rw", uri=True))
+        connection = sqlite3.connect(f"file:{path}?mode=rw", uri=True)
+        try:
+            connection.execute("PRAGMA schema_version")
+        except sqlite3.OperationalError:
+            # A full disk has no room for the index of that log, which an only user keeps in its own memory.
+            connection.close()
+            connection = sqlite3.connect(f"file:{path}?mode=rw", uri=True)
+            connection.execute("PRAGMA locking_mode = EXCLUSIVE")
+        except BaseException:
+            connection.close()
+            raise
+        return Database(connection)
 
     def remove(self, path: Path) -> None:
         for suffix in _FILES:
@@ -144,6 +157,13 @@ def _connected(path: Path, schema: str) -> sqlite3.Connection:
         connection.close()
         raise
     return connection
+
+
+def refused(error: Exception) -> bool:
+    """Whether the disk, or another user of the file, has refused this now; else what is in the file is at fault."""
+    if isinstance(error, sqlite3.OperationalError):
+        return not any(words in str(error) for words in _DAMAGE)
+    return isinstance(error, OSError)
 
 
 DISK: Final = Disk()

@@ -25,7 +25,7 @@ from midstride.model.specification import Specification
 from midstride.plan.estimate import Estimate
 from midstride.runtime import journal_records
 from midstride.runtime.change_report import ChangeReport, ChangeTimeline, read_report, recorded
-from midstride.runtime.disk import DISK, Database, Disk, Lease, Statement
+from midstride.runtime.disk import DISK, Database, Disk, Lease, Statement, refused
 from midstride.runtime.history import History, SpecificationVersion, read_history, read_specification
 from midstride.runtime.journal_records import Interrupted, NewChange
 from midstride.runtime.measure import SwapReport
@@ -40,8 +40,6 @@ INCIDENTS: Final = frozenset(
 )
 # How many statements are kept in memory while the disk refuses them.
 BACKLOG: Final = 2_000
-# SQLite's words for damage that it reports as an error of the statement.
-_DAMAGE: Final = ("no such table", "no such column", "Could not decode")
 
 
 class Journal:
@@ -259,9 +257,7 @@ class Journal:
 
 def _is_damage(error: Exception) -> bool:
     """Whether the file is damaged: a full disk is no damage, nor a specification that is not valid any more."""
-    if isinstance(error, sqlite3.OperationalError):
-        return any(words in str(error) for words in _DAMAGE)
-    return not isinstance(error, (OSError, MidstrideError))
+    return not refused(error) and not isinstance(error, MidstrideError)
 
 
 @dataclass(slots=True)

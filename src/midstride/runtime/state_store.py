@@ -25,7 +25,7 @@ from midstride.errors import ManagerError, MidstrideError, Superseded
 from midstride.model.configuration import Instance
 from midstride.model.specification import Specification
 from midstride.runtime.backend import Handle
-from midstride.runtime.disk import DISK, Database, Disk, Lease, Statement
+from midstride.runtime.disk import DISK, Database, Disk, Lease, Statement, refused
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.wire.folders import COMPONENTS
 
@@ -126,7 +126,12 @@ class StateStore:
             raise self._unreadable(f"it is damaged: it has no {error}") from error
         except RecursionError as error:
             raise self._unreadable("it is damaged: it is nested too deep") from error
-        except (sqlite3.Error, msgspec.DecodeError, MidstrideError, ValueError, TypeError) as error:
+        except (sqlite3.Error, OSError, msgspec.DecodeError, MidstrideError, ValueError, TypeError) as error:
+            if refused(error):
+                raise ManagerError(
+                    f"cannot read {self.path} now: {error}. The components that were started keep running; make room "
+                    "if its disk is full, then try again"
+                ) from error
             raise self._unreadable(f"it is damaged: {error}") from error
 
     def _unreadable(self, why: str) -> ManagerError:
