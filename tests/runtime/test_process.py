@@ -260,6 +260,19 @@ def test_what_a_debugger_holds_is_ended(
     asyncio.run(asyncio.wait_for(main(), 15))
 
 
+def test_one_that_is_no_longer_watched_is_ended(tmp_path: Path, token: str) -> None:
+    async def main() -> None:
+        process = family(tmp_path, token)
+        child = await child_of(process)
+        ending = asyncio.ensure_future(process.end(grace=0.0))
+        await asyncio.sleep(0)
+        process.close()
+        await ending
+        assert not alive(process.pid) and not alive(child)
+
+    asyncio.run(main())
+
+
 @pytest.mark.parametrize("leader_stays", [True, False])
 def test_a_process_that_outlives_its_end_is_reported_when_it_exits(
     leader_stays: bool, tmp_path: Path, token: str, monkeypatch: pytest.MonkeyPatch

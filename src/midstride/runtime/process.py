@@ -126,7 +126,7 @@ class Process:
             if not self.running:  # but one of its group is
                 self._ended_unexpectedly()
             raise
-        if self.running:  # all of its threads have exited, and a debugger keeps one: the pidfd does not tell
+        if self.running and self._fd >= 0:  # a debugger keeps one of its threads: the pidfd does not tell
             self._ended()
 
     async def _end(self, grace: float) -> None:
