@@ -433,6 +433,90 @@ comp.start()
     simulate(tmp_path, main)
 
 
+RELAY = """
+import time
+from midstride import Component
+from std_msgs.msg import String
+
+comp = Component("listener")
+inlet, out = comp.create_input("in", String{arguments}), comp.create_output("out", String)
+relay = comp.create_functionality("relay", inputs=[inlet], outputs=[out])
+other = comp.create_functionality("other")
+calls = 0
+
+def normal():
+    global calls
+    calls += 1
+    if calls == {hangs}:
+        time.sleep({pause})
+    out.write(String(data=str(calls)))
+
+relay.set_normal_mode(normal, rate=50, inputs=[inlet], outputs=[out])
+relay.set_degraded_mode(lambda: None)
+other.set_normal_mode(lambda: time.sleep({pause}))
+other.set_degraded_mode(lambda: None)
+comp.start()
+"""
+
+
+def relaying(folder: Path, source: str, body: Callable[[Pair], Awaitable[None]]) -> None:
+    """With a relay as the listener, whose input has a rate: no message reaches it while a call hangs."""
+
+    async def main(bench: Bench) -> None:
+        await bench.start("speaker", SPEAKER.format(rate=50, pause="0", count="1"))
+        await bench.start("listener", source)
+        await bench.attach("listener", "in", "/chatter")
+        await bench.attach("listener", "out", "/echo")
+        await bench.attach("speaker", "out", "/chatter")
+        await bench.mode("speaker", "talk", "normal")
+        await bench.mode("listener", "relay", "normal")
+        await body(Pair(bench))
+
+    simulate(folder, main)
+
+
+@pytest.mark.parametrize("arguments", [", rate=50", ", rate=50, tolerates=49", ", rate=50, tolerates=3"])
+def test_a_hung_call_is_shown_although_the_inputs_of_its_mode_stand_still_too(tmp_path: Path, arguments: str) -> None:
+    async def body(pair: Pair) -> None:
+        await pair.bench.sleep(3.0)
+        revision = pair.bench.state("listener").revision
+        await pair.bench.sleep(LONG_FLOOR + 2 * SLACK)
+        assert pair.mode("relay") == "degraded"
+        because = pair.because("relay")
+        assert re.match(r"mode normal wrote nothing on output out for 5\..*: a call of relay has not returned", because)
+        await pair.bench.sleep(20.0)
+        state = (await pair.bench.lab.read("listener", "observe"))["functionalities"]["relay"]
+        assert (state["mode"], state["busy"], state["reflex"]) == ("degraded", None, True)
+        assert pair.bench.state("listener").revision == revision + 1, "it has been reported once"
+        await pair.bench.mode("listener", "relay", "normal")
+        await pair.bench.sleep(10.0)
+        assert pair.mode("relay") == "normal", pair.because("relay")
+
+    relaying(tmp_path, RELAY.format(arguments=arguments, hangs=150, pause=10), body)
+
+
+def test_a_call_that_is_no_hang_yet_breaks_nothing_either(tmp_path: Path) -> None:
+    """However long it keeps the messages waiting: its own output is silent for less than 5 s."""
+
+    async def body(pair: Pair) -> None:
+        await pair.bench.sleep(20.0)
+        assert pair.mode("relay") == "normal", pair.because("relay")
+
+    relaying(tmp_path, RELAY.format(arguments=", rate=50, tolerates=49", hangs=150, pause=4.5), body)
+
+
+@pytest.mark.parametrize("arguments", [", rate=50", ", rate=50, tolerates=49"])
+def test_a_functionality_with_a_rated_input_names_the_other_one_that_hangs(tmp_path: Path, arguments: str) -> None:
+    async def body(pair: Pair) -> None:
+        await pair.bench.sleep(1.0)
+        await pair.bench.mode("listener", "other", "normal")
+        await pair.bench.sleep(LONG_FLOOR + 2 * SLACK)
+        assert pair.mode("relay") == "degraded"
+        assert "a call of other has not returned" in pair.because("relay")
+
+    relaying(tmp_path, RELAY.format(arguments=arguments, hangs=0, pause=1000), body)
+
+
 ASYNC = """
 from midstride import Component
 from std_msgs.msg import String

@@ -48,6 +48,11 @@ class Fall:
     late: bool = False
     shown: bool = False
 
+    @property
+    def waits(self) -> bool:
+        """Whether the data thread has not come to it yet, and nothing shows it."""
+        return not (self.attempted or self.shown or self.switch.claim.taken())
+
 
 class Watch:
     """What the current mode of a functionality relies on and promises, counted since it was entered."""
@@ -69,7 +74,8 @@ class Watch:
             shortfall.restart(output.count)
 
     def advance(self, seconds: float) -> None:
-        for port, shortfall in self.inputs.items():
+        inputs = self.inputs if self.fall is None else {}  # what keeps a fall waiting keeps messages waiting, too
+        for port, shortfall in inputs.items():
             count = port.count
             if count == 0 or port.rate is None:  # it has not been received since it was attached: nothing is lost
                 shortfall.restart(count)
@@ -218,7 +224,7 @@ class Reflex:
                 watch = self._watches[runner] = Watch(runner)
                 if any(port.denied for port in watch.inputs) and runner.index < runner.last and not runner.switching:
                     self._judge(watch, speed)  # what counts messages begins with the mode; a condition does not
-            elif watch.fall is not None:
+            elif watch.fall is not None and not watch.fall.waits:
                 self._follow(watch, watch.fall)
             elif seconds is None:
                 watch.restart()
@@ -229,14 +235,14 @@ class Reflex:
             yield watch
 
     def _judge(self, watch: Watch, speed: float) -> None:
-        runner = watch.runner
-        if broken := watch.broken_assumption(speed):
+        runner, waiting = watch.runner, watch.fall
+        if waiting is None and (broken := watch.broken_assumption(speed)):
             reason = "; ".join(watch.why(port, speed) for port in broken)
             words = f"the assumption of mode {runner.mode.name} broke: {reason}"
             # What another fault has degraded before is not restored at once because a condition holds again.
             conditional = all(port.denied for port in broken) and (runner.conditional or not runner.reflex)
             self._fall(watch, watch.next_mode(speed), words, conditional=conditional)
-        elif (hang := self._hang(watch, speed)) is not None:
+        elif (hang := self._hang(watch, speed)) is not None and (waiting is None or self._withdraw(waiting)):
             fall = self._fall(watch, runner.last, hang, hangs=True)
             self._show(runner, fall)
 
@@ -297,6 +303,13 @@ class Reflex:
         fall = watch.fall = Fall(switch, attempt, steady())
         self._post(fall)
         return fall
+
+    def _withdraw(self, fall: Fall) -> bool:
+        """Whether ``fall`` has not happened, and will not."""
+        withdrawn = fall.switch.claim.take()
+        if withdrawn:
+            self.host.on_data(fall.switch.release)
+        return withdrawn
 
     def _post(self, fall: Fall) -> None:
         fall.attempted = False
