@@ -234,6 +234,57 @@ def test_own_parameters_are_set_by_tools_and_by_the_manager_alike(tmp_path: Path
     run(scenario())
 
 
+LEAVING = """
+from midstride import Component
+from rcl_interfaces.msg import SetParametersResult
+
+comp = Component("leaving")
+work = comp.create_functionality("work")
+
+def leave(what):
+    raise SystemExit(f"no more of {what}")
+
+def changing(parameters):
+    if any(parameter.name == "offset" for parameter in parameters):
+        leave("offset")
+    return SetParametersResult(successful=True)
+
+@comp.on_setup
+def setup(node):
+    node.declare_parameter("offset", 0)
+    node.add_on_set_parameters_callback(changing)
+
+gain = comp.parameter("gain", 1, on_change=lambda value: leave("gain"))
+work.set_normal_mode(lambda: None, rate=20)
+work.set_degraded_mode(lambda: None)
+comp.start()
+"""
+
+
+def test_a_callback_that_would_leave_rclpys_spin_refuses_the_parameter(tmp_path: Path) -> None:
+    refusals = {
+        "gain": "on_change of parameter gain raised SystemExit: no more of gain",
+        "offset": "SystemExit: no more of offset",
+    }
+
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("leaving", LEAVING)
+            with Bare() as bare:
+                tools = Tools(bare, "/leaving")
+                assert await tools.set(gain=2, offset=2) == [
+                    (False, f"gain: {refusals['gain']}"),
+                    (False, refusals["offset"]),
+                ]
+                for name, words in refusals.items():
+                    with pytest.raises(CommandRefused, match=words):
+                        await r.client.change("leaving", SetParametersCommand(parameters={name: 2}))
+                assert await tools.get("gain", "offset") == [1, 0]
+            assert (await r.client.observe("leaving")).parameters == {"gain": 1, "offset": 0} and not r.exits
+
+    run(scenario())
+
+
 def test_what_is_set_at_run_time_is_in_the_state_at_once_and_a_replacement_starts_with_it(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
@@ -601,12 +652,13 @@ def test_the_ros_actions_of_this_process_are_listed_and_none_of_another_with_a_n
     run(scenario())
 
 
-def test_what_the_authors_own_callbacks_raise_does_not_take_the_component_down(tmp_path: Path) -> None:
+@pytest.mark.parametrize("raised", ["RuntimeError", "SystemExit"])
+def test_what_the_authors_own_callbacks_raise_does_not_take_the_component_down(tmp_path: Path, raised: str) -> None:
     async def scenario() -> None:
         from std_msgs.msg import String
 
         async with rig(tmp_path) as r:
-            await r.start("talker", OWN_ENDS)
+            await r.start("talker", OWN_ENDS.replace("RuntimeError", raised))
             await r.attach("talker", "out", "/chatter", gate="closed")
             await r.modes("talker", talk="normal")
             with Bare() as bare:
@@ -622,6 +674,22 @@ def test_what_the_authors_own_callbacks_raise_does_not_take_the_component_down(t
             before = await gated()
             while await gated() == before:
                 await asyncio.sleep(0.01)
+
+    run(scenario())
+
+
+@pytest.mark.full
+def test_a_component_whose_data_thread_ends_says_so_and_ends(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.launch("talker", TALKER.replace("    global count\n", "    raise KeyboardInterrupt\n"))
+            await r.welcome("talker")
+            with contextlib.suppress(BackendError):  # whether the answer still gets out is chance
+                await r.modes("talker", talk="normal")
+            await until(lambda: r.exits, 30.0)
+            assert r.exits[0].status == 1
+            assert "the thread of the author's callbacks has ended" in r.exits[0].log_tail
+            assert "KeyboardInterrupt" in r.log("talker")
 
     run(scenario())
 

@@ -284,6 +284,38 @@ comp.start()
     simulate(tmp_path, main)
 
 
+def test_sys_exit_in_on_change_refuses_the_value_and_in_on_stop_is_logged(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start(
+            "node",
+            HEAD
+            + """
+import sys
+label = comp.parameter("label", "plain", on_change=lambda value: print(value))
+speed = comp.parameter("speed", 1, on_change=lambda value: sys.exit("no way") if value > 3 else None)
+f = comp.create_functionality("f")
+f.set_normal_mode(lambda: None, rate=1)
+f.set_degraded_mode(lambda: None)
+
+@comp.on_stop
+async def stop():
+    sys.exit("no rest")
+
+comp.start()
+""",
+        )
+        refused = await bench.refusal("node", "set", parameters={"label": "other", "speed": 4})
+        assert refused == "on_change of parameter speed raised SystemExit: no way"
+        assert (bench.state("node").parameters["speed"], bench.log("node")) == (1, ["other", "plain"])
+        await bench.send("node", "set", parameters={"speed": 3}, declared={})
+        assert bench.state("node").set_values() == {"speed": 3} and not bench.exits()
+        await bench.send("node", "stop")
+        await bench.sleep(0.5)
+        assert "on_stop raised: SystemExit: no rest" in bench.exits()[0].log_tail
+
+    simulate(tmp_path, main)
+
+
 def test_a_group_changes_at_one_moment_or_not_at_all(tmp_path: Path) -> None:
     async def main(bench: Bench) -> None:
         await bench.start(

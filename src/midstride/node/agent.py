@@ -24,7 +24,7 @@ from midstride.node.clock_history import STILL
 from midstride.node.command_handlers import CommandHandlers, Revision
 from midstride.node.declaration import DeclaredParts
 from midstride.node.diagnostics import diagnostics
-from midstride.node.functionality_runner import FunctionalityRunner
+from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner
 from midstride.node.host import Host
 from midstride.node.program import ProgramFiles
 from midstride.node.standalone import FLAG, Attachments, best_modes
@@ -235,7 +235,7 @@ class Agent:
                     result = await self._handlers.carry_out(command, request.revision)
         except MidstrideError as error:
             return self._refusal(request, str(error))
-        except Exception as error:
+        except CAUGHT as error:
             self.host.logger.error(f"`{command.name}` failed: {type(error).__name__}: {error}")
             return self._refusal(request, f"`{command.name}` failed: {type(error).__name__}: {error}")
         if command.kind == "changing":

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from midstride.errors import CommandRefused
-from midstride.node.functionality_runner import FunctionalityRunner
+from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner
 from midstride.node.host import Host
 
 T = TypeVar("T")
@@ -82,7 +82,7 @@ class DataExecutor:
         async def guarded(coroutine: Coroutine[Any, Any, Any]) -> None:
             try:
                 await coroutine
-            except Exception as error:
+            except CAUGHT as error:
                 raised.append(error)
 
         def on_end() -> None:

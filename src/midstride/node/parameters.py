@@ -45,7 +45,8 @@ class Parameter:
     def change(self, value: Any) -> None:
         """Called on the data thread when it is set. If the author's function raises, the value stays as it was.
 
-        Raises NodeError for another value where there is no such function: code that reads it once would not notice.
+        Raises NodeError for another value where there is no such function: code that reads it once would not notice;
+        and in place of SystemExit, which is one of the function's errors.
         """
         fitted = self.fitted(value)
         if self.closed:
@@ -60,8 +61,10 @@ class Parameter:
         before, self._value = self._value, fitted
         try:
             self.on_change(fitted)
-        except BaseException:
+        except BaseException as error:
             self._value = before
+            if isinstance(error, SystemExit):
+                raise NodeError(f"on_change of parameter {self.name} raised SystemExit: {error}") from error
             raise
         self.changed()
 

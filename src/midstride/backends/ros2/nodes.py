@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
@@ -24,6 +24,7 @@ from midstride.backends.ros2.diagnostics import DiagnosticsPublisher
 from midstride.backends.ros2.gated_node import GatedNode
 from midstride.backends.ros2.parameter_services import ParameterServices
 from midstride.errors import NodeError
+from midstride.node.functionality_runner import CAUGHT
 from midstride.node.service_gate import ServiceGate
 
 # A node that was started by hand looks for another one of its name before it joins (s); each looks after it has joined.
@@ -66,14 +67,26 @@ class ExecutorThread:
         self.executor.shutdown()
         return True
 
+    def is_alive(self) -> bool:
+        return self._thread.is_alive()
+
     def _spin(self) -> None:
         while not self._stopping and self._context.ok():
             try:
-                self.executor.spin_once()
-            except ExternalShutdownException:
+                self._spin_once()
+            except (ExternalShutdownException, ShutdownException):
                 return
-            except Exception:
+            except CAUGHT:
                 self._failed(traceback.format_exc())
+
+    def _spin_once(self) -> None:
+        """Wait for a callback and call it. Raises what it raises."""
+        task, _, _ = self.executor.wait_for_ready_callbacks()
+        try:
+            task()
+        except SystemExit as error:  # rclpy lets it through, and would keep the task for ever
+            task.set_exception(error)
+        task.result()
 
 
 class ComponentNodes:
@@ -151,10 +164,14 @@ class ComponentNodes:
     def check(self) -> bool:
         """Whether another node of its name may yet appear. To be repeated, soon as long as it may.
 
-        Raises NodeError where the component cannot go on: ROS was shut down, or another node has its name.
+        Raises NodeError where the component cannot go on: ROS was shut down, one of its threads has ended, or another
+        node has its name.
         """
         if not self._context.ok():
             raise NodeError("rclpy was shut down from within the component; leave that to start()")
+        for of, thread in (("the author's", self._data_thread), ("the control node's", self._control_thread)):
+            if not thread.is_alive():
+                raise NodeError(f"the thread of {of} callbacks has ended: its log says what ended it")
         now = time.monotonic()
         if now >= self._checked_until and self._foreign_since is None:
             return False

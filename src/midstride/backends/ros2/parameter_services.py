@@ -22,6 +22,7 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from midstride.backends.ros2.names import PARAMETER_EVENTS, PREFIX, STATE
+from midstride.node.functionality_runner import CAUGHT
 from midstride.wire.state import ComponentState
 
 SERVICES: Final = {
@@ -142,7 +143,7 @@ class ParameterServices:
                 result = self._node.set_from_outside(parameters)
             except ParameterNotDeclaredException as error:
                 result = _refused(str(error))
-            except Exception as error:
+            except CAUGHT as error:
                 result = _refused(f"{type(error).__name__}: {error}")
             future.set_result(result)
             self._control_executor.wake()
