@@ -47,6 +47,12 @@ def test_a_field_that_is_missing_or_of_no_plain_type_is_a_violation() -> None:
     assert (missing.violations, missing.last) == (1, None)
 
 
+def test_a_violating_text_is_shown_as_far_as_a_report_can_carry_it() -> None:
+    assert sampled("\udc80").last == "\\udc80"
+    long = sampled(1_000_000 * "x").last
+    assert isinstance(long, str) and len(long) < 10_000
+
+
 def test_nested_fields_and_texts() -> None:
     checks = FieldChecks((("header.frame_id", OneOf.of(["map"])),))
     for number, frame in enumerate(("map", "odom")):

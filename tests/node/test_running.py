@@ -263,6 +263,45 @@ comp.start()
     simulate(tmp_path, main)
 
 
+@pytest.mark.parametrize(
+    ("raised", "because"),
+    [
+        (r'ValueError("bad frame: " + bytes([0x80]).decode("ascii", "surrogateescape"))', r"bad frame: \udc80"),
+        (r'ValueError("bad image " + 10_000_000 * "x")', r"characters are left out here"),
+    ],
+    ids=["what UTF-8 cannot express", "very long"],
+)
+def test_a_component_stays_reachable_whatever_the_text_that_it_raises(
+    tmp_path: Path, raised: str, because: str
+) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start(
+            "node",
+            HEAD
+            + f"""
+f = comp.create_functionality("f")
+
+def normal():
+    raise {raised}
+
+f.set_normal_mode(normal, rate=10)
+f.set_degraded_mode(lambda: None)
+comp.on_export_state(normal)
+comp.start()
+""",
+        )
+        await bench.mode("node", "f", "normal")
+        await bench.sleep(0.3)
+        state = (await bench.lab.read("node", "observe"))["functionalities"]["f"]
+        assert state["mode"] == "degraded" and because in state["because"] and len(state["because"]) < 10_000
+        assert state["because"].startswith("mode normal raised: ValueError: bad ")
+        assert state["because"].splitlines()[-1].startswith("    raise ValueError"), "the author's line is missing"
+        refused = await bench.refusal("node", "export_state", timeout=1.0)
+        assert because in refused and len(refused) < 10_000
+
+    simulate(tmp_path, main)
+
+
 def test_sys_exit_in_a_callback_is_an_error_of_the_callback(tmp_path: Path) -> None:
     async def main(bench: Bench) -> None:
         await bench.start(

@@ -26,6 +26,7 @@ from midstride.node.declaration import DeclaredParts
 from midstride.node.diagnostics import diagnostics
 from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner
 from midstride.node.host import Host
+from midstride.node.legible import legible
 from midstride.node.program import ProgramFiles
 from midstride.node.standalone import FLAG, Attachments, best_modes
 from midstride.wire import commands, frames, replies
@@ -236,8 +237,9 @@ class Agent:
         except MidstrideError as error:
             return self._refusal(request, str(error))
         except CAUGHT as error:
-            self.host.logger.error(f"`{command.name}` failed: {type(error).__name__}: {error}")
-            return self._refusal(request, f"`{command.name}` failed: {type(error).__name__}: {error}")
+            words = legible(f"`{command.name}` failed: {type(error).__name__}: {error}")
+            self.host.logger.error(words)
+            return self._refusal(request, words)
         if command.kind == "changing":
             self._revision.bump()
             self.report_state()  # before the reply: a client that has the reply also has the state
@@ -246,7 +248,7 @@ class Agent:
         return Reply(id=request.id, revision=self._revision.value, result=frames.encode_value(result))
 
     def _refusal(self, request: Request, words: str) -> Reply:
-        return Reply(id=request.id, revision=self._revision.value, refused=words)
+        return Reply(id=request.id, revision=self._revision.value, refused=legible(words))
 
     def _welcome(self, manager: str, token: str) -> None:
         if not self._token:

@@ -11,6 +11,7 @@ from operator import attrgetter
 from typing import Any, Final
 
 from midstride.model.contract import ValueSet
+from midstride.node.legible import legible
 from midstride.wire.state import FieldSamples
 
 # How long after a check the next message is checked, at least: between these (ns). It varies, so that the checks do not
@@ -47,7 +48,7 @@ class _Constraint:
 
     def samples(self) -> FieldSamples:
         last = self.last
-        plain = last if last is None or isinstance(last, (bool, int, float, str)) else str(last)
+        plain = last if last is None or isinstance(last, (bool, int, float)) else legible(str(last))
         return FieldSamples(
             constraint=str(self.values), checked=self.checked, violations=self.violations, run=self.run, last=plain
         )

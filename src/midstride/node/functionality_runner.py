@@ -14,6 +14,7 @@ from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 from midstride.node.functionality import Functionality
 from midstride.node.host import Host
+from midstride.node.legible import legible
 from midstride.node.modes import DeclaredMode, Function
 from midstride.node.ports import Driven, Input, OutputOwner
 from midstride.node.trigger import OnRate, Trigger, trigger_of
@@ -263,9 +264,9 @@ class FunctionalityRunner(OutputOwner):
 
 
 def format_error(error: BaseException) -> str:
-    """The exception, then its traceback from the user's code on."""
+    """The exception, then its traceback from the user's code on; legible."""
     frames = traceback.extract_tb(error.__traceback__)
     own = __file__.rpartition("/")[0]
     theirs = [frame for frame in frames if not frame.filename.startswith(own)] or list(frames)
     lines = "".join(traceback.format_list(theirs))
-    return f"{''.join(traceback.format_exception_only(type(error), error)).strip()}\n{lines}".rstrip()
+    return legible(f"{''.join(traceback.format_exception_only(type(error), error)).strip()}\n{lines}".rstrip())

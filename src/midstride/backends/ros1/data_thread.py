@@ -13,6 +13,8 @@ import traceback
 from collections.abc import Callable, Coroutine
 from typing import Any
 
+from midstride.node.legible import legible
+
 
 class DataThread:
     """Runs functions in its thread, in the order of :meth:`post`; what comes before :meth:`start` waits for it."""
@@ -65,5 +67,5 @@ class DataThread:
 def _traceback_of(context: dict[str, Any]) -> str:
     error = context.get("exception")
     if isinstance(error, BaseException):
-        return "".join(traceback.format_exception(error)).rstrip()
+        return legible("".join(traceback.format_exception(error)).rstrip())
     return str(context.get("message"))

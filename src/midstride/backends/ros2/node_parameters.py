@@ -16,6 +16,7 @@ from rclpy.parameter import Parameter
 from midstride.backends.ros2.data_node import NodeParameter
 from midstride.backends.ros2.names import PARAMETER_EVENTS, full, participant
 from midstride.errors import CommandRefused, NodeError
+from midstride.node.legible import legible
 from midstride.wire.state import Endpoint
 
 Kind: TypeAlias = Literal["topic", "service", "ROS action"]
@@ -96,7 +97,7 @@ class Ros2NodeParameters:
             except Exception as error:
                 for undo, old in reversed(called):
                     undo(old)
-                return SetParametersResult(successful=False, reason=f"{parameter.name}: {error}")
+                return SetParametersResult(successful=False, reason=legible(f"{parameter.name}: {error}"))
             called.append((on_change, before))
         return SetParametersResult(successful=True)
 

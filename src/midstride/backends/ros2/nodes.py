@@ -25,6 +25,7 @@ from midstride.backends.ros2.gated_node import GatedNode
 from midstride.backends.ros2.parameter_services import ParameterServices
 from midstride.errors import NodeError
 from midstride.node.functionality_runner import CAUGHT
+from midstride.node.legible import legible
 from midstride.node.service_gate import ServiceGate
 
 # A node that was started by hand looks for another one of its name before it joins (s); each looks after it has joined.
@@ -77,7 +78,7 @@ class ExecutorThread:
             except (ExternalShutdownException, ShutdownException):
                 return
             except CAUGHT:
-                self._failed(traceback.format_exc())
+                self._failed(legible(traceback.format_exc()))
 
     def _spin_once(self) -> None:
         """Wait for a callback and call it. Raises what it raises."""

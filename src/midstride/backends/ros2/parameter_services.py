@@ -23,6 +23,7 @@ from rclpy.task import Future
 
 from midstride.backends.ros2.names import PARAMETER_EVENTS, PREFIX, STATE
 from midstride.node.functionality_runner import CAUGHT
+from midstride.node.legible import legible
 from midstride.wire.state import ComponentState
 
 SERVICES: Final = {
@@ -144,7 +145,7 @@ class ParameterServices:
             except ParameterNotDeclaredException as error:
                 result = _refused(str(error))
             except CAUGHT as error:
-                result = _refused(f"{type(error).__name__}: {error}")
+                result = _refused(legible(f"{type(error).__name__}: {error}"))
             future.set_result(result)
             self._control_executor.wake()
 
