@@ -59,6 +59,38 @@ def test_the_end_of_its_process_gives_it_back(tmp_path: Path) -> None:
         assert claim.take()
 
 
+FORKING = """
+import os, pathlib, sys
+from midstride.wire.claims import FileClaim
+claims = {cut: FileClaim(pathlib.Path(sys.argv[1]), cut) for cut in ("dropped", "kept")}
+others = {cut: FileClaim(pathlib.Path(sys.argv[1]), cut) for cut in claims}
+assert all(claim.take() for claim in claims.values())
+ended, forked = os.pipe(), os.pipe()
+child = os.fork()
+if not child:
+    os.close(ended[1])
+    del claims["dropped"]
+    os.write(forked[1], b"x")
+    os.read(ended[0], 1)  # until the parent is done
+    os._exit(0)
+os.read(forked[0], 1)
+print(others["dropped"].take(), others["kept"].take())
+claims["kept"].give_back()
+print(others["kept"].take())
+os.close(ended[1])
+os.waitpid(child, 0)
+"""
+
+
+def test_it_is_given_back_while_a_forked_child_lives_and_not_by_that_child(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", FORKING, str(tmp_path / "claims")]
+    assert subprocess.run(command, capture_output=True, text=True, timeout=60).stdout.split() == [
+        "False",
+        "False",
+        "True",
+    ]
+
+
 def test_it_costs_a_descriptor_until_it_is_given_back(tmp_path: Path) -> None:
     before = len(os.listdir("/proc/self/fd"))
     claims = [FileClaim(tmp_path / "claims", "cut") for _ in range(10)]

@@ -28,6 +28,7 @@ class FileClaim:
         self._byte = int.from_bytes(hashlib.blake2b(cut.encode(), digest_size=7).digest(), "big")
         self._descriptor: int | None = None
         self._held = self._renounced = self._shared = False
+        self._holder = 0  # the process that has taken it
         self._turn = threading.Lock()
 
     def take(self) -> bool:
@@ -41,8 +42,10 @@ class FileClaim:
 
     def give_back(self) -> None:
         with self._turn:
-            self._held = False
+            held, self._held = self._held, False
             if self._descriptor is not None:
+                if held and self._holder == os.getpid():  # a child that user code has forked keeps the file open, too
+                    self._lock(fcntl.F_UNLCK)
                 os.close(self._descriptor)
                 self._descriptor = None
 
@@ -63,14 +66,18 @@ class FileClaim:
     def _take(self) -> bool:
         if not self._open():
             return False
-        assert self._descriptor is not None
         try:
-            lock = struct.pack("hhqqi4x", fcntl.F_WRLCK, os.SEEK_SET, self._byte, 1, 0)
-            fcntl.fcntl(self._descriptor, fcntl.F_OFD_SETLK, lock)
-            self._held = True
+            self._lock(fcntl.F_WRLCK)
+            self._held, self._holder = True, os.getpid()
         except OSError as error:
             self._shared = self._shared or error.errno in _HELD
         return self._held
+
+    def _lock(self, kind: int) -> None:
+        """Lock or unlock the byte. Raises OSError."""
+        assert self._descriptor is not None
+        lock = struct.pack("hhqqi4x", kind, os.SEEK_SET, self._byte, 1, 0)
+        fcntl.fcntl(self._descriptor, fcntl.F_OFD_SETLK, lock)
 
     def _open(self) -> bool:
         """Whether the file can be used."""
