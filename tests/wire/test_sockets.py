@@ -228,6 +228,29 @@ def test_a_component_with_too_many_connections_waiting_is_there_and_does_not_blo
     full.close()
 
 
+def test_what_other_threads_open_while_it_is_bound_does_not_matter(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The socket is bound to a name in /proc/self/fd, whose descriptor another file has by now."""
+    with contextlib.ExitStack() as opened:
+        bind = SocketFolder._bind
+
+        def then_opened(folder: SocketFolder, path: Path) -> socket.socket:
+            listening = bind(folder, path)
+            while opened.enter_context(open(os.devnull, "rb")).fileno() < listening.fileno() + 10:
+                pass
+            return listening
+
+        async def main(folder: SocketFolder) -> None:
+            stop_listening = await folder.listen("talker", echo)
+            assert await says(await folder.connect(folder.address("talker")))
+            stop_listening()
+            assert not folder.present()
+
+        monkeypatch.setattr(SocketFolder, "_bind", then_opened)
+        in_folder(tmp_path, main)
+
+
 def test_a_listener_does_not_remove_the_socket_of_its_successor(tmp_path: Path) -> None:
     async def main(folder: SocketFolder) -> None:
         stop_first = await folder.listen("talker", echo)

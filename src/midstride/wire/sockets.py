@@ -15,11 +15,12 @@ import os
 import socket
 import stat
 import struct
+import sys
 import time
 import uuid
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 from urllib.parse import quote, unquote
 
 from midstride.errors import NodeError, ProtocolError, Unreachable
@@ -33,6 +34,9 @@ _BACKLOG: Final = 16
 _CLAIMS: Final = ".claims"
 # How long the lock of the folder may be held by a process that takes a name (s).
 LOCK_TIMEOUT: Final = 2.0
+# From Python 3.13 on, asyncio looks for the socket's file to remove it. It was bound to a name in /proc/self/fd that
+# may be another file's by now; `listen` removes it itself.
+_KEEPING_THE_FILE: Final[dict[str, Any]] = {"cleanup_socket": False} if sys.version_info >= (3, 13) else {}
 
 
 class SocketConnection:
@@ -121,7 +125,7 @@ class SocketFolder:
             finally:
                 writer.close()
 
-        server = await asyncio.start_unix_server(accepted, sock=listening, limit=LONGEST_FRAME)
+        server = await asyncio.start_unix_server(accepted, sock=listening, limit=LONGEST_FRAME, **_KEEPING_THE_FILE)
 
         def stop() -> None:
             with contextlib.suppress(OSError):
