@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 from midstride.errors import BackendError, CommandRefused
+from midstride.foreign import build
 from midstride.wire.commands import (
     AwaitWriteCommand,
     GridCommand,
@@ -29,7 +30,18 @@ from midstride.wire.commands import (
 from midstride.wire.environment import ENV_CONTROL, ENV_TOKEN
 from midstride.wire.replies import Records
 from midstride.wire.state import ComponentState, Endpoint
-from tests.backends.ros2_support import LISTENER, TALKER, Bare, Rig, alive, rig, run, until, without_midstride
+from tests.backends.ros2_support import (
+    LISTENER,
+    TALKER,
+    Bare,
+    Rig,
+    alive,
+    rig,
+    run,
+    until,
+    until_async,
+    without_midstride,
+)
 
 pytestmark = pytest.mark.ros2
 
@@ -587,6 +599,70 @@ def test_the_clock_of_a_simulation_drives_the_modes(tmp_path: Path) -> None:
 
                 await send_until(50.0, back)  # the recording starts again
                 await send_until(50.021, lambda: wrote(7))
+
+    run(scenario())
+
+
+SET_BACK = r"""
+#define _GNU_SOURCE
+#include <stdlib.h>
+#include <sys/syscall.h>
+#include <time.h>
+#include <unistd.h>
+
+int clock_gettime(clockid_t clock, struct timespec *now) {
+    long failed = syscall(SYS_clock_gettime, clock, now);
+    if (clock == CLOCK_REALTIME && access(getenv("SET_BACK"), F_OK) == 0)
+        now->tv_sec -= 1000;
+    return failed;
+}
+"""
+
+WAITING = """
+pause = comp.create_functionality("pause")
+
+async def waiting():
+    print("it waits", flush=True)
+    await comp.clock.sleep(3)
+    print("it has waited", flush=True)
+
+pause.set_normal_mode(waiting, rate=0.001)
+pause.set_degraded_mode(lambda: None)
+comp.start()
+"""
+
+
+@pytest.mark.full
+def test_a_system_clock_that_is_set_back_silences_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where nothing writes on /clock, rcl does not notice, and waits until the clock is where it was."""
+    compiler = build.compiler()
+    if compiler is None:
+        pytest.skip("no C compiler here")
+    source, library, set_back = tmp_path / "clock.c", tmp_path / "clock.so", tmp_path / "set back"
+    source.write_text(SET_BACK, encoding="utf-8")
+    subprocess.run([*compiler, "-shared", "-fPIC", str(source), "-o", str(library)], check=True)
+    monkeypatch.setenv("LD_PRELOAD", str(library))
+    monkeypatch.setenv("SET_BACK", str(set_back))
+
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("talker", TALKER.replace("comp.start()\n", WAITING))
+            await r.attach("talker", "out", "/chatter", gate="closed")
+            await r.modes("talker", talk="normal")
+
+            async def gated() -> int:
+                return (await r.link("talker", "out", "/chatter")).gated
+
+            await until_async(lambda: greater(gated, 10))
+            await r.modes("talker", pause="normal")
+            await until(lambda: "it waits" in r.log("talker"))
+            set_back.touch()
+            before = await gated()
+            await until_async(lambda: greater(gated, before + 100), 30.0)
+            await until(lambda: "it has waited" in r.log("talker"), 30.0)
+
+    async def greater(count: Callable[[], Awaitable[int]], than: int) -> bool:
+        return await count() > than
 
     run(scenario())
 

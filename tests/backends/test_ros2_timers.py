@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from midstride.backends.ros2.timers import TOLERANCE, Ros2GridTimer
+from midstride.backends.ros2.timers import TOLERANCE, Ros2GridTimer, SetBackWatch
 
 PERIOD = 20_000_000
 START = 1_000_000_000_000
@@ -55,7 +55,10 @@ class World:
         self.time = time
 
     def jump(self, time: int) -> None:
-        """What rcl does to a timer when its clock is set back by more than a period."""
+        """What rcl does to a timer when `/clock` sets its clock back by more than a period.
+
+        It does nothing where the system's clock is set back, as there rcl does not notice.
+        """
         self.time = time
         for timer in self.timers:
             if time < timer.last:
@@ -224,6 +227,54 @@ def test_a_clock_that_is_set_back_is_followed_on_the_same_grid() -> None:
     assert all((slot - START) % PERIOD == 0 for slot in calls)
     assert all(0 <= slot - back < 4 * PERIOD for slot in calls)
     assert calls == sorted(set(calls))
+
+
+def test_a_system_clock_that_is_set_back_does_not_silence_the_timer() -> None:
+    world = World()
+    calls: list[int] = []
+    timer = grid(world, START, calls)
+    world.until(START + 3 * PERIOD + 5_000_000)
+    del calls[:]
+    back = START - 1000 * PERIOD + 3_000_000
+    world.time = back
+    world.until(back + 4 * PERIOD)
+    assert calls == [], "rcl calls it when the clock is where it was"
+    timer.follow_clock()
+    timer.follow_clock()
+    world.until(back + 8 * PERIOD)
+    assert calls == [START + n * PERIOD for n in range(-995, -991)]
+    timer.cancel()
+    timer.follow_clock()
+    assert not world.timers
+
+
+def test_a_timer_that_is_late_keeps_the_slots_that_it_has_missed() -> None:
+    """Where the clock seems to have been set back, and has not been."""
+    world = World()
+    calls: list[int] = []
+    timer = grid(world, START, calls)
+    world.until(START + 2 * PERIOD + 1_000)
+    world.asleep_until(START + 4 * PERIOD + 9_000_000)
+    timer.follow_clock()
+    world.until(START + 5 * PERIOD + 1_000)
+    assert calls == [START + n * PERIOD for n in (1, 2, 3, 5)]
+
+
+def test_a_system_clock_that_is_set_back_is_noticed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    system = steady = START
+    monkeypatch.setattr("time.time_ns", lambda: system)
+    monkeypatch.setattr("time.monotonic_ns", lambda: steady)
+    clock, noticed = SetBackWatch(), []
+    for step, gone in (
+        (1_000_000_000, 1_000_000_000),
+        (999_500_000, 10**9),
+        (-(10**9), 10**9),
+        (10**9, 10**9),
+        (5 * 10**9, 0),
+    ):
+        system, steady = system + step, steady + gone
+        noticed.append(clock.was_set_back())
+    assert noticed == [False, False, True, False, False]
 
 
 @pytest.mark.parametrize("seed", range(30))

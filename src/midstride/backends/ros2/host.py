@@ -13,9 +13,10 @@ import sys
 import time
 from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from typing import Any, Final, TypeVar
+from weakref import WeakSet
 
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.clock import ClockChange, JumpThreshold
+from rclpy.clock import Clock, ClockChange, ClockType, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.logging import get_logger
 from rclpy.task import Future
@@ -24,7 +25,7 @@ from midstride.backends.common import control_transport, ending_on_signals, on_t
 from midstride.backends.ros2 import endpoints, names, node_parameters
 from midstride.backends.ros2.nodes import ComponentNodes
 from midstride.backends.ros2.parameter_services import parameters_of
-from midstride.backends.ros2.timers import Ros2GridTimer
+from midstride.backends.ros2.timers import Ros2GridTimer, SetBackWatch
 from midstride.model.contract import QoS
 from midstride.node import process_context
 from midstride.node.clock_history import ClockHistory
@@ -57,6 +58,7 @@ class Ros2Host:
         self._context = context
         self._nodes: ComponentNodes | None = None
         self._ports: set[int] = set()
+        self._timers: WeakSet[Ros2GridTimer] = WeakSet()
         self.simulated_time = False
         self._failure: Exception | None = None
         # What is to run on the data thread once there is one.
@@ -87,6 +89,11 @@ class Ros2Host:
         elif self.simulated_time:
             self.clock_history.add(self.steady(), self.now())
 
+    def _follow_clock(self) -> None:
+        """On the data thread: the system's clock has been set back."""
+        for timer in list(self._timers):
+            timer.follow_clock()
+
     # -- data thread -----------------------------------------------------------------------------------
 
     def on_data(self, function: Callable[[], T]) -> Awaitable[T]:
@@ -107,7 +114,8 @@ class Ros2Host:
             self.ros_node.destroy_timer(timer)
             future.set_result(None)
 
-        timer = self.ros_node.create_timer(max(0.0, seconds), over, callback_group=self._group)
+        clock = self._clock if self.simulated_time else self._steady_clock  # rcl does not notice that one is set back
+        timer = self.ros_node.create_timer(max(0.0, seconds), over, callback_group=self._group, clock=clock)
         return future  # type: ignore[no-any-return]
 
     def create_publisher(self, topic: str, type_: type, qos: QoS) -> endpoints.RosPublisher:
@@ -152,7 +160,9 @@ class Ros2Host:
         return forget
 
     def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> Ros2GridTimer:
-        return Ros2GridTimer(self.ros_node, self._group, self.now, period, epoch, callback)
+        timer = Ros2GridTimer(self.ros_node, self._group, self.now, period, epoch, callback)
+        self._timers.add(timer)
+        return timer
 
     # -- control thread --------------------------------------------------------------------------------
 
@@ -205,9 +215,12 @@ class Ros2Host:
             self._post = self._executor.create_task
             for function in self._early:
                 self._post(function)
+            set_back_watch = SetBackWatch()
             while True:
                 starting = nodes.check()
                 await asyncio.sleep(_CHECK_AT_FIRST if starting else _CHECK)
+                if set_back_watch.was_set_back() and not self.simulated_time:
+                    self._post(self._follow_clock)
         except Exception as error:
             self._failure = error
             main.cancel()
@@ -236,6 +249,7 @@ class Ros2Host:
             self.ros_node, {**self._context.parameters, **self._context.set_parameters}
         )
         self._clock = self.ros_node.get_clock()
+        self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self.simulated_time = bool(self._clock.ros_time_is_active)
         any_move = JumpThreshold(
             min_forward=Duration(nanoseconds=1), min_backward=Duration(nanoseconds=-1), on_clock_change=True

@@ -4,11 +4,13 @@ rcl's timers know no phase. Setting the period to what remains until a slot, res
 the period back puts one there; from then on rcl itself adds whole periods, and skips those a late
 call has missed. What rcl is about to do is read back after each call: that shows which slot the next
 call belongs to, and whether the timer has left its grid (a clock that jumped back, a preemption in
-the middle of setting it), which is then corrected.
+the middle of setting it), which is then corrected. rcl learns of a jump from `/clock` alone: where
+the system's clock is set back, it would not call before that is where it was.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -17,6 +19,20 @@ TOLERANCE: Final = 200_000
 # Two readings of clocks that lie further apart than this (ns) are not of one moment: they are taken again.
 _ONE_MOMENT: Final = 50_000
 _ATTEMPTS: Final = 5
+# The system's clock has been set back if it has lost more than this against the steady one (ns); it is slewed by less.
+_SET_BACK: Final = 5_000_000
+
+
+class SetBackWatch:
+    """Notices that the system's clock has been set back since it was last asked."""
+
+    def __init__(self) -> None:
+        self._ahead = time.time_ns() - time.monotonic_ns()
+
+    def was_set_back(self) -> bool:
+        """Also if this thread was preempted for long while it was looking: of no consequence to a timer."""
+        before, self._ahead = self._ahead, time.time_ns() - time.monotonic_ns()
+        return before - self._ahead > _SET_BACK
 
 
 class Ros2GridTimer:
@@ -60,6 +76,11 @@ class Ros2GridTimer:
                 break
             now = self._now()
         self._due = slot
+
+    def follow_clock(self) -> None:
+        """The clock has been set back, and rcl may not know."""
+        if not self._cancelled and self._epoch is not None and self._next() - self._now() > self._period + TOLERANCE:
+            self.regrid(self._epoch)
 
     def cancel(self) -> None:
         if not self._cancelled:
