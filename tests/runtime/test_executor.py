@@ -19,7 +19,7 @@ from midstride.model.configuration import Configuration
 from midstride.runtime import launcher, pacing
 from midstride.runtime.backend import Exited
 from midstride.wire.commands import AttachCommand, Command, DetachCommand, ModesCommand, SetParametersCommand
-from midstride.wire.replies import Detached
+from midstride.wire.replies import Attached, Detached
 from tests.model import build
 from tests.model.build import work
 from tests.runtime.scripted import (
@@ -235,6 +235,62 @@ def test_cancelled_during_a_creation_it_is_broken_off_at_once(tmp_path: Path) ->
         assert b.clock.steady() == 1.0
         assert b.backend.running == {"talker", "listener"} and b.saved() == []
         assert b.system.configuration == talking()
+
+    bench(talking(), tmp_path, body)
+
+
+def slow_attachment(b: Bench) -> tuple[asyncio.Event, asyncio.Event]:
+    """The talker attaches when it may: set when it has been asked to, and when it may."""
+    asked, may = asyncio.Event(), asyncio.Event()
+
+    async def attached() -> Attached:
+        asked.set()
+        await may.wait()
+        return Attached(matched=1)
+
+    b.client.reply("talker", AttachCommand, lambda _: attached())
+    return asked, may
+
+
+def test_cancelled_while_it_rolls_back_it_takes_everything_back(tmp_path: Path) -> None:
+    """The reason why it failed is what the change ends with: the manager's end has not caused it."""
+
+    async def body(b: Bench) -> None:
+        asked, may = slow_attachment(b)
+        b.backend.fail_start["second"] = StartFailed("there is no such program")
+        running = asyncio.ensure_future(b.executor.run([DEGRADE, DETACH, Create(SECOND)]))
+        await asked.wait()
+        for _ in range(2):  # however often
+            running.cancel()
+            await asyncio.sleep(1)
+        assert not running.done()
+        may.set()
+        with pytest.raises(StepFailed, match="there is no such program") as failed:
+            await running
+        assert failed.value.outcome == "rolled_back" and b.executor.interrupted
+        assert b.system.configuration == talking()
+
+    bench(talking(), tmp_path, body)
+
+
+def test_cancelled_where_it_cannot_take_back_it_says_so(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        detaching, may = asyncio.Event(), asyncio.Event()
+
+        async def detached() -> Detached:
+            detaching.set()
+            await may.wait()
+            return Detached(acknowledged=True, last=None)
+
+        b.client.reply("talker", DetachCommand, lambda _: detached())
+        b.client.reply("talker", AttachCommand, REFUSED)
+        running = asyncio.ensure_future(b.executor.run([DEGRADE, DETACH]))
+        await detaching.wait()
+        running.cancel()
+        may.set()
+        with pytest.raises(StepFailed, match="the manager is shutting down; and the roll-back failed") as failed:
+            await running
+        assert failed.value.outcome == "failed"
 
     bench(talking(), tmp_path, body)
 

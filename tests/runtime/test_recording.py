@@ -201,14 +201,15 @@ def test_a_subscriber_that_cannot_be_recorded_is_reported_as_unknown(tmp_path: P
     bench(configuration, tmp_path, body)
 
 
-def test_measuring_that_is_cancelled_reports_what_is_known(tmp_path: Path) -> None:
+def test_measuring_that_is_broken_off_reports_what_is_known(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         under_test = recording(b)
         await under_test.begin(talking(), REPLACEMENT)
         measuring = asyncio.ensure_future(under_test.finish({}))
         await asyncio.sleep(1)
-        measuring.cancel()
+        under_test.broken_off.set()
         assert await measuring == [unknown(IN)]
+        assert b.clock.steady() == 1.0
         assert b.client.of(RecordsCommand) == []
 
     bench(talking(), tmp_path, body)

@@ -183,8 +183,11 @@ class Cancelling(Failing):
     """Cancels ``change``, as at the manager's end, while call number ``at`` is under way."""
 
     task: asyncio.Task[Outcome] | None = None
+    fails: int | None = None  # the number of a call that is refused before
 
     async def before(self, instance: str, op: str) -> None:
+        if self.armed and len(self.calls) == self.fails:
+            self.faults.fail_next(instance, op, "refused")
         if self.armed and len(self.calls) == self.at and self.task is not None:
             asyncio.get_running_loop().call_later(self.network.latency, self.task.cancel)
         await super().before(instance, op)
@@ -217,6 +220,41 @@ def test_a_change_that_is_broken_off_at_any_call_is_taken_back_whole(
         folder = tmp_path / str(at)
         folder.mkdir()
         managed(name, folder, body, simulator)
+
+
+def test_a_roll_back_is_not_broken_off_and_its_reason_is_reported(tmp_path: Path) -> None:
+    """By the manager's end, at whatever call: only the measurement is."""
+    request = replace("detector", "StereoDetector", "quiesce")
+    whole = Failing()
+    change(whole, "obstacle", request, tmp_path / "whole")
+    *_, last = (at for at, (_, op) in enumerate(whole.calls) if op == "attach")
+    failing = Failing(last, "refused")
+    reason = change(failing, "obstacle", request, tmp_path / "failing").because
+    recreated = failing.calls.index(("detector", "program"), last)
+
+    def cancelled(at: int) -> Outcome:
+        simulator = Cancelling(at)
+        simulator.fails = last
+
+        async def body(manager: Manager, _: Simulator) -> Outcome:
+            before = await snapshot(manager, simulator)
+            simulator.armed = True
+            simulator.task = asyncio.ensure_future(manager.change(request))
+            outcome = await simulator.task
+            simulator.armed = False
+            assert await snapshot(manager, simulator) == before
+            assert await differing(manager) == []
+            return outcome
+
+        folder = tmp_path / str(at)
+        folder.mkdir()
+        return managed("obstacle", folder, body, simulator)
+
+    calls = range(recreated, len(failing.calls))
+    assert len(calls) > 5
+    for at in calls:
+        outcome = cancelled(at)
+        assert (outcome.outcome, outcome.because) == ("rolled_back", reason), failing.calls[at]
 
 
 def test_a_recording_ends_with_the_change_however_that_ends(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
+from typing import Any
 
 import pytest
 from immutables import Map
@@ -241,6 +242,67 @@ def test_where_one_attachment_of_a_round_fails_the_others_are_detached_again(tmp
 NEW = {name: instance(name, TALKER) for name in ("one", "two", "three")}
 ATTACH = Attach(build.port("one.out"), "/chatter")
 CREATE_ATTACH_CREATE = [Create(NEW["one"]), ATTACH, Create(NEW["two"])]
+
+
+class SlowStarts:
+    """The back end of a bench starts the process of ``name`` only when it may."""
+
+    def __init__(self, b: Bench, name: str) -> None:
+        self.begun, self.may = asyncio.Event(), asyncio.Event()
+        self._name, self._backend = name, b.backend
+        b.backend.start = self._start  # type: ignore[method-assign]
+
+    async def _start(self, launch: Launch) -> Handle:
+        if launch.instance == self._name:
+            self.begun.set()
+            await self.may.wait()
+        return await ScriptedBackend.start(self._backend, launch)
+
+
+def test_cancelled_between_two_rounds_it_takes_everything_back_and_leaves_no_process(tmp_path: Path) -> None:
+    """The step is done, and the process of a later one is just being started."""
+
+    async def body(b: Bench) -> None:
+        b.startable(NEW["one"])
+        starts = SlowStarts(b, "two")
+        creations = [Create(each) for each in NEW.values()]
+        overlap = Overlap(one_by_one(creations).rounds, {0: [0, 1, 2]})
+        running = asyncio.ensure_future(b.executor.run(creations, overlap=overlap))
+        await starts.begun.wait()
+        while "one" not in b.system.configuration.instances:
+            await asyncio.sleep(0.01)
+        running.cancel()
+        await asyncio.sleep(1)
+        assert not running.done()
+        starts.may.set()
+        with pytest.raises(asyncio.CancelledError):
+            await running
+        await asyncio.sleep(10)
+        assert b.system.configuration == idle()
+        assert b.saved() == [] and not b.backend.running & NEW.keys()
+
+    bench(idle(), tmp_path, body)
+
+
+def test_cancelled_when_every_step_is_done_it_takes_nothing_back(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.startable(*NEW.values())
+        creations = [Create(each) for each in NEW.values()]
+        overlap = Overlap(one_by_one(creations).rounds, {0: [0, 1, 2]})
+        running = asyncio.ensure_future(b.executor.run(creations, overlap=overlap))
+        add = b.events.add
+
+        def cancel_at_the_last(kind: str, words: str, **fields: Any) -> Any:
+            if kind == "step_done" and fields["index"] == len(NEW) - 1:
+                running.cancel()
+            return add(kind, words, **fields)
+
+        b.events.add = cancel_at_the_last  # type: ignore[method-assign]
+        await running
+        assert b.executor.interrupted
+        assert set(b.system.configuration.instances) == {*OLD, *NEW}
+
+    bench(idle(), tmp_path, body)
 
 
 def test_a_process_starts_before_its_turn_and_is_in_the_model_at_its_step(tmp_path: Path) -> None:

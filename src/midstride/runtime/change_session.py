@@ -54,6 +54,7 @@ from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.runtime_verification import StepVerifier, Verifier
 from midstride.runtime.silence import SilenceMonitor
 from midstride.runtime.state_store import StateStore
+from midstride.runtime.uninterrupted import uninterrupted
 from midstride.verify.verdict import Verdict
 
 # Code that raises often does so in its first calls, so the functionalities that a change has raised are watched for
@@ -86,6 +87,7 @@ class ChangeSession:
     measuring: bool = False
     another_waits: asyncio.Event = field(default_factory=asyncio.Event)
     modes: ModeRecorder | None = None  # of the change in progress
+    _executing: asyncio.Task[None] | None = None  # its plan, until that has ended
     _measured_until: int = 0
 
     async def plan(self, request: PlanRequest) -> tuple[Plan, Specification]:
@@ -165,9 +167,33 @@ class ChangeSession:
 
         ``keep``: with the parameter values that were set at run time. ``brief``: the next command does not wait for the
         whole measurement. ``wait``: after how long a component that hangs, and is to go, is fenced (s).
+
+        If cancelled, it rolls back, and raises CancelledError where that has succeeded. Once the plan has ended, or if
+        it is being rolled back already, only the measurement is broken off.
         """
         recording = Recording(self.client, self.clock, self.another_waits if brief else None, self._measured_until)
         transfer = ParameterTransfer(self.client, self.system.values, plan.change, plan.parameters, keep)
+        work = self._recorded(plan, target, preview, entry, recording, transfer, verifier, verdict, wait)
+        return await uninterrupted(work, lambda: self._interrupt(recording))
+
+    def _interrupt(self, recording: Recording) -> None:
+        """The manager is to end: roll back what is being carried out; what has been is only reported, not measured."""
+        recording.broken_off.set()
+        if self._executing is not None:
+            self._executing.cancel()
+
+    async def _recorded(
+        self,
+        plan: Plan,
+        target: Specification,
+        preview: PlanPreview,
+        entry: JournalEntry,
+        recording: Recording,
+        transfer: ParameterTransfer,
+        verifier: StepVerifier | None,
+        verdict: Verdict | UnsetType,
+        wait: float,
+    ) -> Outcome:
         since, before = time.time(), self.events.last
         modes = self._record_modes(plan)
         try:
@@ -240,7 +266,10 @@ class ChangeSession:
         try:
             # Alloy judges the configurations of the sequence: a change that is verified takes one step after another.
             found = await asyncio.to_thread(overlap, plan) if verifier is None else None
-            await executor.run(actions, preview.steps, found)
+            self._executing = asyncio.ensure_future(executor.run(actions, preview.steps, found))
+            if recording.broken_off.is_set():
+                self._executing.cancel()
+            await self._executing
             if target != system.specification:
                 self.store.write_specification(target)
             system.specification = target
@@ -259,6 +288,7 @@ class ChangeSession:
             await entry.end("rolled_back" if undone else "failed", "the manager was terminated", None)
             raise
         finally:
+            self._executing = None
             self.reconciler.on_crash_during_change = None
             await response.close()
         system.values.forget_ended(system.configuration)
@@ -275,7 +305,7 @@ class ChangeSession:
         try:
             swaps = await recording.finish(executor.driver.last_numbers, resumed=outcome != "done", hung=fenced)
             if outcome == "done":
-                await self.clock.sleep(ended + self._first_calls(actions) - self.clock.steady())
+                await recording.wait(ended + self._first_calls(actions) - self.clock.steady())
         finally:
             self.measuring = False
             hurried = recording.hurried is not None and recording.hurried.is_set()

@@ -33,6 +33,7 @@ from midstride.runtime.mode_changes import by_instance
 from midstride.runtime.reports import StepTime
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.state_store import StateStore
+from midstride.runtime.uninterrupted import uninterrupted
 
 log = logging.getLogger(__name__)
 
@@ -92,6 +93,8 @@ class Executor:
     commanding: asyncio.Lock = field(default_factory=asyncio.Lock)
     # The steps of the plan that were done, as measured.
     times: list[StepTime] = field(default_factory=list)
+    # Whether ``run`` was cancelled between two rounds, while it rolled back, or when every step was done.
+    interrupted: bool = False
     _starts: EarlyStarts = field(init=False)
 
     def __post_init__(self) -> None:
@@ -111,7 +114,8 @@ class Executor:
         """Carry out ``actions`` in order; ``overlap`` says which of them at once, and which processes start ahead.
 
         Raises StepFailed after the roll-back; its ``outcome`` says whether that succeeded. If cancelled, it rolls back
-        as well.
+        as well, and raises CancelledError where that succeeded. A roll-back is not broken off, and when every step is
+        done, nothing is rolled back any more: ``interrupted`` says then that it was cancelled.
         """
         run = _Run(actions, forms, overlap or one_by_one(actions), self.driver.backend.clock.steady())
         self.driver.leaving = {action.instance for action in actions if isinstance(action, Remove)}
@@ -122,6 +126,8 @@ class Executor:
                 self.driver.events.add("step", words, **run.position(index))
             failures: dict[int, BaseException]
             try:
+                if self.interrupted:  # since the round before has ended
+                    raise asyncio.CancelledError
                 if self.entry is not None:
                     await self.entry.step(*(run.words[index] for index in indices))
                 self._starts.check()
@@ -133,13 +139,16 @@ class Executor:
                 failures = {actions.index(early.action): early.error}
             except (Exception, asyncio.CancelledError) as error:
                 failures = {indices[0]: error}
-            await self._starts.at_rest()
+            await uninterrupted(self._starts.at_rest(), self._interrupt)
             for index in sorted(run.times.keys() & indices):  # of a round when all of it has ended
                 self.driver.events.add("step_done", run.numbered(index, "done"), **run.position(index))
                 self.times.append(run.times[index])
             if failures:
-                await self._fail(indices, failures, run)
-        await self._starts.stop()
+                await uninterrupted(self._fail(indices, failures, run), self._interrupt)
+        await uninterrupted(self._starts.stop(), self._interrupt)
+
+    def _interrupt(self) -> None:
+        self.interrupted = True
 
     async def _round(self, indices: Sequence[int], run: _Run) -> dict[int, BaseException]:
         """Take the steps of one round. Returns which of several have failed; raises what a single one raises.
@@ -248,9 +257,9 @@ class Executor:
             raise StepFailed(because, "failed") from error
         await self._starts.stop()
         problems = [*await self._abandon(run.actions[indices[0] :]), *await self._roll_back(run.done)]
-        if isinstance(error, asyncio.CancelledError):
-            raise error
         if not problems:
+            if isinstance(error, asyncio.CancelledError):
+                raise error
             raise StepFailed(because, "rolled_back") from error
         raise StepFailed(f"{because}; and the roll-back failed: {'; '.join(problems)}", "failed") from error
 

@@ -84,14 +84,15 @@ class RecordedInput:
 class Recording:
     """The recording of one plan. Failures do not affect the plan: their figures are reported as unknown.
 
-    Where ``hurried`` is set meanwhile, it ends as soon as the figures mean something. What was received before
-    ``earliest`` (steady ns) belongs to another change.
+    Where ``hurried`` is set meanwhile, it ends as soon as the figures mean something; where ``broken_off`` is, at once,
+    and the figures are unknown. What was received before ``earliest`` (steady ns) belongs to another change.
     """
 
     client: ComponentClient
     clock: Clock
     hurried: asyncio.Event | None = None
     earliest: int = 0
+    broken_off: asyncio.Event = field(default_factory=asyncio.Event)
     recorded: list[RecordedInput] = field(default_factory=list)
     unknown: list[SwapReport] = field(default_factory=list)
     # Subscribers that received nothing while the new publisher published.
@@ -172,26 +173,24 @@ class Recording:
         """Keep recording for a while, then compute the figures. :meth:`stop` must be called afterwards.
 
         ``resumed``: the plan was rolled back, so the old publishers publish again. ``hung``: the instances that were
-        silent before the change. If cancelled, it reports unknown
-        figures instead of raising: the plan is done, and its outcome must be reported.
+        silent before the change.
         """
         if not self.recorded:
             return self.unknown
         periods = [each.observation.guaranteed_period for each in self.recorded]
         factor = max(stretch_of(self.client, each.input.instance) for each in self.recorded)
         tails = [TAIL_WITHOUT_RATE if period is None else WINDOW_PERIODS * period * factor for period in periods]
-        begun, before, after = self.clock.steady(), dict[_PortOnTopic, int](), dict[_PortOnTopic, int]()
-        records: dict[PortRef, Records] = {}
-        try:
-            before = await self._published(resumed)
-            await self._keep_recording(min(max(tails), LONGEST_TAIL))
-            after = await self._published(resumed)
-            # The subscribers first: then the driving inputs have received every message that was answered.
-            for port in dict.fromkeys([*(each.input for each in self.recorded), *self._driving_inputs.values()]):
-                with contextlib.suppress(MidstrideError):
-                    records[port] = await self.client.read(port.instance, RecordsCommand(input=port.port))
-        except asyncio.CancelledError:
-            records.clear()
+        begun, records = self.clock.steady(), dict[PortRef, Records]()
+        before = await self._published(resumed)
+        await self._keep_recording(min(max(tails), LONGEST_TAIL))
+        after = await self._published(resumed)
+        # The subscribers first: then the driving inputs have received every message that was answered.
+        for port in dict.fromkeys([*(each.input for each in self.recorded), *self._driving_inputs.values()]):
+            if self.broken_off.is_set():
+                records.clear()
+                break
+            with contextlib.suppress(MidstrideError):
+                records[port] = await self.client.read(port.instance, RecordsCommand(input=port.port))
         watched = self.clock.steady() - begun
         inputs = {old: records[port] for old, port in self._driving_inputs.items() if port in records}
         reports = []
@@ -217,14 +216,18 @@ class Recording:
 
     async def _keep_recording(self, tail: float) -> None:
         least = tail * SHORTEST_TAIL_PERIODS / WINDOW_PERIODS
-        await self.clock.sleep(least)
-        rest = asyncio.ensure_future(self.clock.sleep(tail - least))
-        hurry = asyncio.ensure_future(asyncio.Event().wait() if self.hurried is None else self.hurried.wait())
+        await self.wait(least)
+        await self.wait(tail - least, self.hurried)
+
+    async def wait(self, seconds: float, hurried: asyncio.Event | None = None) -> None:
+        """Wait so long (s), or until ``hurried`` is set, or the recording is broken off."""
+        events = (self.broken_off,) if hurried is None else (self.broken_off, hurried)
+        waiting = [asyncio.ensure_future(each) for each in (self.clock.sleep(seconds), *(e.wait() for e in events))]
         try:
-            await asyncio.wait({rest, hurry}, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            rest.cancel()
-            hurry.cancel()
+            for each in waiting:
+                each.cancel()
 
     async def _published(self, resumed: bool) -> dict[_PortOnTopic, int]:
         """How many messages the publishers at the end have published so far, where that is known.
