@@ -38,6 +38,9 @@ LOOK_AFTER: Final = 4.0
 LEAVING: Final = 1.0
 # How long the threads may take to end (s).
 _JOIN: Final = 2.0
+# How long before a process leaves ROS the others are told that its nodes have nothing any more (s). What they hear of
+# nodes after the process has left (rmw_dds_common works through it on a thread of its own) they keep for good.
+_TOLD: Final = 0.1
 
 
 class ExecutorThread:
@@ -221,6 +224,11 @@ class ComponentNodes:
         return data_left
 
     def _leave_ros(self) -> None:
+        for publisher in list(self._control.publishers):
+            self._control.destroy_publisher(publisher)
+        for service in list(self._control.services):
+            self._control.destroy_service(service)
+        time.sleep(_TOLD)
         self._control.destroy_node()
         if self._own_context:
             self._context.try_shutdown()
