@@ -63,6 +63,13 @@ def test_the_demo_is_well_formed() -> None:
 
 MODES = f"{TALK}/modes"
 RUN, RESPAWN = "/components/Talker/run", "/nodes/talker/respawn"
+LOUD = {
+    "run": "l",
+    "outputs": ["out"],
+    "functionalities": {
+        "shout": {"produces": ["out"], "modes": {"normal": {"guarantees": {"out": FAST}}, "degraded": {}}}
+    },
+}
 CASES: list[tuple[str, list[tuple[str, object]], str, str]] = [  # code, changes, path, message
     (
         "E010",
@@ -210,6 +217,17 @@ CASES: list[tuple[str, list[tuple[str, object]], str, str]] = [  # code, changes
         [(RUN, "t"), ("/components/Listener/run", "l"), (RESPAWN, {"fallback": "Listener"})],
         f"{RESPAWN}/fallback",
         "Listener cannot replace talker: it has no port out",
+    ),
+    (
+        "E026",
+        [
+            (RUN, "t"),
+            ("/components/Loud", LOUD),
+            ("/constraints", [{"keep": "talker.talk", "at": "normal"}]),
+            (RESPAWN, {"fallback": "Loud"}),
+        ],
+        f"{RESPAWN}/fallback",
+        "Loud cannot replace talker: talker has no functionality `talk`, which `keep talker.talk at normal` names",
     ),
     (
         "E027",

@@ -11,9 +11,16 @@ from immutables import Map
 from midstride.errors import PlanRefused
 from midstride.model.action import Handover
 from midstride.model.best import best
-from midstride.model.component import Connector, EnvironmentGuarantee, FunctionalitySpec, Mode, ParameterSpec
+from midstride.model.component import (
+    Connector,
+    EnvironmentGuarantee,
+    FunctionalityRef,
+    FunctionalitySpec,
+    Mode,
+    ParameterSpec,
+)
 from midstride.model.contract import Predicate
-from midstride.model.specification import Node, Specification, initial
+from midstride.model.specification import Keep, Limit, Node, Specification, initial
 from midstride.plan.change_builder import change_between, requested_change
 from midstride.plan.estimate import Estimate
 from midstride.plan.registry import STRATEGIES, planner
@@ -223,6 +230,10 @@ LAME = component("Lame", FunctionalitySpec("f", (Mode("only"),)))
             "component Lame: /functionalities/f/modes: f has only one mode",
         ),
         (PlanRequest(to=replace(talker(), components=Map(Lame=LAME))), "/components/Lame/functionalities/f/modes: "),
+        (
+            PlanRequest(remove=("talker",), components=(work("Heavy", holds={"gpu": 1.0}),)),
+            "component Heavy holds `gpu`, a resource that the system does not declare; use `apply`",
+        ),
     ],
 )
 def test_what_is_asked_for_must_be_well_formed(request_: PlanRequest, words: str) -> None:
@@ -230,6 +241,29 @@ def test_what_is_asked_for_must_be_well_formed(request_: PlanRequest, words: str
     with pytest.raises(PlanRefused) as caught:
         request_.target(talker())
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("constraint", "missing"),
+    [
+        (Keep(FunctionalityRef("talker", "talk"), "normal"), "talker has no functionality `talk`"),
+        (Limit(FunctionalityRef("talker", "talk"), 2.0), "talker has no functionality `talk`"),
+        (Keep(FunctionalityRef("talker", "work"), "quiet"), "talker.work has no mode `quiet`"),
+    ],
+)
+def test_a_replacement_has_what_the_constraints_on_its_node_name(constraint: Keep | Limit, missing: str) -> None:
+    """Else the running specification, which a later manager reads again, would name what it does not declare."""
+    start = talker()
+    quiet = component("Talker", FunctionalitySpec("work", (Mode("quiet"), Mode("off")), outputs=("out",)))
+    now = quiet if isinstance(constraint, Keep) and constraint.mode == "quiet" else start.components["Talker"]
+    components = start.components.set("Talker", now).set("Other", work("Other", outputs=("out",)))
+    start = replace(start, components=components, constraints=(constraint,))
+    request = PlanRequest(replace=(("talker", "Other"),))
+    with pytest.raises(PlanRefused) as caught:
+        request.target(start)
+    assert f"Other cannot replace talker: {missing}, which `{constraint}` names; use `apply`" in str(caught.value)
+    elsewhere = Keep(FunctionalityRef("listener", "listen"), "normal")
+    assert request.target(replace(start, constraints=(elsewhere,))).nodes["talker"].component == "Other"
 
 
 @pytest.mark.parametrize(

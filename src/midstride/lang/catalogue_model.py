@@ -267,7 +267,8 @@ MODEL: Final = (
     _entry(
         "E026: restart policy that cannot be carried out",
         """The longest delay of `respawn_delay` is shorter than the first one; the component of the node, or the one
-        named by `respawn_fallback`, has no `run` command; or that one does not fit the topics of the node.""",
+        named by `respawn_fallback`, has no `run` command; or that one does not fit the topics of the node, or lacks
+        what a constraint on the node names.""",
         "correct the statement that the message names",
         respawning("respawn   respawn_delay 5 s to 2 s"),
         CHATTER + "node talker : Talker { out -> /chatter   respawn }\n",

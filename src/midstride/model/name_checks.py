@@ -228,6 +228,16 @@ def _node_names(specification: Specification, node: Node, path: Path) -> Iterato
                 yield from _unknown("parameter", name, component.parameters, where, declared, component.name)
 
 
+def missing_for_constraints(specification: Specification, role: str) -> list[str]:
+    """What `keep` and `limit` constraints on ``role`` name and its component lacks, in words."""
+    return [
+        f"{problem.message}, which `{constraint}` names"
+        for index, constraint in enumerate(specification.constraints)
+        if not isinstance(constraint, Order) and constraint.functionality.instance == role
+        for problem in _constraint_names(specification, index)
+    ]
+
+
 def _constraint_names(specification: Specification, index: int) -> Iterator[Problem]:
     constraint, path = specification.constraints[index], ("constraints", str(index))
     if isinstance(constraint, Order):

@@ -11,7 +11,7 @@ from midstride.model.component import ComponentSpec, PortRef
 from midstride.model.component_rules import number_problems
 from midstride.model.contract import format_number
 from midstride.model.diagnostics import Problem
-from midstride.model.name_checks import Path
+from midstride.model.name_checks import Path, missing_for_constraints
 from midstride.model.rules import attachment_shortfall
 from midstride.model.specification import Node, Specification
 
@@ -41,7 +41,8 @@ def respawn_problems(specification: Specification, node: Node, path: Path) -> It
         return
     for fault in _faults(specification, node, fallback):
         message = f"{fallback.name} cannot replace {node.role}: {fault}"
-        yield Problem("E026", (*path, "fallback"), message, "name a component that fits the node's topics")
+        help = "name a component that fits the node's topics and constraints"
+        yield Problem("E026", (*path, "fallback"), message, help)
 
 
 def _faults(specification: Specification, node: Node, fallback: ComponentSpec) -> Iterator[str]:
@@ -59,3 +60,7 @@ def _faults(specification: Specification, node: Node, fallback: ComponentSpec) -
                 shortfall, clauses = attachment_shortfall(fallback, PortRef(node.role, port), connector)
                 if clauses:
                     yield f"{shortfall}: {', '.join(clauses)}"
+    reported = missing_for_constraints(specification, node.role)
+    for missing in missing_for_constraints(specification.with_replaced(node.role, fallback.name), node.role):
+        if missing not in reported:
+            yield missing

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from midstride.errors import PlanRefused
 from midstride.model.component import ComponentSpec, FunctionalityRef
 from midstride.model.diagnostics import Problem, suggestion, unknown_name
+from midstride.model.name_checks import missing_for_constraints
 from midstride.model.specification import Node, Specification
 from midstride.model.specification_checks import check, check_component, check_node, errors
 
@@ -58,6 +59,11 @@ class PlanRequest:
         target = specification
         for component in self.components:
             _well_formed(check_component(component), f"component {component.name}: ")
+            for resource in sorted(set(component.resource_usage) - set(target.resources)):
+                raise PlanRefused(
+                    f"component {component.name} holds `{resource}`, a resource that the system does not declare; "
+                    "use `apply` with a specification that declares it"
+                )
             known = target.components.get(component.name)
             if known is not None and known != component:
                 raise PlanRefused(f"component {component.name} is already declared differently; give it another name")
@@ -143,4 +149,10 @@ def _replaced(target: Specification, role: str, name: str) -> Specification:
         raise PlanRefused(
             f"{name} cannot replace {role}: it has no port {ports_on}; use `apply` with a changed specification"
         )
-    return target.with_replaced(role, name)
+    target = target.with_replaced(role, name)
+    if missing := missing_for_constraints(target, role):
+        raise PlanRefused(
+            f"{name} cannot replace {role}: {'; '.join(missing)}; "
+            "use `apply` with a specification without that constraint"
+        )
+    return target
