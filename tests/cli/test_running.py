@@ -205,7 +205,8 @@ def test_nodes_come_and_go(talker: Midstride) -> None:
 
 def test_components_of_another_file(talker: Midstride, tmp_path: Path) -> None:
     document = json.loads(Path(TALKER).read_text())
-    document["components"] = {"Ear": document["components"]["Listener"]}
+    other = {**document["components"]["Talker"], "run": "other"}  # of no concern: the request does not name it
+    document["components"] = {"Ear": document["components"]["Listener"], "Talker": other}
     document["nodes"] = {}
     file = tmp_path / "more.json"
     file.write_text(json.dumps(document))

@@ -53,7 +53,7 @@ def _components_option(function: Any) -> Any:
         "file",
         type=click.Path(path_type=Path),
         metavar="FILE",
-        help="Another specification to take components from.",
+        help="Another specification to take COMPONENT from.",
     )(function)
 
 
@@ -73,7 +73,7 @@ def replace_command(
     """Replace the component of NODE with COMPONENT, on the same topics."""
     request = {
         "replace": [[node, component]],
-        "components": _components(file),
+        "components": _component_of(file, component),
         "declared_parameters": declared_parameters,
     }
     return change(options, request, f"replace {node} with {component}")
@@ -110,7 +110,7 @@ def add_command(
 ) -> int:
     """Add NODE, with COMPONENT, and attach its ports to topics."""
     new = change_options.new_node(node, component, attachments, parameters)
-    request = {"add": [new], "components": _components(file)}
+    request = {"add": [new], "components": _component_of(file, component)}
     return change(options, request, f"add {node} ({component})")
 
 
@@ -161,14 +161,15 @@ def apply_command(
     return change(options, request, f"apply {new.name}", file=str(new.resolve()))
 
 
-def _components(file: Path | None) -> list[Document]:
+def _component_of(file: Path | None, name: str) -> list[Document]:
+    """The component ``name`` of ``file``, if it has one; the rest of the file does not concern the request."""
     if file is None:
         return []
     from midstride.cli.files import load
     from midstride.codec.component import encode_component
 
-    specification = load(file)
-    return [encode_component(specification.components[name]) for name in sorted(specification.components)]
+    component = load(file).components.get(name)
+    return [] if component is None else [encode_component(component)]
 
 
 def change(
