@@ -54,6 +54,14 @@ def test_create() -> None:
     assert refused(create, after) == [("not live", ("talker_2",))]
 
 
+def test_the_effect_of_a_create_that_is_refused_replaces_what_has_the_name() -> None:
+    """A verification goes on after a step that is not allowed, whatever role the new instance has."""
+    after = Create(Instance("talker", "other", source("NewTalker"))).effect(talker_and_listener())
+    assert after.attached_ports("talker") == []
+    assert not after.publishers_on("/chatter") and not after.instances_of("talker")
+    assert [instance.component.name for instance in after.instances_of("other")] == ["NewTalker"]
+
+
 def test_remove_asks_for_isolation_and_undoes_with_its_modes() -> None:
     configuration = talker_and_listener()
     assert refused(Remove("talker"), configuration) == [("isolated", ("talker.out", "/chatter"))]

@@ -17,6 +17,7 @@ from midstride.model.component import ComponentSpec, FunctionalityRef, InputAlte
 from midstride.model.configuration import Configuration
 from midstride.model.rules import capacity_violation
 from midstride.model.specification import Node, Specification, initial, structure
+from midstride.plan.forms import decode_plan, encode_plan
 from midstride.verify.alloy_atoms import Names
 from midstride.verify.chain import chain
 from midstride.verify.checking import AlloyOptions, verify_configuration, verify_plan, verify_specification
@@ -44,6 +45,14 @@ def test_the_text_of_a_plan_is_readable_and_stays_as_it_is(name: str) -> None:
     if os.environ.get("MIDSTRIDE_GOLDEN") == "write":
         golden.write_text(text, encoding="utf-8")
     assert text == golden.read_text(encoding="utf-8")
+
+
+def test_a_plan_that_creates_what_is_live_is_exported_for_alloy_to_refuse() -> None:
+    document = encode_plan(plan(specification(TALKER), talker="NewTalker"))
+    create = {"action": "create", "component": "talker", "role": "other", "of": "Talker", "parameters": {}}
+    document["steps"].insert(0, {**create, "seconds": 1.0})
+    text = dump_plan(decode_plan(document), "twice").text
+    assert "pred step1_may { can_create_within[S0, talker] }" in text
 
 
 @pytest.mark.parametrize(("amount", "too_much"), [(0.5, False), (0.5000000005, True)])

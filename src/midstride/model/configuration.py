@@ -208,7 +208,9 @@ class Configuration:
     # -- changing: each yields a new configuration, valid or not ------------------------------------
 
     def with_instance(self, instance: Instance) -> Configuration:
-        """``instance`` live and isolated, every functionality in its last mode."""
+        """``instance`` live and isolated, every functionality in its last mode, in place of one that has its name."""
+        if instance.name in self.instances:
+            return self.without_instance(instance.name).with_instance(instance)
         held, holders = self.held, self.holders
         for resource, amount in instance.component.resource_usage.items():
             held = held.set(resource, held.get(resource, _NONE_HELD) + to_fraction(amount))
