@@ -423,6 +423,13 @@ def test_a_node_is_added_to_a_plan(capsys: pytest.CaptureFixture[str]) -> None:
     assert document["target"]["nodes"]["second"] == {"component": "Listener", "attachments": {"in": ["/chatter"]}}
 
 
+def test_a_node_to_add_may_be_written_as_ros_writes_it(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "plan", TALKER, "--add", "/second Listener in=/chatter", "--json")
+    assert (status, json.loads(out)["steps"][0]["component"]) == (0, "second")
+    status, out, _ = run(capsys, "plan", TALKER, "--add", "/talker Talker out=/chatter")
+    assert (status, out) == (1, "")
+
+
 def test_to_another_specification(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     nodes = {"listener": {"component": "Listener", "attachments": {"in": ["/chatter"]}}}
     status, out, _ = run(capsys, "plan", TALKER, "--to", broken(tmp_path, nodes=nodes), "--json")

@@ -235,6 +235,7 @@ FAULTS: list[tuple[str, object, str, str]] = [
     ("/nodes/detector/respawn", {"fallback": "Detecter"}, "E008", "did you mean `Detector`?"),
     ("/nodes/detector/respawn", {"max_retries": 1.5}, "E001", "a number of restarts"),
     ("/nodes/detector/respawn", {"window_seconds": 0}, "E004", "more than 0"),
+    ("/nodes/~1extra", {"component": "Detector"}, "E006", "`/extra` is not a valid node name"),
 ]
 # The same, where the problem is told elsewhere.
 ELSEWHERE: list[tuple[str, object, str, str, str]] = [

@@ -54,7 +54,7 @@ def new_node(role: str, component: str, attachments: Iterable[str], parameters: 
         topics.setdefault(port, []).append(topic)
     values = dict(parse_pair(text, "NAME=VALUE, such as threshold=0.5") for text in parameters)
     return {
-        "role": role,
+        "role": role.removeprefix("/"),  # as ROS writes the full name of a node
         "component": component,
         "attachments": topics,
         "parameters": {name: parse_value(text) for name, text in values.items()},

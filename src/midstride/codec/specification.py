@@ -236,7 +236,7 @@ class SpecificationForm(Form, frozen=True):
     components: Annotated[dict[str, ComponentForm], by_name("an object of components", "types of nodes")] = {}
     nodes: Annotated[
         dict[str, NodeForm],
-        by_name("an object of nodes", "the nodes, by name, namespaces in front", f"/?{TOKEN}(/{TOKEN})*"),
+        by_name("an object of nodes", "the nodes, by name, namespaces in front", f"{TOKEN}(/{TOKEN})*"),
     ] = {}
     constraints: Annotated[list[ConstraintForm], field("a list of constraints")] = []
     timing_seconds: TimingForm | UnsetType = UNSET

@@ -20,7 +20,7 @@ from midstride.model.specification import TIMING, Keep, Node, Order, Specificati
 
 _TOKEN: Final = r"[A-Za-z_][A-Za-z0-9_]*"
 _NAME: Final = re.compile(_TOKEN)
-_ROLE: Final = re.compile(rf"/?{_TOKEN}(/{_TOKEN})*")
+_ROLE: Final = re.compile(rf"{_TOKEN}(/{_TOKEN})*")
 _TOPIC: Final = re.compile(rf"(/{_TOKEN})+")
 _LONGEST: Final = 255  # what ROS 2 allows for a node name
 
@@ -205,7 +205,7 @@ def node_names(specification: Specification, node: Node, path: Path) -> list[Pro
 
 def _node_names(specification: Specification, node: Node, path: Path) -> Iterator[Problem]:
     if not _ROLE.fullmatch(node.role) or len(node.role) > _LONGEST:
-        help = "write names joined by `/`, as in `robot1/talker`"
+        help = "write names joined by `/`, as in `robot1/talker`, without one in front"
         yield Problem("E006", path, f"`{node.role}` is not a valid node name", help)
     yield from _unknown("component", node.component, specification.components, (*path, "component"), ("components",))
     component = specification.components.get(node.component)
