@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from midstride.backends import NAMES
 from midstride.cli import main, render, render_status
 from midstride.cli.app import COMMANDS, GROUPS
 from midstride.cli.change_options import parse_value
+from midstride.cli.files import read_json
 from midstride.cli.output import console
 from midstride.model.specification import Specification
 from midstride.runtime.state_store import StateStore
@@ -473,6 +475,32 @@ def test_a_closed_pipe_is_not_an_error(midstride: Midstride) -> None:
         env=midstride.environment,
     )
     assert (done.stdout, done.stderr) == ("{", "")
+
+
+def test_json_with_a_byte_order_mark_is_read_everywhere(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = "\ufeff" + Path(TALKER).read_text(encoding="utf-8")
+    path = tmp_path / "marked.json"
+    path.write_text(text, encoding="utf-8")
+    for words in (["check", path], ["export", path], ["plan", path, "--remove", "listener"]):
+        assert run(capsys, *map(str, words))[0] == 0
+    _, plan, _ = run(capsys, "plan", TALKER, "--remove", "listener", "--json")
+    monkeypatch.setattr("sys.stdin", StringIO("\ufeff" + plan))
+    assert read_json(Path("-")) == json.loads(plan)
+
+
+def test_json_that_is_not_utf_8_is_reported_as_other_files_are(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "latin.json"
+    path.write_bytes('{"system": "größe"}'.encode("latin-1"))
+    status, out, _ = run(capsys, "check", str(path), "--json")
+    document = json.loads(out)
+    assert (status, document["ok"], [each["code"] for each in document["diagnostics"]]) == (1, False, ["E101"])
+    status, out, err = run(capsys, "export", str(path))
+    assert (status, out) == (1, "")
+    assert f"cannot read {path}: it is not valid UTF-8; save it as UTF-8" in err
 
 
 @pytest.mark.parametrize("stream", ["stdin", "stdout", "stderr"])

@@ -26,14 +26,14 @@ def as_typed_here(path: str) -> str:
 
 def read(path: Path) -> Specification:
     """The specification in a file. Raises SpecificationError with every error of form and of names."""
-    text = _text(path)
     if _is_stride(path):
+        require_file(path)
         from midstride.lang import load as load_stride
         from midstride.lang.message_types import installed
 
         return load_stride(path, messages=installed()).require()
     try:
-        return decode_specification(parse_json(text))
+        return decode_specification(parse_json(_text(path)))
     except SpecificationError as error:
         raise in_file(path, error.problems) from None
 
@@ -42,7 +42,7 @@ def read_json(path: Path) -> Any:
     """The value in a JSON file; ``-`` is standard input. Raises SpecificationError if it cannot be read."""
     try:
         if str(path) == "-":
-            return parse_json(_bounded("standard input", sys.stdin.read(MAX_CHARACTERS + 1)))
+            return parse_json(_bounded("standard input", sys.stdin.read(MAX_CHARACTERS + 1)).removeprefix("\ufeff"))
         return parse_json(_text(path))
     except UnicodeDecodeError as error:
         raise SpecificationError(f"cannot read standard input: {error}") from None
@@ -63,8 +63,11 @@ def load(path: Path) -> Specification:
 
 
 def require_file(path: Path) -> None:
-    """Raises SpecificationError if the file cannot be read, with the name that was probably meant."""
-    _text(path)
+    """Raises SpecificationError if the file cannot be read, with the name that was probably meant.
+
+    Whether it is UTF-8 is left to what reads it next, which reports the place.
+    """
+    _text(path, errors="replace")
 
 
 def require_new(path: Path | None) -> None:
@@ -92,9 +95,10 @@ def _is_stride(path: Path) -> bool:
     return path.suffix != ".json"
 
 
-def _text(path: Path) -> str:
+def _text(path: Path, errors: str = "strict") -> str:
+    """The text of a UTF-8 file, with or without a byte order mark. ``errors``: as for ``open``."""
     try:
-        with path.open(encoding="utf-8") as file:
+        with path.open(encoding="utf-8-sig", errors=errors) as file:
             return _bounded(str(path), file.read(MAX_CHARACTERS + 1))
     except FileNotFoundError:
         folder = path.parent
@@ -104,9 +108,9 @@ def _text(path: Path) -> str:
     except IsADirectoryError:
         inside = ", ".join(sorted(str(path / entry.name) for entry in _candidates(path)))
         raise SpecificationError(f"{path} is a folder" + (f"; give a file in it: {inside}" if inside else "")) from None
-    except (UnicodeDecodeError, OSError) as error:
-        if _is_stride(path) and isinstance(error, UnicodeDecodeError):
-            return ""  # the language reports the place
+    except UnicodeDecodeError:
+        raise SpecificationError(f"cannot read {path}: it is not valid UTF-8; save it as UTF-8") from None
+    except OSError as error:
         raise SpecificationError(f"cannot read {path}: {error}") from None
 
 
