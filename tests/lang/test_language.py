@@ -332,6 +332,77 @@ def test_a_tag_in_a_parameter_file_is_an_error_at_its_place(file: str, value: st
     assert text.splitlines()[line - 1][column - 1] in {"!", "&"}
 
 
+@pytest.mark.parametrize(
+    ("text", "message", "help", "position"),
+    [
+        (
+            "n: {ros__parameters: 5}\n",
+            "`ros__parameters` must contain parameters",
+            "write `ros__parameters: name: value`",
+            (1, 22),
+        ),
+        ('n: {ros__parameters: {"": 5}}\n', "the name of a parameter is empty", None, (1, 27)),
+        (
+            "n:\n  x: 2\n",
+            "`x` of section `n` is not under `ros__parameters`",
+            "write `n: ros__parameters: x: …`",
+            (2, 6),
+        ),
+        ("n:\n", "section `n` has no `ros__parameters`", "write the parameters under `n: ros__parameters:`", (1, 3)),
+    ],
+)
+def test_an_invalid_parameter_file_is_reported_once_at_its_place(
+    text: str, message: str, help: str | None, position: tuple[int, int]
+) -> None:
+    loaded = load_text('system s\ncomponent C { }\nnode n : C { parameters "p.yaml" }\n', read=lambda path: text)
+    (found,) = loaded.diagnostics
+    assert found.span is not None and found.span.source.name == "p.yaml"
+    assert (found.code, found.message, found.help) == ("E150", message, help)
+    assert found.position == position
+
+
+def test_an_empty_parameter_file_has_no_section_to_name() -> None:
+    head = 'system s\ncomponent C { }\nnode n : C { parameters "p.yaml" }\n'
+    (found,) = load_text(head, read=lambda path: "").diagnostics
+    assert (found.code, found.help) == ("W160", "write `n: ros__parameters: …`")
+
+
+@pytest.mark.parametrize(
+    ("written", "value"),
+    [
+        ("y", True),
+        ("N", False),
+        ("yes", True),
+        ("OFF", False),
+        ("'y'", "y"),
+        ("yEs", "yEs"),
+        ("010", 8),
+        ("-017", -15),
+        ("0X1f", 31),
+        ("0", 0),
+        ("+7", 7),
+        ("08", 8.0),
+        ("1e3", 1000.0),
+        ("0o10", "0o10"),
+    ],
+)
+def test_the_values_of_a_parameter_file_are_those_that_ros_reads(written: str, value: object) -> None:
+    """As rcl's parser does: its words for booleans, then strtol with the base of the prefix, then strtod."""
+    text = f"n: {{ros__parameters: {{p: {written}}}}}\n"
+    head = "system s\ncomponent C { functionality f { mode a { } mode b { } } }\n"
+    found = load_text(head + 'node n : C { parameters "p.yaml" }\n', read=lambda path: text).require()
+    read = found.nodes["n"].parameters["p"]
+    assert (read, type(read)) == (value, type(value))
+
+
+@pytest.mark.parametrize("written", ["inf", "-Infinity", "NaN", ".inf"])
+def test_what_ros_reads_as_no_finite_number_is_refused(written: str) -> None:
+    text = f"n: {{ros__parameters: {{p: {written}}}}}\n"
+    loaded = load_text('system s\ncomponent C { }\nnode n : C { parameters "p.yaml" }\n', read=lambda path: text)
+    (found,) = loaded.diagnostics
+    assert (found.code, found.message) == ("E150", "parameter values must be finite")
+
+
 @pytest.mark.parametrize("character", ["\x1b", "\x00", "\ud800", "\uffff"])
 def test_a_character_that_no_yaml_contains_is_an_error_at_its_place(character: str) -> None:
     text = f"n:\n  # größer {character}\n  ros__parameters: {{p: 1}}\n"

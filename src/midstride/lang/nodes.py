@@ -11,7 +11,7 @@ from immutables import Map
 from midstride.lang.declarations import MAX_PARTS, Declarations, NodeEntry, ancestry, limited, resolve_topic
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.files import Bounds, FileReader, Unreadable, read_source, shown_path
-from midstride.lang.parameter_files import ParameterSection, ParameterValueAt, read_sections
+from midstride.lang.parameter_files import KEY, ParameterSection, ParameterValueAt, read_sections
 from midstride.lang.respawn import respawn_policy
 from midstride.lang.source import Source, Span
 from midstride.lang.syntax import ComponentDeclaration, Name
@@ -96,7 +96,8 @@ class NodeBuilder:
             sections = self._sections(path)
             if not self._apply(given, entry.role, sections, entry.namespace) and sections is not None:
                 names = [section.pattern for section in sections]
-                help = did_you_mean(f"/{entry.role}", names) or f"its sections: {', '.join(names[:8])}"
+                listed = f"its sections: {', '.join(names[:8])}" if names else f"write `{entry.role}: {KEY}: …`"
+                help = did_you_mean(f"/{entry.role}", names) or listed
                 message = f"`{path.text}` has no section for {entry.role}"
                 self.reporter.report("W160", path.span, message, help=help)
         return given

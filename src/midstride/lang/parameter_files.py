@@ -41,14 +41,14 @@ class ParameterSection:
         return any(re.fullmatch(_regex(name), "/" + role.strip("/")) for name in names)
 
 
-def read_sections(source: Source, reporter: Reporter) -> list[ParameterSection]:
-    """The sections of a parameter file; none if it is invalid, which is reported."""
+def read_sections(source: Source, reporter: Reporter) -> list[ParameterSection] | None:
+    """The sections of a parameter file; None if it is invalid, which is reported."""
     try:
-        tree = read_tree(source)
+        tree = read_tree(source, ros=True)
         return [] if tree is None else list(_sections(tree, ""))
     except InvalidYaml as refused:
         reporter.report("E150", refused.span, str(refused), help=refused.help)
-        return []
+        return None
 
 
 def _sections(tree: Tree, prefix: str) -> Iterator[ParameterSection]:
@@ -59,6 +59,9 @@ def _sections(tree: Tree, prefix: str) -> Iterator[ParameterSection]:
     for name, (content, place) in value.items():
         pattern = name if name.startswith("/") or not prefix else f"{prefix}/{name}"
         if not isinstance(content, dict):
+            if prefix and content is not None:
+                help = f"write `{prefix}: {KEY}: {name}: …`"
+                raise InvalidYaml(place, f"`{name}` of section `{prefix}` is not under `{KEY}`", help)
             help = f"write the parameters under `{name}: {KEY}:`"
             raise InvalidYaml(place, f"section `{name}` has no `{KEY}`", help)
         if KEY in content:
@@ -72,10 +75,14 @@ def _sections(tree: Tree, prefix: str) -> Iterator[ParameterSection]:
 
 def _flatten(tree: Tree, prefix: str, into: dict[str, ParameterValueAt]) -> None:
     value, span = tree
-    if value is None and not prefix:
+    if not prefix and not isinstance(value, dict):
+        if value is not None:
+            raise InvalidYaml(span, f"`{KEY}` must contain parameters", f"write `{KEY}: name: value`")
         return
     if isinstance(value, dict):
         for name, inner in value.items():
+            if not (name or prefix):
+                raise InvalidYaml(inner[1], "the name of a parameter is empty")
             _flatten(inner, f"{prefix}.{name}" if prefix else name, into)
     elif isinstance(value, list):
         into[prefix] = ParameterValueAt(_listed(prefix, value, span), span)

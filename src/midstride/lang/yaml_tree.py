@@ -15,7 +15,10 @@ MAX_VALUES: Final = 50_000
 
 _TRUE: Final = frozenset("true True TRUE yes Yes YES on On ON".split())
 _FALSE: Final = frozenset("false False FALSE no No NO off Off OFF".split())
-_INTEGER: Final = re.compile(r"[-+]?(0x[0-9a-fA-F]+|[0-9]+)")
+# What rcl's parameter files have in addition: YAML 1.1 lists them, and PyYAML, which launch files use, does not.
+_ROS_TRUE: Final = _TRUE | {"y", "Y"}
+_ROS_FALSE: Final = _FALSE | {"n", "N"}
+_INTEGER: Final = re.compile(r"[-+]?(0[xX](?P<hex>[0-9a-fA-F]+)|0(?P<octal>[0-7]+)|0|[1-9][0-9]*)")
 _REAL: Final = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 # The tags that say what an event of each kind is anyway, and that a scalar is a string, which ROS reads as well.
 _TAGS: Final = {
@@ -24,6 +27,7 @@ _TAGS: Final = {
     "ScalarEvent": "tag:yaml.org,2002:str",
 }
 _NOT_FINITE: Final = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+_ROS_NOT_FINITE: Final = re.compile(rf"{_NOT_FINITE.pattern}|(?i:[-+]?(inf|infinity|nan))")  # as for strtod
 
 
 class InvalidYaml(Exception):
@@ -39,16 +43,20 @@ class InvalidYaml(Exception):
 Tree: TypeAlias = "tuple[dict[str, Tree] | list[Tree] | Scalar | None, Span]"
 
 
-def read_tree(source: Source) -> Tree | None:
-    """The value of a YAML document; None if it is empty. Raises InvalidYaml."""
-    return _TreeBuilder(source).build()
+def read_tree(source: Source, *, ros: bool = False) -> Tree | None:
+    """The value of a YAML document; None if it is empty. Raises InvalidYaml.
+
+    ``ros``: plain scalars are what they are in a ROS parameter file, where `y` is true, for example.
+    """
+    return _TreeBuilder(source, ros).build()
 
 
 class _TreeBuilder:
     """Builds values from YAML events, within limits."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: Source, ros: bool) -> None:
         self.source = source
+        self.ros = ros
         self.count = 0
         self.anchors: dict[str, tuple[Tree, int]] = {}
 
@@ -114,7 +122,7 @@ class _TreeBuilder:
                 done, size = self.anchors[event.anchor]
                 self.count += size
             else:
-                done = (_scalar(event, self._span(event)), self._span(event))
+                done = (_scalar(event, self._span(event), self.ros), self._span(event))
                 self.count += 1
                 if event.anchor:
                     self.anchors[event.anchor] = (done, 1)
@@ -137,22 +145,23 @@ class _TreeBuilder:
         return None if root is None or root[0] is None else root
 
 
-def _scalar(event: Any, span: Span) -> Scalar | None:
+def _scalar(event: Any, span: Span, ros: bool) -> Scalar | None:
     text: str = event.value
     if not event.implicit[0]:
         return text  # quoted, a block of text, or tagged as a string
     if text in {"", "~", "null", "Null", "NULL"}:
         return None
-    if text in _TRUE or text in _FALSE:
-        return text in _TRUE
-    if _INTEGER.fullmatch(text):
-        if len(text) > 40 or not -(2**63) <= (number := int(text, 16 if "x" in text else 10)) < 2**63:
+    if text in (true := _ROS_TRUE if ros else _TRUE) or text in (_ROS_FALSE if ros else _FALSE):
+        return text in true
+    if (match := _INTEGER.fullmatch(text)) is not None:
+        base = 16 if match["hex"] else 8 if match["octal"] else 10
+        if len(text) > 40 or not -(2**63) <= (number := int(text, base)) < 2**63:
             raise InvalidYaml(span, "integers have at most 64 bits")
         return number
     if _REAL.fullmatch(text):
         if math.isinf(value := float(text)):
             raise InvalidYaml(span, "this number is too large")
         return value
-    if _NOT_FINITE.fullmatch(text):
+    if (_ROS_NOT_FINITE if ros else _NOT_FINITE).fullmatch(text):
         raise InvalidYaml(span, "parameter values must be finite", "use a large finite number instead")
     return text
