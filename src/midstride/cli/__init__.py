@@ -1,7 +1,7 @@
 """The command line: thin commands over the manager's HTTP API and the planners; the composition root.
 
-Exit status: 0 yes or done, 1 no, with the reason, 2 wrong usage. A user's mistake costs one clear line, never a
-traceback. Modules are imported when a command needs them, so that ``midstride --help`` stays fast.
+Exit status: 0 yes or done, 1 no, with the reason, 2 wrong usage, 130 interrupted. A user's mistake costs one clear
+line, never a traceback. Modules are imported when a command needs them, so that ``midstride --help`` stays fast.
 """
 
 from __future__ import annotations

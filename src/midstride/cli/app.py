@@ -120,7 +120,7 @@ def _print_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
 def cli(include_path: tuple[str, ...]) -> None:
     """Replace the components of a running ROS system while losing as little functionality as possible.
 
-    Exit status: 0 yes, or done; 1 no, with the reason; 2 wrong usage.
+    Exit status: 0 yes, or done; 1 no, with the reason; 2 wrong usage; 130 interrupted (Ctrl-C).
     """
     if include_path:
         from midstride.lang.files import INCLUDE_PATH

@@ -31,7 +31,8 @@ LOOK: Final = 0.5
 def logs_command(node: str, follow: bool, lines: int | None, system: str | None) -> int:
     """Print the log of NODE, a node or one of its instances; after a crash, that of the crashed instance, too.
 
-    With --follow, it begins with the last 10 lines, and Ctrl-C ends it.
+    With --follow, it begins with the last 10 lines, and Ctrl-C ends it. With --json: a JSON document on each line, with
+    the instance and what it has written.
     """
     workspace = find_workspace(system)
     client = Client(workspace.socket)

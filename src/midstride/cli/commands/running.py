@@ -120,6 +120,8 @@ def _after(since: float, events: Sequence[Event]) -> int:
 def log_command(since: float | None, all_: bool, follow: bool, system: str | None) -> int:
     """Show the latest 20 events; with --json, all since the manager started.
 
+    With --follow and --json: the events as they come, a JSON document on each line.
+
     What a component has written shows `midstride logs NODE`.
     """
     client, _ = find(system)
