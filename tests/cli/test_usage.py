@@ -119,6 +119,7 @@ def test_a_plan_without_steps_reports_nothing_to_do(capsys: pytest.CaptureFixtur
         (["replace", "talker", "NewTalker"], "not a terminal; pass --yes"),
         (["plan", TALKER], "midstride plan: nothing to change: pass --to NEW, --replace, --restart, --add or --remove"),
         (["plan", TALKER, "--replace", "talker"], "`talker` is not of the form NODE=COMPONENT"),
+        (["plan", TALKER, "--replace", "=Talker"], "`=Talker` is not of the form NODE=COMPONENT"),
         (["plan", TALKER, "--add", "second"], "`second` is not of the form 'NODE COMPONENT PORT=TOPIC…'"),
         (["plan", TALKER, "--to", TALKER, "--remove", "talker"], "--to cannot be combined with --replace"),
         (
@@ -423,6 +424,13 @@ def test_a_node_is_added_to_a_plan(capsys: pytest.CaptureFixture[str]) -> None:
     document = json.loads(out)
     assert status == 0
     assert document["target"]["nodes"]["second"] == {"component": "Listener", "attachments": {"in": ["/chatter"]}}
+
+
+def test_a_change_of_nothing_is_not_rehearsed(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "simulate", TALKER, "--to", TALKER)
+    assert (status, out) == (0, "Nothing to do, and nothing was rehearsed: the system already matches the target.\n")
+    status, out, _ = run(capsys, "simulate", TALKER, "--to", TALKER, "--seed", "3", "--json")
+    assert (status, json.loads(out)["seeds"]) == (0, 0)
 
 
 def test_a_node_to_add_may_be_written_as_ros_writes_it(capsys: pytest.CaptureFixture[str]) -> None:

@@ -248,6 +248,7 @@ def test_files_outside_are_not_read_and_others_not_quoted(tmp_path: Path, monkey
         ("a.launch.xml", "<launch>" * 100 + "</launch>" * 100),
         ("a.launch.yaml", "launch: [1]\n"),
         ("a.launch.yaml", "launch:\n- a: {}\n  b: {}\n"),
+        ("a.launch.yaml", "launch: 3\n"),
         ("a.launch.yaml", "robot: []\n"),
         ("a.launch.yaml", "- \tx"),
         ("a.txt", "<launch/>"),

@@ -301,7 +301,8 @@ def test_a_cap_that_either_end_exceeds() -> None:
     two = {"a": ("Source", {"out": "/x"}), "b": ("Source", {"out": "/x"})}
     one = {"a": ("Source", {"out": "/x"})}
     assert refused(system(parts, two), system(parts, one, caps={"/x": 1})) == (
-        "the running system exceeds a limit: /x: 2 publishers (a.out, b.out), at most 1 allowed"
+        "the running system exceeds a limit: /x: 2 publishers (a.out, b.out), at most 1 allowed; "
+        "apply first what keeps the new limit, with the limit as it is now, and then lower the limit"
     )
     words = refused(system(parts, one, caps={"/x": 1}), system(parts, two, caps={"/x": 1}))
     assert words.startswith("the target exceeds a limit: /x: 2 publishers")
@@ -313,9 +314,11 @@ def test_a_cap_that_either_end_exceeds() -> None:
 def test_a_capacity_that_either_end_exceeds() -> None:
     parts = [work("Big", holds={"memory": 6.0}), work("Small", holds={"memory": 1.0})]
     start = system(parts, {"a": ("Big", {})}, resources={"memory": 8.0})
-    assert "6 held by a, but the capacity is 5" in refused(
-        start, system(parts, {"a": ("Small", {})}, resources={"memory": 5.0})
-    )
+    lower = system(parts, {"a": ("Small", {})}, resources={"memory": 5.0})
+    assert "6 held by a, but the capacity is 5; apply first what keeps the new limit" in refused(start, lower)
+    between = replace(lower, resources=start.resources)
+    assert change_between(initial(start), start, between).coming
+    assert not change_between(initial(between), between, lower).coming
     with pytest.raises(
         PlanRefused, match="the target exceeds a limit: resource memory: 12 held by a, b, but the capacity is 8"
     ):

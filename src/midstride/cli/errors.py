@@ -49,6 +49,6 @@ def _report(text: str, kind: str, message: str, words: Sequence[str]) -> None:
 
 
 def _lower_first(message: str) -> str:
-    """Click capitalises its messages; ours follow a colon."""
+    """Click capitalises its messages; ours follow a colon. What the user wrote, in backquotes, stays as it is."""
     head, _, rest = message.partition(" ")
-    return f"{head.lower()} {rest}" if head.istitle() else message
+    return f"{head.lower()} {rest}" if head.istitle() and not head.startswith("`") else message

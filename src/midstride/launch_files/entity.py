@@ -82,6 +82,8 @@ def _from_yaml(source: Source) -> Entity:
     value, span = tree or ({}, Span(source, 0, 0))
     if not isinstance(value, dict) or list(value) != ["launch"]:
         raise NotALaunchFile("its outermost element is not `launch`")
+    if not isinstance(value["launch"][0], (list, dict, type(None))):
+        raise NotALaunchFile("its element `launch` has a value instead of elements")
     return _entity("launch", value["launch"], span)
 
 

@@ -41,7 +41,8 @@ def change_between(
     connectors, identities = _connectors(configuration, target)
     resources = configuration.context.resources.update(target.resources)
     start = configuration.with_context(SystemContext(connectors, target.environment, resources))
-    _check_limits("the running system", start, sorted(start.publishers), sorted(start.held))
+    way_out = "; apply first what keeps the new limit, with the limit as it is now, and then lower the limit"
+    _check_limits("the running system", start, sorted(start.publishers), sorted(start.held), way_out)
     for violation in violations(start):
         raise PlanRefused(f"the running system is not valid in the target's environment: {violation}")
     raised = best(start)
@@ -257,13 +258,15 @@ def _differs(instance: Instance, wanted: Instance) -> bool:
     )
 
 
-def _check_limits(end: str, configuration: Configuration, connectors: Iterable[str], resources: Iterable[str]) -> None:
+def _check_limits(
+    end: str, configuration: Configuration, connectors: Iterable[str], resources: Iterable[str], way_out: str = ""
+) -> None:
     """Refuse an end of the change that exceeds a cap or a capacity."""
     found: list[Violation | None] = [cap_violation(configuration, name) for name in connectors]
     found += [capacity_violation(configuration, name) for name in resources]
     for violation in found:
         if violation is not None:
-            raise PlanRefused(f"{end} exceeds a limit: {violation}")
+            raise PlanRefused(f"{end} exceeds a limit: {violation}{way_out}")
 
 
 def _connectors(configuration: Configuration, target: Specification) -> tuple[Map[str, Connector], dict[str, str]]:

@@ -46,6 +46,8 @@ def simulate_command(file: Path | None, seeds: int, first: int, seed: int | None
     from midstride.simulation.campaign import Summary, simulate_many
 
     scenario = _scenario(file, change)
+    if scenario is not None and not scenario.steps:
+        return _show_nothing()
     if seed is not None:
         one, again = simulate_many((seed, seed), scenario)
         return _show_one(one, same=one.digest == again.digest)
@@ -64,6 +66,17 @@ def _scenario(file: Path | None, change: dict[str, Any]) -> Scenario | None:
         return None
     request = replace(decode_request(planned_change(**change)), to=None if change["to"] is None else load(change["to"]))
     return rehearsed(load(file), request)
+
+
+def _show_nothing() -> int:
+    if wants_json():
+        from midstride.simulation.campaign import Summary
+        from midstride.simulation.rehearsal import rehearsal_of
+
+        print_json(encode(rehearsal_of(Summary())))
+    else:
+        click.echo("Nothing to do, and nothing was rehearsed: the system already matches the target.")
+    return 0
 
 
 def _show_one(run: SeedRun, same: bool) -> int:
