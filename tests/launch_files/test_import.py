@@ -122,6 +122,20 @@ def test_scopes(tmp_path: Path) -> None:
     }
 
 
+def test_values_of_parameters_are_those_of_pyyaml_or_in_parameter_files_those_of_ros(tmp_path: Path) -> None:
+    written = {"a": "y", "b": "010", "c": "08", "d": "1e3", "e": "1.5", "f": "on"}
+    lines = "".join(f"    {name}: {text}\n" for name, text in written.items())
+    (tmp_path / "p.yaml").write_text(f"second:\n  ros__parameters:\n{lines}", encoding="utf-8")
+    own = "".join(f'<param name="{name}" value="{text}"/>' for name, text in written.items())
+    body = (
+        f'<node pkg="demo" exec="first" name="first">{own}</node>'
+        f'<node pkg="demo" exec="second" name="second"><param from="{tmp_path / "p.yaml"}"/></node>'
+    )
+    system = specification(of_xml(tmp_path, body), tmp_path)
+    assert dict(system.instance("first").parameters) == {"a": "y", "b": 8, "c": "08", "d": "1e3", "e": 1.5, "f": True}
+    assert dict(system.instance("second").parameters) == {"a": True, "b": 8, "c": 8.0, "d": 1000.0, "e": 1.5, "f": True}
+
+
 def test_nodes_that_run_the_same_share_a_component(tmp_path: Path) -> None:
     found = of_xml(
         tmp_path,

@@ -158,7 +158,7 @@ def _scalar(event: Any, span: Span, ros: bool) -> Scalar | None:
         if len(text) > 40 or not -(2**63) <= (number := int(text, base)) < 2**63:
             raise InvalidYaml(span, "integers have at most 64 bits")
         return number
-    if _REAL.fullmatch(text):
+    if _REAL.fullmatch(text) and (ros or "." in text):  # PyYAML has `08` and `1e3` as text
         if math.isinf(value := float(text)):
             raise InvalidYaml(span, "this number is too large")
         return value
