@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Final, cast
@@ -173,8 +173,9 @@ class ChangeSession:
         """
         recording = Recording(self.client, self.clock, self.another_waits if brief else None, self._measured_until)
         transfer = ParameterTransfer(self.client, self.system.values, plan.change, plan.parameters, keep)
-        work = self._recorded(plan, target, preview, entry, recording, transfer, verifier, verdict, wait)
-        return await uninterrupted(work, lambda: self._interrupt(recording))
+        work = self._carry_out(plan, target, preview, entry, recording, transfer, verifier, wait)
+        recorded = self._recorded(work, plan, entry, recording, verdict)
+        return await uninterrupted(recorded, lambda: self._interrupt(recording))
 
     def _interrupt(self, recording: Recording) -> None:
         """The manager is to end: roll back what is being carried out; what has been is only reported, not measured."""
@@ -184,20 +185,17 @@ class ChangeSession:
 
     async def _recorded(
         self,
+        work: Awaitable[Outcome],
         plan: Plan,
-        target: Specification,
-        preview: PlanPreview,
         entry: JournalEntry,
         recording: Recording,
-        transfer: ParameterTransfer,
-        verifier: StepVerifier | None,
         verdict: Verdict | UnsetType,
-        wait: float,
     ) -> Outcome:
+        """What comes of ``work``, which carries ``plan`` out; with its timeline also in ``entry``."""
         since, before = time.time(), self.events.last
         modes = self._record_modes(plan)
         try:
-            outcome = await self._carry_out(plan, target, preview, entry, recording, transfer, verifier, wait)
+            outcome = await work
         finally:
             self.modes = None
             self.reconciler.on_failure = lambda _: None
