@@ -173,9 +173,11 @@ def running() -> Iterator[Midstride]:
     command = Midstride(folder)
     try:
         yield command
-        command.down()
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        try:
+            command.down()
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 @pytest.fixture(scope="module")
