@@ -38,8 +38,8 @@ LOOK_AFTER: Final = 4.0
 LEAVING: Final = 1.0
 # How long the threads may take to end (s).
 _JOIN: Final = 2.0
-# How long before a process leaves ROS the others are told that its nodes have nothing any more (s). What they hear of
-# nodes after the process has left (rmw_dds_common works through it on a thread of its own) they keep for good.
+# A process announces that its nodes have no endpoints left, and leaves ROS this much later (s). rmw_dds_common handles
+# such announcements on a thread of its own, and keeps for good what it handles after the process has left.
 _TOLD: Final = 0.1
 
 
@@ -224,11 +224,13 @@ class ComponentNodes:
         return data_left
 
     def _leave_ros(self) -> None:
+        if not self._own_context:  # the process stays
+            self._control.destroy_node()
+            return
         for publisher in list(self._control.publishers):
             self._control.destroy_publisher(publisher)
         for service in list(self._control.services):
             self._control.destroy_service(service)
         time.sleep(_TOLD)
         self._control.destroy_node()
-        if self._own_context:
-            self._context.try_shutdown()
+        self._context.try_shutdown()
