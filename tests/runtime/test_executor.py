@@ -199,16 +199,22 @@ def test_an_unexpected_error_is_taken_back_and_logged(tmp_path: Path, caplog: py
     assert "Traceback" in caplog.text
 
 
+def slow(b: Bench, command: type[Command[Any]], reply: Any) -> tuple[asyncio.Event, asyncio.Event]:
+    """The talker replies to such a command when it may: set when it has been asked, and when it may."""
+    asked, may = asyncio.Event(), asyncio.Event()
+
+    async def replied() -> Any:
+        asked.set()
+        await may.wait()
+        return reply
+
+    b.client.reply("talker", command, lambda _: replied())
+    return asked, may
+
+
 def test_cancelled_during_a_step_it_waits_for_its_end_and_takes_everything_back(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        detaching, answered = asyncio.Event(), asyncio.Event()
-
-        async def reply() -> Detached:
-            detaching.set()
-            await answered.wait()
-            return Detached(acknowledged=True, last=None)
-
-        b.client.reply("talker", DetachCommand, lambda _: reply())
+        detaching, answered = slow(b, DetachCommand, Detached(acknowledged=True, last=None))
         running = asyncio.ensure_future(b.executor.run([DEGRADE, DETACH]))
         await detaching.wait()
         running.cancel()
@@ -239,24 +245,11 @@ def test_cancelled_during_a_creation_it_is_broken_off_at_once(tmp_path: Path) ->
     bench(talking(), tmp_path, body)
 
 
-def slow_attachment(b: Bench) -> tuple[asyncio.Event, asyncio.Event]:
-    """The talker attaches when it may: set when it has been asked to, and when it may."""
-    asked, may = asyncio.Event(), asyncio.Event()
-
-    async def attached() -> Attached:
-        asked.set()
-        await may.wait()
-        return Attached(matched=1)
-
-    b.client.reply("talker", AttachCommand, lambda _: attached())
-    return asked, may
-
-
 def test_cancelled_while_it_rolls_back_it_takes_everything_back(tmp_path: Path) -> None:
     """The reason why it failed is what the change ends with: the manager's end has not caused it."""
 
     async def body(b: Bench) -> None:
-        asked, may = slow_attachment(b)
+        asked, may = slow(b, AttachCommand, Attached(matched=1))
         b.backend.fail_start["second"] = StartFailed("there is no such program")
         running = asyncio.ensure_future(b.executor.run([DEGRADE, DETACH, Create(SECOND)]))
         await asked.wait()
@@ -275,14 +268,7 @@ def test_cancelled_while_it_rolls_back_it_takes_everything_back(tmp_path: Path) 
 
 def test_cancelled_where_it_cannot_take_back_it_says_so(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        detaching, may = asyncio.Event(), asyncio.Event()
-
-        async def detached() -> Detached:
-            detaching.set()
-            await may.wait()
-            return Detached(acknowledged=True, last=None)
-
-        b.client.reply("talker", DetachCommand, lambda _: detached())
+        detaching, may = slow(b, DetachCommand, Detached(acknowledged=True, last=None))
         b.client.reply("talker", AttachCommand, REFUSED)
         running = asyncio.ensure_future(b.executor.run([DEGRADE, DETACH]))
         await detaching.wait()
