@@ -94,7 +94,7 @@ class Process:
             self._ended_unexpectedly()
 
     def _reap(self) -> None:
-        """Take its status. A debugger sees the end first, and may keep it for as long as it likes: nobody waits."""
+        """Collect its exit status without waiting: a debugger sees the exit first, and may hold it back for ever."""
         try:
             result = os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG)  # not reused before: it is a zombie
         except ChildProcessError:  # already reaped elsewhere

@@ -12,7 +12,7 @@ T = TypeVar("T")
 async def uninterrupted(work: Coroutine[Any, Any, T], on_cancel: Callable[[], object]) -> T:
     """What ``work`` returns or raises, also where the caller is cancelled meanwhile: then ``on_cancel`` is called.
 
-    The cancellation has no other effect, so the caller has to break off by itself what comes afterwards.
+    The cancellation has no other effect: ``on_cancel`` has to see to it that what comes afterwards is cut short.
     ``asyncio.shield`` protects the work only, not the caller, which would go on without its result.
     """
     task = asyncio.ensure_future(work)

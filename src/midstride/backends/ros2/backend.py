@@ -141,7 +141,7 @@ class Ros2Backend(ProcessBackend):
             command = (*command, *ros_arguments(launch, launch.foreign, full_name))
             handle = await self._spawn(launch, full_name, command, environment)
             await self._foreign_nodes.started(record, handle)
-        except BaseException as error:  # one that nobody answers for must not run
+        except BaseException as error:  # a process without an agent must not keep running
             await super().end(launch.instance, 0.0)
             self._foreign_nodes.discard(record)
             if isinstance(error, NodeError):
