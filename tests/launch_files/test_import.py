@@ -372,6 +372,19 @@ def test_nodes_of_a_launch_file_in_python(tmp_path: Path, monkeypatch: pytest.Mo
     assert "rate = 50.0" in found.text and 'parameters "a.yaml"' in found.text and "namespace top/g" in found.text
 
 
+def test_a_node_of_a_launch_file_in_python_is_named_as_one_in_xml(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = {"name": "", "namespace": "", "package": "", "executable": "./2d-driver.py", "arguments": [], "remaps": []}
+    described = {"nodes": [{**node, "parameters": [], "lifecycle": False}], "left": []}
+    monkeypatch.setattr(interpreter, "carried_out", lambda *_: described)
+    (tmp_path / "a.launch.py").write_text("")
+    found = import_launch_file(tmp_path / "a.launch.py", {}, {}, tmp_path, run_python=True)
+    in_xml = of_xml(tmp_path, '<node exec="./2d-driver.py"/>')
+    assert set(commands(found, tmp_path)) == set(commands(in_xml, tmp_path)) == {"node_2d_driver"}
+    assert [finding.message for finding in found.findings] == [finding.message for finding in in_xml.findings]
+
+
 @pytest.mark.parametrize(
     ("script", "why"),
     [

@@ -38,29 +38,21 @@ class NodeElements:
         self.expect(entity, _NODE)
         program = self.text(entity, "exec", context)
         package = self.text(entity, "pkg", context) if "pkg" in entity.attributes else ""
-        if package and package not in context.packages:
-            self.findings.add("package", f"package `{package}` is not here", entity.span)
-        if "name" in entity.attributes:
-            name = self._name(self.text(entity, "name", context), entity)
-        else:
-            name = self._name(_stem(program), entity, stated=False)
+        self._check_package(package, entity.span, context)
+        stated = self.text(entity, "name", context) if "name" in entity.attributes else None
+        name = self._name(stated, _stem(program), entity.span)
         namespace = self.text(entity, "namespace", context) if "namespace" in entity.attributes else ""
         self._note(entity, context, name, self.joined(context.namespace, namespace), _stem(program), [program], package)
 
     def python_node(self, found: Mapping[str, Any], span: Span, context: Context) -> None:
         """A node of a launch file in Python, as its process has described it."""
         package, program = found["package"], found["executable"]
-        if package and package not in context.packages:
-            self.findings.add("package", f"package `{package}` is not here", span)
-        if not (name := found["name"]):
-            name = _NOT_IN_NAMES.sub("_", _stem(program))
-            message = f"a node has no name here, so its program gives it one; it is started as `{name}`"
-            self.findings.add("name", message, span)
+        self._check_package(package, span, context)
         folder = os.path.dirname(span.source.path or span.source.name)
         settings = [ParameterFileName(os.path.join(folder, path), text, span) for path, text in found["parameters"]]
         self.system.nodes.append(
             LaunchedNode(
-                name=name,
+                name=self._name(found["name"] or None, _stem(program), span),
                 namespace=found["namespace"],
                 program=_stem(program),
                 command=(program, *found["arguments"]),
@@ -82,7 +74,8 @@ class NodeElements:
         script = (number for number, word in enumerate(command) if number and not word.startswith("-"))
         last = next(script, 0) if "python" in command[0] else 0
         program = _stem(command[last])
-        name = self._name(self.text(entity, "name", context) if "name" in entity.attributes else program, entity)
+        stated = self.text(entity, "name", context) if "name" in entity.attributes else program
+        name = self._name(stated, program, entity.span)
         what = shlex.join(command[: last + 1])
         message = f"`{what}` is started as the node `{name}`; remove it if it does not take ROS's arguments"
         self.findings.add("program", message, entity.span)
@@ -248,14 +241,20 @@ class NodeElements:
             raise UnknownValue(f"`{found}` is not a namespace", "name")
         return found
 
-    def _name(self, text: str, entity: Entity, stated: bool = True) -> str:
+    def _check_package(self, package: str, span: Span, context: Context) -> None:
+        if package and package not in context.packages:
+            self.findings.add("package", f"package `{package}` is not here", span)
+
+    def _name(self, stated: str | None, program: str, span: Span) -> str:
+        """The name of a node, which its program gives it where none is ``stated``; with the characters of a name."""
+        text = program if stated is None else stated
         name = _NOT_IN_NAMES.sub("_", text)
         name = name if name[:1].isalpha() or name[:1] == "_" else f"node_{name}"
-        if not stated:
+        if stated is None:
             message = f"the node has no name here, so its program gives it one; it is started as `{name}`"
-            self.findings.add("name", message, entity.span)
+            self.findings.add("name", message, span)
         elif name != text:
-            self.findings.add("name", f"`{text}` is not the name of a node; it is named `{name}`", entity.span)
+            self.findings.add("name", f"`{text}` is not the name of a node; it is named `{name}`", span)
         return name
 
 
