@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -17,7 +16,7 @@ from midstride.cli.dev.changes import Changes, worst
 from midstride.cli.dev.contents import saves
 from midstride.cli.dev.session import DevSession
 from midstride.cli.dev.specification import WatchedSpecification
-from midstride.cli.output import console, json_option, wants_json
+from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.render import UNKNOWN, seconds, time_of_day
 from midstride.cli.shutdown import shut_down
 from midstride.cli.staying import ended_by_signals
@@ -81,13 +80,13 @@ class _Screen:
 
     def swapped(self, what: str, outcome: Document) -> None:
         if self._json:
-            print(json.dumps({"changed": what, **outcome}), flush=True)
+            print_json({"changed": what, **outcome}, lines=True)
         else:
             self.say(f"{what}: {_swapped(outcome)}")
 
     def refused(self, what: str, because: str) -> None:
         if self._json:
-            print(json.dumps({"changed": what, "outcome": "refused", "because": because}), flush=True)
+            print_json({"changed": what, "outcome": "refused", "because": because}, lines=True)
         else:
             self.say(f"{what}: not let in, the old code goes on: {because.strip()}", "red")
 
