@@ -161,6 +161,17 @@ def test_the_error_without_a_manager_says_how_to_start_one(
     assert (status, document["error"]) == (1, {"kind": "NoManager", "message": message})
 
 
+def test_every_change_that_fails_has_an_outcome(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = {"replace": ["a", "A"], "restart": ["a"], "add": ["a", "A"], "remove": ["a"], "apply": [TALKER]}
+    arguments |= {"rollback": []}
+    assert arguments.keys() == GROUPS["Changes to the running system"].keys() - {"param"}
+    for command, words in arguments.items():
+        status, out, _ = run(capsys, command, *words, "--yes", "--json")
+        document = json.loads(out)
+        assert (status, document["outcome"], document["error"]["kind"]) == (1, "refused", "NoManager"), command
+        assert document["because"] == document["error"]["message"]
+
+
 @pytest.mark.parametrize("command", ["status", "down"])
 def test_one_of_several_systems_without_managers_must_be_named(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

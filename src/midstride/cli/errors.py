@@ -11,8 +11,8 @@ from midstride.cli.app import COMMANDS
 from midstride.cli.output import NO, USAGE, print_json
 from midstride.errors import MidstrideError, SpecificationError
 
-# Commands whose JSON document is an outcome, which has `refused` beside `error` (interfaces.md).
-_CHANGES = ("plan", "replace", "add", "remove", "apply", "demo")
+# Commands whose JSON document is a plan or an outcome: where they fail, it is `refused` beside `error`.
+_CHANGES = ("plan", "replace", "restart", "add", "remove", "apply", "rollback", "demo")
 
 
 def report(error: click.UsageError | MidstrideError | OSError, words: Sequence[str]) -> int:
