@@ -16,7 +16,7 @@ import pytest
 from midstride.backends.ros2 import dds_profiles
 from midstride.backends.ros2.foreign_nodes import ForeignNodes
 from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
-from midstride.foreign.page import GATES
+from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.record import ForeignRecord
 from midstride.lang import load_text
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
@@ -274,7 +274,7 @@ def test_a_node_without_the_api_that_nobody_can_answer_for_does_not_run(
         async with rig(tmp_path) as r:
             blocked = Path(r.backend.transport.address("talker").removeprefix("unix:"))
             if fault == "its record":
-                blocked = tmp_path / "components" / GATES / "talker.new"
+                blocked = tmp_path / "components" / GATES_FOLDER / "talker.new"
             if fault != "cancelled":
                 (blocked / "a file").mkdir(parents=True)
             sleeping = "import time; time.sleep(600)"

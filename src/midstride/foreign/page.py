@@ -25,7 +25,7 @@ PORTS: Final = 32
 NAME: Final = 256
 
 # The folder beside the control sockets with the records of the nodes and this file.
-GATES: Final = "gates"
+GATES_FOLDER: Final = "gates"
 PAGE: Final = "page"
 
 UNUSED, OUTPUT, INPUT = range(3)

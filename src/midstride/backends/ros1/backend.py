@@ -20,6 +20,7 @@ from midstride.backends.ros1 import launching, master_process, names
 from midstride.backends.ros1.master import Master
 from midstride.codec.component import NamedComponentForm
 from midstride.errors import BackendError, StartFailed, Unreachable
+from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.relayed_program import RelayOrder, order_file, private_topics
 from midstride.model.component import ComponentSpec
 from midstride.runtime.backend import RELAY_SUFFIX, Endpoints, Exited, Handle, Launch, Middleware
@@ -105,7 +106,7 @@ class Ros1Backend(processes.ProcessBackend):
         return self._python(), "-m", _RELAY, str(path)
 
     def _order_file(self, instance: str) -> Path:
-        return order_file(self._control / "gates", instance)
+        return order_file(self._control / GATES_FOLDER, instance)
 
     def _environment(self, launch: Launch) -> dict[str, str]:
         return {

@@ -34,7 +34,7 @@ from midstride.backends.ros2.graph import Graph
 from midstride.backends.ros2.node_services import RosNodeServices
 from midstride.errors import BackendError, NodeError, StartFailed, Unreachable
 from midstride.foreign.graph_check import GraphEndpoint
-from midstride.foreign.page import GATES
+from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.relayed_program import differing
 from midstride.model.component import ComponentSpec
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middleware
@@ -72,7 +72,7 @@ class Ros2Backend(ProcessBackend):
         self._context: Any = None
         self._probes = 0
         self._probe_stuck = False
-        self._foreign_nodes = ForeignNodes(control / GATES, self.transport, self._services_of, self._graph_of)
+        self._foreign_nodes = ForeignNodes(control / GATES_FOLDER, self.transport, self._services_of, self._graph_of)
 
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
         self._on_exit = on_exit

@@ -27,7 +27,7 @@ from midstride.cli.files import require_file, require_new, write
 from midstride.cli.output import NO, is_interactive, json_option, print_json, wants_json
 from midstride.cli.systems import find_workspace, system_option
 from midstride.errors import MidstrideError
-from midstride.foreign.page import GATES
+from midstride.foreign.page import GATES_FOLDER
 from midstride.lang.files import read_text
 from midstride.model.wording import counted
 
@@ -76,7 +76,7 @@ def capture_command(
         require_new(output)
     nodes = () if into is None else nodes_without_ports(read_text(into), str(into))
     findings: Dependences | None = {}
-    folder = find_workspace(system).components / GATES if with_probe else None
+    folder = find_workspace(system).components / GATES_FOLDER if with_probe else None
     with nullcontext() if folder is None else probed_page.probing(folder) as gates:
         graph = ros2.observe(seconds, nodes)
         if not graph.endpoints:
