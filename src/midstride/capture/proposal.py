@@ -216,7 +216,7 @@ def _in_words(finding: Dependence) -> str:
     return f"{words[finding.verdict]} ({finding.because})"
 
 
-def topic_lines(graph: ObservedGraph, topics: Iterable[str], rated: Iterable[ProposedPort] = ()) -> list[str]:
+def topic_lines(graph: ObservedGraph, topics: Iterable[str], rated: Iterable[ProposedPort]) -> list[str]:
     """The declarations of topics, each with what all of its publishers offer.
 
     The rate is the lowest bound of the ``rated`` ports, if these are all of its publishers.

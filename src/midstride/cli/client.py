@@ -52,8 +52,9 @@ class Client:
         found = self._answer("GET", path + (f"?{urlencode(query)}" if query else ""), None, timeout)
         return found.decode()
 
-    def post(self, path: str, document: Document | None = None, timeout: float | None = None) -> Any:
-        return self._request("POST", path, document, timeout)
+    def post(self, path: str, document: Document | None = None) -> Any:
+        """The answer, however long it takes: to a change, until it has been measured."""
+        return self._request("POST", path, document, None)
 
     def service(self, timeout: float = 2.0) -> Document | None:
         """The manager's description of itself; None if no manager answers in time."""

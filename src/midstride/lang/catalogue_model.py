@@ -30,7 +30,6 @@ _SLOW: Final = (
     "component Slow like Talker { functionality talk { produces out\n"
     "  mode normal { guarantee out : std_msgs/msg/String @ 1 Hz }\n  mode silent { } } }\n"
 )
-_GATED: Final = STARTED.replace('talker"', 'talker" gate preload')
 _PAIR: Final = TALKING + _LISTENER + "node listener : Listener { in <- /chatter }\n"
 
 

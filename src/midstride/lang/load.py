@@ -76,12 +76,11 @@ def load_text(
     text: str,
     name: str = "<text>",
     *,
-    path: Path | None = None,
     read: FileReader = read_text,
     messages: MessageTypes | None = None,
 ) -> Loaded:
-    """Load the system that a text declares. Includes are relative to ``path``, or to ``name`` if that is None."""
-    return _load_source(Source(name, text, path or Path(name)), read, messages)
+    """Load the system that a text declares. Includes are relative to ``name``, that of its file."""
+    return _load_source(Source(name, text, Path(name)), read, messages)
 
 
 def _load_source(source: Source, read: FileReader, messages: MessageTypes | None) -> Loaded:
