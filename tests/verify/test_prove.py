@@ -157,7 +157,7 @@ def test_a_time_out_leaves_the_goal_unknown() -> None:
 
 
 def say_little(monkeypatch: pytest.MonkeyPatch, *goals: Goal) -> None:
-    monkeypatch.setattr("midstride.verify.prove.run.prove.__defaults__", (NAMES, goals, 20.0))
+    monkeypatch.setattr("midstride.verify.prove.run.GOALS", goals)
 
 
 def test_the_command_shows_each_goal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,7 @@ systems, where it is readable. If the goal is declared not to need the conjunct,
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, Final
@@ -83,14 +83,12 @@ class Proof:
         }
 
 
-def prove(
-    names: Sequence[solvers.Name] = solvers.NAMES, goals: Iterable[Goal] = GOALS, seconds: float = SECONDS
-) -> Iterator[Proof]:
+def prove(names: Sequence[solvers.Name] = solvers.NAMES, seconds: float = SECONDS) -> Iterator[Proof]:
     """The proof of each goal, as it is found. A missing solver makes every goal UNKNOWN, with that reason.
 
     ``seconds`` is the time limit of one query. Weakened goals are checked by the first solver that is installed.
     """
-    for goal in goals:
+    for goal in GOALS:
         yield prove_goal(goal, names, seconds)
 
 
