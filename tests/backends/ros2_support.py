@@ -212,7 +212,7 @@ def shared_memory_of(pid: int) -> list[str]:
 class Bare:
     """A bare rclpy node beside the back end, in a context of its own; call :meth:`spin` to let it work."""
 
-    def __init__(self, name: str = "bare", environment: dict[str, str] | None = None) -> None:
+    def __init__(self, name: str = "bare") -> None:
         import rclpy
         from rclpy.context import Context
         from rclpy.executors import SingleThreadedExecutor

@@ -96,7 +96,7 @@ def test_twenty_nodes_are_captured_exactly(tmp_path: Path) -> None:
     assert "# no node here publishes what `joy` receives" in found.text and "assume filtered3" in found.text
 
 
-def test_rates_are_within_five_per_cent(tmp_path: Path) -> None:
+def test_rates_are_within_five_per_cent() -> None:
     simulated = twenty()
     for names_publishers in (True, False):
         simulated.names_publishers = names_publishers
@@ -310,7 +310,7 @@ def test_without_a_finding_an_input_is_assumed_as_before(tmp_path: Path) -> None
     assert "assume b\n" in text
 
 
-def test_a_component_depends_on_what_one_of_its_nodes_depends_on(tmp_path: Path) -> None:
+def test_a_component_depends_on_what_one_of_its_nodes_depends_on() -> None:
     graph, findings = SimulatedGraph(), {}
     text = 'system cameras\n\ncomponent Filter {\n  run "filter" gate preload\n}\n'
     verdicts: dict[str, Verdict] = {"left": "independent", "right": "depends"}

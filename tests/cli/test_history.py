@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-from pathlib import Path
 
 import pytest
 
@@ -66,7 +65,7 @@ def test_the_next_manager_has_the_history_of_the_one_that_was_killed(midstride: 
 
 
 @pytest.mark.full
-def test_a_damaged_history_is_kept_aside(midstride: Midstride, tmp_path: Path) -> None:
+def test_a_damaged_history_is_kept_aside(midstride: Midstride) -> None:
     up(midstride)
     assert midstride("down").status == 0
     journal = midstride.runtime / "midstride" / "talker" / "journal.db"

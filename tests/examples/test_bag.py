@@ -108,7 +108,7 @@ def test_a_steady_robot_is_found_to_be_one(check: Any) -> None:
     assert first == {"name": "first", **nothing} and second == {"name": "second", **nothing}
 
 
-def test_a_command_that_did_not_arrive_is_missed_unless_that_was_announced(check: Any, tmp_path: Path) -> None:
+def test_a_command_that_did_not_arrive_is_missed_unless_that_was_announced(check: Any) -> None:
     commands = [each for each in STEADY if each[1] not in (20, 21)]
     status, (first, second, whole) = check(commands)
     assert (status, first["lost"], second["lost"], whole["holds"]) == (1, 2, 0, False)

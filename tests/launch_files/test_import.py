@@ -393,7 +393,7 @@ def test_a_node_of_a_launch_file_in_python_is_named_as_one_in_xml(
         ("import sys; print(1); sys.exit(1)", "it failed: exit status 1"),
     ],
 )
-def test_a_launch_file_in_python_that_cannot_be_carried_out(tmp_path: Path, script: str, why: str) -> None:
+def test_a_launch_file_in_python_that_cannot_be_carried_out(script: str, why: str) -> None:
     with pytest.raises(UnknownValue, match=why):
         python_files.carried_out("a.launch.py", {}, "", {}, runner=(sys.executable, "-c", script))
 

@@ -58,7 +58,6 @@ def test_satisfied(offered: Contract, needed: Contract) -> None:
 
 
 W, E = "width", "encoding"
-LOSSY = "qos(reliability = best_effort, depth = 5)"
 UNSATISFIED: list[tuple[Contract, Contract, list[str]]] = [
     (NOTHING, Predicate(SCAN), ["nothing is guaranteed"]),
     (NOTHING, NOTHING, ["nothing is guaranteed"]),

@@ -129,8 +129,8 @@ def is_minimal(configuration: Configuration, step: Upgrade) -> bool:
     return True
 
 
-@given(configurations(), st.data())
-def test_any_two_valid_assignments(configuration: Configuration, data: st.DataObject) -> None:
+@given(configurations())
+def test_any_two_valid_assignments(configuration: Configuration) -> None:
     """From a drawn valid assignment to ``best`` and back, each step valid, and no group larger than it must be."""
     high = best(configuration)
     raised = upgrades(configuration, high.modes)
