@@ -40,7 +40,9 @@ def test_what_is_slower_than_declared_is_not_met(tmp_path: Path) -> None:
 
     async def body(manager: Manager, _: Simulator) -> None:
         await asyncio.sleep(6.0)
-        for each in (await measured(manager)).values():
+        found = await measured(manager)
+        assert set(found) == {"talker.out", "listener.in"}
+        for each in found.values():
             assert (each.declared, each.met) == (10, False)
             assert each.rate == pytest.approx(2, rel=0.01)
 
