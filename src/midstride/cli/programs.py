@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection, Iterable
 
 from midstride.cli.client import Client
+from midstride.cli.files import as_typed_here
 
 
 def changed_code(client: Client, roles: Collection[str]) -> dict[str, list[str]]:
@@ -17,11 +17,6 @@ def changed_code(client: Client, roles: Collection[str]) -> dict[str, list[str]]
     }
 
 
-def shown(paths: Iterable[str]) -> str:
-    """The paths, those below the current folder relative to it."""
-    below = f"{os.getcwd()}/"
-    return ", ".join(path.removeprefix(below) for path in paths)
-
-
 def code_words(paths: Iterable[str]) -> str:
-    return f"code changed on disk: {shown(paths)}"
+    """The files of a program that have changed."""
+    return f"code changed on disk: {', '.join(map(as_typed_here, paths))}"
