@@ -81,16 +81,7 @@ class ScriptedManager:
         return await self._answer("plan", request)
 
     async def change(
-        self,
-        request: PlanRequest,
-        *,
-        expected: int | None = None,
-        verify: bool = False,
-        brief: bool = False,
-        wait: float = 5.0,
-        id: str | None = None,
-        by: str | None = None,
-        file: str | None = None,
+        self, request: PlanRequest, *, expected: int | None = None, verify: bool = False, **_: object
     ) -> Any:
         return await self._answer("change", (request, expected, verify))
 

@@ -16,7 +16,6 @@ import httpx
 import pytest
 
 from midstride import errors
-from midstride.plan.request import PlanRequest
 from midstride.runtime.workspace import Workspace
 from midstride.server.serve import Tcp, serve
 from tests.server.scripted import ScriptedManager
@@ -142,18 +141,7 @@ class Changing(ScriptedManager):
         super().__init__()
         self.seconds = seconds
 
-    async def change(
-        self,
-        request: PlanRequest,
-        *,
-        expected: int | None = None,
-        verify: bool = False,
-        brief: bool = False,
-        wait: float = 5.0,
-        id: str | None = None,
-        by: str | None = None,
-        file: str | None = None,
-    ) -> Any:
+    async def change(self, *_: object, **__: object) -> Any:
         self.asked.append(("change", None))
         try:
             await asyncio.Event().wait()
