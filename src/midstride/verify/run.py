@@ -104,7 +104,7 @@ class Alloy:
 def run(line: Sequence[str], limit: float, stop: Event | None = None) -> tuple[int, str]:
     """The exit status and the output of a process, which runs in its own group.
 
-    After ``limit`` (s), or on ``stop``, kills the group and raises AlloyFailed.
+    After ``limit`` (s), or on ``stop``, kills the group and raises AlloyFailed. Raises AlloyMissing if it cannot start.
     """
     try:
         process = subprocess.Popen(

@@ -35,6 +35,8 @@ _RELAY: Final = f"{__package__}.relay_program"
 
 
 class Ros1Backend(processes.ProcessBackend):
+    """Starts a master if none answers; ``started_master``: whether it has."""
+
     name = "ros1"
 
     def __init__(self, control: Path, *, logs: Path | None = None, guardian: Reaper | None = None) -> None:

@@ -54,6 +54,8 @@ log = logging.getLogger(__name__)
 
 
 class Ros2Backend(ProcessBackend):
+    """``middleware_settings``: whether processes get Midstride's transports and discovery (:mod:`.dds_profiles`)."""
+
     name = "ros2"
 
     def __init__(

@@ -112,6 +112,7 @@ def command(chance: random.Random) -> tuple[str, dict[str, Any]]:
 
 
 async def walk(backend: Backend, workspace: Path, seed: int) -> None:
+    """Send two components random commands, valid or not: each answer and state must be as expected."""
     chance = random.Random(seed)
     async with Lab(backend, workspace) as lab:
         accounts: dict[str, ExpectedComponent] = {}

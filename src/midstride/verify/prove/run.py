@@ -93,6 +93,7 @@ def prove(names: Sequence[solvers.Name] = solvers.NAMES, seconds: float = SECOND
 
 
 def prove_goal(goal: Goal, names: Sequence[solvers.Name] = solvers.NAMES, seconds: float = SECONDS) -> Proof:
+    """The proof of one goal, as :func:`prove` gives it. HOLDS only if every solver finds so."""
     took: dict[str, float] = {}
     answers: list[Answer] = []
     because: list[str] = []

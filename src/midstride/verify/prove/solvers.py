@@ -80,7 +80,7 @@ def version_of(name: Name) -> str | None:
 
 
 def send(session: Session, text: str) -> None:
-    """Send declarations and assertions. Any answer is an error: an assertion would be missing."""
+    """Send declarations and assertions. Raises VerificationError for any answer: an assertion would be missing."""
     if answer := session.execute(text).strip():
         raise VerificationError(f"a solver rejects its input: {answer[:500]}")
 
@@ -97,7 +97,7 @@ def check_sat(session: Session) -> Answer:
 
 
 def value(session: Session, term: str) -> str:
-    """The value of a term in the model just found."""
+    """The value of a term in the model just found. Raises VerificationError if the answer has none."""
     text = session.execute(f"(get-value ({term}))\n").strip()
     if not text.endswith("))"):
         raise VerificationError(f"unexpected value from a solver: {text[:500]}")
