@@ -17,8 +17,8 @@ from midstride.node.host import MessageInfo
 # Where rclpy can hand message information to a callback at all (not on humble).
 HAS_INFO: Final = hasattr(RclpySubscription, "CallbackType")
 _UNKNOWN: Final = MessageInfo(None, None, None)
-# From here on a duration means that there is none (ns): each middleware has a number for it.
-_INFINITE: Final = 2**31 * 10**9 - 1
+# From here on a duration means that there is none (ns): each middleware has a number for it, of 68 years or more.
+_INFINITE: Final = 10**18
 _UNSUPPORTED: Final = 2**64 - 1  # a middleware's word for "I do not count"
 
 
@@ -55,17 +55,18 @@ def profile_of(qos: QoS) -> Any:
 
 def qos_of(profile: Any) -> QoS:
     """What the graph says of a real endpoint, as far as it is compared (semantics.md section 1)."""
-
-    def seconds(duration: Any) -> float | None:
-        return None if duration.nanoseconds >= _INFINITE or not duration.nanoseconds else duration.nanoseconds / 1e9
-
     return QoS(
         reliability="best_effort" if profile.reliability == ReliabilityPolicy.BEST_EFFORT else "reliable",
         durability="transient_local" if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL else "volatile",
         liveliness="manual_by_topic" if profile.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC else "automatic",
-        deadline=seconds(profile.deadline),
-        lease=seconds(profile.liveliness_lease_duration),
+        deadline=seconds_of(profile.deadline),
+        lease=seconds_of(profile.liveliness_lease_duration),
     )
+
+
+def seconds_of(duration: Any) -> float | None:
+    """A duration of a profile (s); None where there is none."""
+    return duration.nanoseconds / 1e9 if 0 < duration.nanoseconds < _INFINITE else None
 
 
 class RosPublisher:

@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Collection
-from importlib import import_module
+from dataclasses import replace
 from typing import Any, Final
 
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from midstride.backends.common_messages import message_class
 from midstride.backends.ros2 import names
-from midstride.backends.ros2.endpoints import for_rclpy, read_info
+from midstride.backends.ros2.endpoints import for_rclpy, qos_of, read_info, seconds_of
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
-from midstride.model.contract import QoS
+from midstride.errors import NodeError
 
 # How often the graph is read (s): nodes and topics appear one after another.
 EVERY: Final = 0.5
 # How long nodes that are expected may take to appear (s).
 PATIENCE: Final = 10.0
 _DEPTH: Final = 1000
-_LONGEST: Final = 1e9  # a duration beyond this (s) is ROS's "infinite"
 _NODE: Final = "_midstride_capture"
 
 
@@ -79,9 +78,8 @@ def _look(node: Any, graph: ObservedGraph, subscribed: set[str]) -> None:
 def _subscribe(node: Any, graph: ObservedGraph, publishers: list[ObservedEndpoint]) -> None:
     topic, type_ = publishers[0].topic, publishers[0].type
     try:
-        package, _, name = type_.replace("/msg/", "/").partition("/")
-        message_type = getattr(import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError):
+        message_type = message_class(type_)
+    except NodeError:
         graph.unreadable.add(type_)
         return
 
@@ -106,29 +104,13 @@ def _identity(hexadecimal: str) -> str:
 
 
 def _endpoint(info: Any, topic: str, output: bool) -> ObservedEndpoint:
+    profile = info.qos_profile
     return ObservedEndpoint(
         node=names.full(info.node_name, info.node_namespace),
         topic=topic,
         type=info.topic_type,
         output=output,
-        qos=_qos(info.qos_profile),
+        # The depth and the history of an endpoint are its own business, and discovery does not tell them.
+        qos=replace(qos_of(profile), lifespan=seconds_of(profile.lifespan)),
         identity=_identity(bytes(info.endpoint_gid).hex()),
     )
-
-
-def _qos(profile: Any) -> QoS:
-    """What discovery tells of a profile: the depth and the history of an endpoint are its own business."""
-    manual = profile.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC
-    return QoS(
-        reliability="best_effort" if profile.reliability == ReliabilityPolicy.BEST_EFFORT else "reliable",
-        durability="transient_local" if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL else "volatile",
-        deadline=_seconds(profile.deadline),
-        liveliness="manual_by_topic" if manual else "automatic",
-        lease=_seconds(profile.liveliness_lease_duration),
-        lifespan=_seconds(profile.lifespan),
-    )
-
-
-def _seconds(duration: Any) -> float | None:
-    seconds = duration.nanoseconds / 1e9
-    return None if seconds <= 0 or seconds > _LONGEST or math.isinf(seconds) else seconds
