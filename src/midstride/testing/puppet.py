@@ -18,13 +18,13 @@ each fifth call writes, say, and no other. The exported state lists what was rec
 
 from __future__ import annotations
 
-import importlib
 import json
 import sys
 import time
 from collections.abc import Callable
 from typing import Any
 
+from midstride.backends.common_messages import message_class
 from midstride.codec.component import decode_component
 from midstride.model import component as model
 from midstride.model.contract import Predicate, satisfies
@@ -41,7 +41,7 @@ class Puppet:
     def __init__(self, description: dict[str, Any], type_of: Callable[[str], type] | None = None) -> None:
         """``type_of``: the class of a message type, by default that of the installed ROS or of the simulator."""
         self._description = description
-        self._type_of = type_of or message_type
+        self._type_of = type_of or message_class
         self._declared: model.ComponentSpec = decode_component(description["component"])
         self._modes: dict[str, dict[str, Any]] = description.get("modes", {})
         self.component = Component(self._declared.name)
@@ -209,13 +209,6 @@ def text_of(message: Any) -> str:
     """The text of a message that has one, else its type."""
     data = getattr(message, "data", None)
     return data if isinstance(data, str) else type(message).__name__
-
-
-def message_type(name: str) -> type:
-    """The class of ``std_msgs/msg/String``, of the installed ROS, or of the simulator."""
-    package, _, short = name.partition("/")
-    found: type = getattr(importlib.import_module(f"{package}.msg"), short.rpartition("/")[2])
-    return found
 
 
 def main(arguments: list[str]) -> None:
