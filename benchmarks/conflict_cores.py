@@ -113,14 +113,14 @@ def _solve(seed: int, seconds: float) -> None:
 
 def clingo(seed: int, seconds: float) -> dict[str, Any]:
     """In a separate process: grounding cannot be interrupted. The time counts from the start of that process."""
-    before = _children()
+    before = seconds_of_children()
     process = multiprocessing.get_context("spawn").Process(target=_solve, args=(seed, seconds))
     process.start()
     process.join()
-    return {"proved": process.exitcode == 0, "seconds": _children() - before}
+    return {"proved": process.exitcode == 0, "seconds": seconds_of_children() - before}
 
 
-def _children() -> float:
+def seconds_of_children() -> float:
     """The processor time (s) of the processes that have ended."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
