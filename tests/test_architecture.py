@@ -1,6 +1,6 @@
 """Who may import whom: docs/architecture.md, held by reading the source.
 
-A room is a folder or module directly under ``midstride``; a room that does not exist yet is bound by its rule from its
+A package is a folder or module directly under ``midstride``. One that does not exist yet is bound by its rule from its
 first module on, and one that has no rule fails. Imports for type checking alone count: they are dependencies too.
 """
 
@@ -23,7 +23,7 @@ EVERY = frozenset(
     "simulation".split()
 )
 
-# What each room may import of the package, besides itself and `errors`. "" is the package's own __init__.
+# What each package may import of Midstride, besides itself and `errors`. "" is Midstride's own __init__.
 MAY_IMPORT: dict[str, frozenset[str]] = {
     "errors": frozenset(),
     "model": frozenset(),
@@ -49,7 +49,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "__main__": frozenset({"cli"}),
 }
 
-# What a room may import from outside, where that is bounded.
+# What a package may import from outside, where that is bounded.
 OUTSIDE: dict[str, frozenset[str]] = {
     "errors": frozenset({"__future__"}),
     "model": (frozenset(sys.stdlib_module_names) | {"immutables"}),
@@ -110,33 +110,33 @@ def imported(tree: ast.AST, module: str, is_package: bool) -> Iterator[tuple[int
         yield from imported_by(node, module, is_package)
 
 
-def room_of(name: str) -> str:
-    """The room that an absolute name of the package belongs to: a public name belongs to the package's own __init__."""
-    room = name.split(".")[1] if "." in name else ""
-    return room if room in MAY_IMPORT or room in EVERY else ""
+def package_of(name: str) -> str:
+    """The package that an absolute name of Midstride belongs to; a public name belongs to its own __init__, ""."""
+    package = name.split(".")[1] if "." in name else ""
+    return package if package in MAY_IMPORT or package in EVERY else ""
 
 
 def violations(source: str, module: str, is_package: bool = False) -> list[str]:
     """What a module's imports break, one sentence each."""
-    room = module.split(".")[1] if "." in module else ""
-    if room not in MAY_IMPORT:
-        return [f"{module}: the room {room!r} has no rule: give it one here and in docs/architecture.md"]
+    package = module.split(".")[1] if "." in module else ""
+    if package not in MAY_IMPORT:
+        return [f"{module}: the package {package!r} has no rule: give it one here and in docs/architecture.md"]
     found = []
     for line, name in imported(ast.parse(source), module, is_package):
         top = name.partition(".")[0]
         where = f"{module}:{line}"
         if top == PACKAGE:
-            other = room_of(name)
-            if other not in MAY_IMPORT[room] | {room, "errors"} or room == "errors":
-                found.append(f"{where}: {room or PACKAGE!r} may not import {other or PACKAGE!r} ({name})")
+            other = package_of(name)
+            if other not in MAY_IMPORT[package] | {package, "errors"} or package == "errors":
+                found.append(f"{where}: {package or PACKAGE!r} may not import {other or PACKAGE!r} ({name})")
             continue
-        if is_ros(name) and room != "backends":
+        if is_ros(name) and package != "backends":
             found.append(f"{where}: only 'backends' imports a ROS library ({name})")
-        elif room in OUTSIDE and top not in OUTSIDE[room]:
-            found.append(f"{where}: {room!r} may not import {top!r}")
-        elif room == "model" and top in IMPURE:
+        elif package in OUTSIDE and top not in OUTSIDE[package]:
+            found.append(f"{where}: {package!r} may not import {top!r}")
+        elif package == "model" and top in IMPURE:
             found.append(f"{where}: 'model' is pure, and {top!r} is not")
-        elif room == "verify" and top == "subprocess" and module != f"{PACKAGE}.verify.run":
+        elif package == "verify" and top == "subprocess" and module != f"{PACKAGE}.verify.run":
             found.append(f"{where}: only verify/run.py starts processes")
     return found
 
@@ -161,10 +161,10 @@ def test_the_rules_are_not_circular() -> None:
     settled: set[str] = {"errors"}
     waiting = dict(MAY_IMPORT)
     while waiting:
-        ready = {room for room, others in waiting.items() if others - {room} <= settled}
+        ready = {package for package, others in waiting.items() if others - {package} <= settled}
         assert ready, f"these import each other: {sorted(waiting)}"
         settled |= ready
-        waiting = {room: others for room, others in waiting.items() if room not in ready}
+        waiting = {package: others for package, others in waiting.items() if package not in ready}
 
 
 def module_graph(sources: Mapping[str, tuple[str, bool]]) -> dict[str, list[str]]:
