@@ -4,7 +4,7 @@
  * @module
  */
 
-export const BASE = "/api/v1";
+const BASE = "/api/v1";
 const TOKEN = "midstride-token";
 
 /** An answer that is an error, or none. `kind` is the API's, "Unreachable" where nothing answered. */

@@ -36,7 +36,7 @@ export function look(functionality) {
  * @param {Look[]} looks
  * @returns {Look}
  */
-export function worst(looks) {
+function worst(looks) {
   return looks.reduce(
     (found, each) => (KINDS.indexOf(each.kind) > KINDS.indexOf(found.kind) ? each : found),
     { kind: "normal", glyph: GLYPHS.normal, words: "normal" },

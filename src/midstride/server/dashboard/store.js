@@ -60,7 +60,7 @@ export function byName(document) {
  * @param {any} patch
  * @returns {{view: View, changed: Set<string>}} the keys that changed, as for `subscribe`
  */
-export function patched(view, patch) {
+function patched(view, patch) {
   const changed = new Set(Object.keys(patch));
   const next = { ...view, ...patch, components: view.components, topics: view.topics };
   for (const [plural, one] of /** @type {const} */ ([["components", "component"], ["topics", "topic"]])) {

@@ -65,7 +65,7 @@ export function mountTop(element, context) {
  * @param {View} view
  * @returns {{kind: string, words: string}[]}
  */
-export function summaryOf(view) {
+function summaryOf(view) {
   const components = Object.values(view.components);
   const kinds = components.map((each) => componentLook(each, view).kind);
   const lowered = kinds.filter((kind) => kind === "reduced" || kind === "degraded").length;

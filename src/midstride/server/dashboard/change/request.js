@@ -95,7 +95,7 @@ export function valueOf(text) {
 }
 
 /** A word as a shell takes it. @param {string} text */
-export function quoted(text) {
+function quoted(text) {
   return /^[\w@%+=:,./-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`;
 }
 

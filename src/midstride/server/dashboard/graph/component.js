@@ -215,7 +215,7 @@ export function stateOf(port) {
  * @param {Port} port
  * @returns {string} as "9.98 / 10 Hz", "▼ 4.1 / 10 Hz", "closed"
  */
-export function figuresOf(port) {
+function figuresOf(port) {
   if (port.topic === null) return "";
   if (port.gate === "closed") return "⊘ closed";
   if (port.declared === null) return port.rate === null ? "" : `${hz(port.rate)} Hz`;

@@ -93,7 +93,7 @@ function counted(topics) {
  * @param {Line} line
  * @returns {string} a path with rounded corners
  */
-export function rounded(line) {
+function rounded(line) {
   if (line.length === 0) return "";
   const parts = [`M${line[0][0]} ${line[0][1]}`];
   for (let index = 1; index < line.length - 1; index++) {

@@ -13,9 +13,9 @@ import { rowLabel } from "./services.js";
  *   the figures of the inputs; `inner`: the box's width
  */
 
-export const FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Noto Sans", "DejaVu Sans", sans-serif';
+const FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Noto Sans", "DejaVu Sans", sans-serif';
 export const NAME = `600 13px ${FONT}`;
-export const SMALL = `11px ${FONT}`;
+const SMALL = `11px ${FONT}`;
 
 /** The space of a measured and a declared rate beside an input, and of an output's link to its topic. */
 export const FIGURES = 90;
@@ -33,7 +33,7 @@ const LONGEST = 26; // characters of a name; the whole is in the title and the d
  * @param {string} font
  * @returns {number}
  */
-export function textWidth(text, font) {
+function textWidth(text, font) {
   const key = `${font}\n${text}`;
   let width = widths.get(key);
   if (width === undefined) {

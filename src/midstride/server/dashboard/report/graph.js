@@ -25,7 +25,7 @@ const FEW = 6;
  * @param {number} at unix seconds
  * @returns {View}
  */
-export function viewAt(view, timeline, at) {
+function viewAt(view, timeline, at) {
   const components = Object.assign(Object.create(null), view.components);
   for (const each of timeline.modes) {
     const component = components[each.instance];
@@ -47,7 +47,7 @@ export function viewAt(view, timeline, at) {
  * @param {number} at
  * @returns {number | null}
  */
-export function stepAt(timeline, at) {
+function stepAt(timeline, at) {
   const begun = timeline.events.filter((/** @type {any} */ each) => each.kind === "step" && each.at <= at);
   const last = begun.at(-1);
   return last?.index ?? null;

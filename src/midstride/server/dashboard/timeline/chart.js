@@ -27,7 +27,7 @@ const CHARACTER = 6.6;
 const SHADE = /** @type {Record<string, string>} */ ({ normal: "●", reduced: "◐", degraded: "○", gone: "✕" });
 
 /** @param {number} width @returns {number} the width of the column of names */
-export function labelWidth(width) {
+function labelWidth(width) {
   return Math.round(Math.min(Math.max(width * 0.16, 90), 220));
 }
 
