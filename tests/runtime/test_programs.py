@@ -24,6 +24,7 @@ from midstride.runtime.reports import ProgramStatus
 from midstride.runtime.workspace import Workspace
 from midstride.wire import program as wire_program
 from midstride.wire.program import FileFingerprint, files_named
+from tests.process_name import named
 from tests.runtime.systems import EXAMPLES, example, managed, stateful_talkers
 
 # Later than any file of a test was written: its process has read the files as they are.
@@ -148,6 +149,9 @@ def test_a_lazy_module_is_not_loaded_for_its_file() -> None:
 
 def test_a_process_knows_when_it_started() -> None:
     assert 0 < time.time_ns() - process_started() < 3600e9
+    before = process_started()
+    with named("regelung_motorü"):
+        assert process_started() == pytest.approx(before, abs=50e6)
 
 
 # -- a system ----------------------------------------------------------------------------------------------

@@ -25,6 +25,7 @@ from midstride.wire.folders import COMPONENTS, workspace_folder
 from midstride.wire.frames import StateChanged, decode_from_component
 from midstride.wire.sockets import SocketFolder
 from midstride.wire.transport import Connection
+from tests.process_name import named
 
 from .support import GREETING, HELLO, done, eventually, server, state
 
@@ -80,6 +81,18 @@ def test_a_connection_shows_whether_the_component_itself_is_at_the_other_end(tmp
             assert channel.direct is direct
             channel.close()
             await component.close(0.0)
+
+    in_folder(tmp_path / COMPONENTS, main)
+
+
+def test_a_process_with_a_name_that_is_no_utf_8_is_recognized(tmp_path: Path) -> None:
+    async def main(folder: SocketFolder) -> None:
+        stop_listening = await folder.listen("talker", echo)
+        with named("regelung_motorü"):
+            connection = await folder.connect(folder.address("talker"))
+            assert connection.peer == os.getpid()
+        assert await says(connection)
+        stop_listening()
 
     in_folder(tmp_path / COMPONENTS, main)
 

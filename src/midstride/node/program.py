@@ -67,7 +67,7 @@ def process_started() -> int:
     if _loading is not None:
         return _loading
     try:
-        after_name = Path("/proc/self/stat").read_text().rpartition(")")[2]
+        after_name = Path("/proc/self/stat").read_bytes().rpartition(b")")[2]  # the name may not be UTF-8
         since_boot = int(after_name.split()[19]) / os.sysconf("SC_CLK_TCK")
     except (OSError, ValueError, IndexError):
         return time.time_ns()

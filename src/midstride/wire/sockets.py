@@ -53,8 +53,8 @@ class SocketConnection:
     def peer(self) -> int | None:
         pid = _credentials(self._writer.get_extra_info("socket"))[0]
         try:
-            with open(f"/proc/{pid}/status", encoding="utf-8") as file:
-                return next(int(line.split()[-1]) for line in file if line.startswith("NSpid:"))
+            with open(f"/proc/{pid}/status", "rb") as file:  # the kernel cuts names within a character
+                return next(int(line.split()[-1]) for line in file if line.startswith(b"NSpid:"))
         except (OSError, StopIteration):
             return None
 
