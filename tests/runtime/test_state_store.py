@@ -161,6 +161,19 @@ def test_a_specification_that_the_disk_refused_is_written_later(path: Path) -> N
     assert found is not None and found.specification == target
 
 
+def test_what_the_disk_refused_does_not_undo_what_was_asked_for_since(path: Path) -> None:
+    store = begun(path)
+    with sqlite3.connect(path) as blocker:
+        store._open().connection.execute("PRAGMA busy_timeout = 0")
+        blocker.execute("BEGIN IMMEDIATE")
+        store.write_specification(SPECIFICATION.without_node("listener"))
+        assert store.unwritten is not None
+    blocker.close()
+    store.begin("sim", "a token", SPECIFICATION)
+    found = StateStore(path).load()
+    assert found is not None and found.specification == SPECIFICATION
+
+
 def test_a_manager_after_which_another_has_taken_over_saves_nothing_more(path: Path) -> None:
     first, second = begun(path), StateStore(path)
     first.write_instance(TALKER, HANDLE)

@@ -232,6 +232,8 @@ class StateStore:
         self._write(_puts(*pairs))
 
     def _write(self, statements: _Statements) -> None:
+        for key in statements:  # each in the order in which they were asked for last: one of them empties a table
+            self._pending.pop(key, None)
         self._pending.update(statements)
         try:
             self._lease.write(self._open(), self._pending.values())
