@@ -248,6 +248,19 @@ def test_what_the_middleware_cannot_tell_is_null_and_never_zero(
     assert {name for name in figures if document[name] is None} == unknown
 
 
+@pytest.mark.parametrize("by", [86400 * 365 * 50, 5, -5, -86400], ids="{} s".format)
+def test_slots_mean_nothing_where_the_clock_of_the_publishers_was_set(by: int) -> None:
+    """As on a robot without a clock of its own that finds a time server: not so many million messages were missed."""
+    recorder = Recorder()
+    for slot in range(80):
+        recorder.write("old" if slot < 40 else "new", slot)
+    recorder.rows[45:] = [structs.replace(row, source=(row.source or 0) + by * 10**9) for row in recorder.rows[45:]]
+    seen = recorder.observe(35, 80, last=40)
+    assert (seen.missed, seen.duplicates) == (None, None)
+    assert seen.gap is not None and seen.gap < 0.025
+    assert seen.lost == 0
+
+
 def test_without_a_rate_there_is_no_gap_to_speak_of() -> None:
     recorder = Recorder()
     swap(recorder)

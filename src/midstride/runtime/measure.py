@@ -87,7 +87,7 @@ def report(seen: Observation) -> SwapReport:
     by_side = None if by_publisher is None else _swapped(by_publisher, seen, tail)
     if grid and not rows:
         missed = math.floor((seen.ended - seen.begun) / (grid * 1e9))
-    elif grid and by_side is not None:
+    elif grid and by_side is not None and not _clock_was_set(rows, seen.ended):
         answered = None if seen.inputs is None else _answers(by_side, seen.inputs)
         missed, duplicates = answered or _slots(rows, by_side, grid, seen.ended)
         if seen.own_slots and duplicates is not None:
@@ -119,6 +119,15 @@ def _gap(rows: Sequence[Receipt], begun: int, ended: int) -> float:
     times = [row.received for row in rows] or [begun]
     times.append(ended)
     return max(later - earlier for earlier, later in itertools.pairwise(times)) / 1e9
+
+
+def _clock_was_set(rows: Sequence[Receipt], ended: int) -> bool:
+    """Whether no transmission explains how far the times of publication are from those of receipt.
+
+    Then the clock of a publisher was set meanwhile, and its slots mean nothing.
+    """
+    offsets = [row.received - row.source for row in rows if row.source is not None]
+    return bool(offsets) and max(offsets) - min(offsets) > ended - rows[0].received
 
 
 def _by_publisher(rows: Sequence[Receipt], begun: int, last_number: int | None) -> _Publishers | None:
