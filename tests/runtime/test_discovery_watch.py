@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
@@ -98,6 +99,23 @@ def test_one_that_discovers_again_is_no_fault_any_longer(tmp_path: Path) -> None
         await asyncio.sleep(NOTICED)
         assert faults(manager) == [] and (await manager.status()).valid
         assert manager.log()[-1].words == "listener discovers endpoints again"
+
+    managed("talker", tmp_path, body)
+
+
+def test_a_look_that_fails_in_the_platform_is_not_the_last_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        def failing() -> NoReturn:
+            raise RuntimeError("error not set")  # as rclpy does where there is no memory, or no descriptor, left
+
+        with monkeypatch.context() as patch:
+            patch.setattr(simulator, "probe", failing)
+            await asyncio.sleep(3 * (INTERVAL + SOON))
+        assert [record.exc_text is not None for record in caplog.records] == [True], "it is logged once"
+        await noticed(manager, simulator, "listener")
+        assert faults(manager) == [("not_discovering", "listener")]
 
     managed("talker", tmp_path, body)
 

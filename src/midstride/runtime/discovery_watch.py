@@ -8,7 +8,7 @@ after each command, the manager creates an endpoint, and each component says whe
 from __future__ import annotations
 
 import asyncio
-import contextlib
+import logging
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Final
@@ -18,6 +18,8 @@ from midstride.runtime.backend import Backend
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
 from midstride.wire.commands import DiscoverCommand
+
+log = logging.getLogger(__name__)
 
 # How often it is looked for (s), and how soon after a command or a crash: peers that come and go may cause it.
 INTERVAL: Final = 10.0
@@ -43,6 +45,7 @@ class DiscoveryWatch:
     _discovering: set[str] = field(default_factory=set)
     _due: asyncio.Event = field(default_factory=asyncio.Event)
     _own: bool = False  # it is the manager's own middleware that seems to have stopped
+    _failed: bool = False  # the last look, for another reason than that the back end was not there
     _task: asyncio.Task[None] | None = None
 
     def start(self) -> None:
@@ -67,8 +70,19 @@ class DiscoveryWatch:
             self._due.clear()
             await self.backend.clock.sleep(SOON)
             if not self.busy():
-                with contextlib.suppress(BackendError):
-                    await self.look()
+                await self._look_again()
+
+    async def _look_again(self) -> None:
+        """A look that fails is not the last one."""
+        failed, self._failed = self._failed, False
+        try:
+            await self.look()
+        except BackendError:
+            pass
+        except Exception:  # the platform's own kinds; nothing awaits this task, so the first of them is logged here
+            self._failed = True
+            if not failed:
+                log.exception("whether components discover endpoints could not be found out; it is tried again")
 
     async def look(self) -> None:
         """Probe every instance. What is known of one that does not answer stays."""
