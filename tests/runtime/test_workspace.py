@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import stat
 import subprocess
@@ -42,6 +43,22 @@ def test_one_manager_at_a_time() -> None:
         pass
     with workspace.lock():
         pass
+
+
+def test_what_clears_the_temporary_folder_finds_it_locked_while_a_manager_runs() -> None:
+    """So does systemd-tmpfiles, which skips a folder that it cannot lock."""
+
+    def clear() -> None:
+        folder = os.open(workspace.path, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        finally:
+            os.close(folder)
+
+    workspace = Workspace.of("patrol")
+    with workspace.lock(), pytest.raises(BlockingIOError):
+        clear()
+    clear()
 
 
 def test_a_system_is_listed_while_its_state_is_there() -> None:

@@ -84,8 +84,13 @@ class Workspace:
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Held while a manager runs; the kernel frees it however that manager ends. Raises ManagerBusy."""
+        """Held while a manager runs; the kernel frees it however that manager ends. Raises ManagerBusy.
+
+        Meanwhile systemd-tmpfiles leaves the folder alone: in the temporary folder, it would remove what has not been
+        used for ten days, as the state of a system that is not changed (tmpfiles.d(5), *Age*).
+        """
         handle = os.open(self.path / "lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
+        folder = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -95,9 +100,12 @@ class Workspace:
             with suppress(OSError):  # on a full disk the lock works too, without the number of its holder
                 os.ftruncate(handle, 0)
                 os.write(handle, str(os.getpid()).encode())
+            with suppress(OSError):  # someone else has it: that keeps the folder as well
+                fcntl.flock(folder, fcntl.LOCK_SH | fcntl.LOCK_NB)
             yield
         finally:
             os.close(handle)
+            os.close(folder)
 
     def manager(self) -> int | None:
         """The process number of the running manager, whether it responds or not; None if none runs."""
