@@ -22,7 +22,8 @@ T = TypeVar("T")
 async def within(host: Host, awaitable: Awaitable[T], seconds: float) -> asyncio.Future[T] | None:
     """The finished future of ``awaitable``, or None where ``seconds`` on the steady clock pass first.
 
-    What is not finished goes on: work on the data thread cannot be interrupted.
+    A future that is not finished goes on: work on the data thread cannot be interrupted. A coroutine is cancelled: it
+    would wait, or look again and again, for as long as the component lives.
     """
     work = asyncio.ensure_future(awaitable)
     timer = asyncio.ensure_future(host.sleep(seconds))
@@ -30,6 +31,8 @@ async def within(host: Host, awaitable: Awaitable[T], seconds: float) -> asyncio
         await asyncio.wait({work, timer}, return_when=asyncio.FIRST_COMPLETED)
     finally:
         timer.cancel()
+        if asyncio.iscoroutine(awaitable):
+            work.cancel()
     if work.done():
         return work
     # Retrieved, so that asyncio does not log the exception of what is no longer awaited.

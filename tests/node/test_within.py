@@ -1,0 +1,36 @@
+"""Bounded waiting on the control thread: what is given up, and what goes on."""
+
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+from typing import Any, Final
+
+from midstride.node.mode_switch import within
+
+HOST: Final[Any] = SimpleNamespace(sleep=asyncio.sleep)
+
+
+def test_what_only_waits_is_given_up_with_the_wait() -> None:
+    async def main() -> None:
+        async def look_again_and_again() -> None:
+            while True:
+                await asyncio.sleep(0.001)
+
+        for waiting in (asyncio.Event().wait(), look_again_and_again()):
+            assert await within(HOST, waiting, 0.01) is None
+            await asyncio.sleep(0)
+            assert asyncio.all_tasks() == {asyncio.current_task()}
+
+    asyncio.run(main())
+
+
+def test_work_that_was_begun_goes_on() -> None:
+    async def main() -> None:
+        work: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+        assert await within(HOST, work, 0.01) is None
+        work.set_result(1)
+        finished = await within(HOST, work, 0.01)
+        assert finished is work and work.result() == 1
+
+    asyncio.run(main())
