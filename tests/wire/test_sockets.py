@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import resource
 import socket
 import stat
 import subprocess
@@ -239,6 +240,29 @@ def test_a_component_with_too_many_connections_waiting_is_there_and_does_not_blo
     in_folder(tmp_path, main)
     waiting.close()
     full.close()
+
+
+def test_without_a_descriptor_left_nothing_is_reached(tmp_path: Path) -> None:
+    async def main(folder: SocketFolder) -> None:
+        stop_listening = await folder.listen("talker", echo)
+        with no_descriptor_left(), pytest.raises(Unreachable, match="cannot be reached from here: Too many open files"):
+            await folder.connect(folder.address("talker"))
+        assert await says(await folder.connect(folder.address("talker")))
+        stop_listening()
+
+    in_folder(tmp_path / COMPONENTS, main)
+
+
+@contextlib.contextmanager
+def no_descriptor_left() -> Iterator[None]:
+    lowest = os.dup(0)
+    os.close(lowest)
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (lowest, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
 
 
 def test_what_other_threads_open_while_it_is_bound_does_not_matter(

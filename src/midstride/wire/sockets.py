@@ -153,7 +153,10 @@ class SocketFolder:
 
     async def connect(self, address: str) -> SocketConnection:
         path = Path(address.removeprefix(_SCHEME))
-        connecting = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            connecting = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        except OSError as error:  # no file descriptor left
+            raise Unreachable(f"{address} cannot be reached from here: {error.strerror or error}") from None
         try:
             _connect(connecting, path)
             reader, writer = await asyncio.open_unix_connection(sock=connecting, limit=LONGEST_FRAME)
