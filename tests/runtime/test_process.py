@@ -336,6 +336,10 @@ def test_the_tail_of_a_log_is_whole_lines(tmp_path: Path) -> None:
     log.write_text("".join(f"line {number}\n" for number in range(100)))
     assert tail(log, 20) == "line 98\nline 99\n"
     assert tail(log, 10_000).startswith("line 0\n")
+    begins = log.stat().st_size
+    assert tail(log, since=begins) == ""
+    log.write_text("no such device\n")
+    assert tail(log, since=begins) == "no such device\n", "it was emptied meanwhile"
     assert tail(tmp_path / "none") == tail(None) == ""
 
 

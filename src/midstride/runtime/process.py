@@ -274,12 +274,16 @@ async def _end(orphan: reaper.ProcessInfo, token: str, grace: float) -> None:
 
 
 def tail(log: Path | None, length: int = 4000, since: int = 0) -> str:
-    """The last ``length`` bytes of a log, in whole lines, and nothing before the byte ``since``."""
+    """The last ``length`` bytes of a log, in whole lines, and nothing before the byte ``since``.
+
+    One that is shorter by now has been emptied, by hand or by logrotate: all that is in it was written since.
+    """
     if log is None:
         return ""
     try:
         with open(log, "rb") as file:
             size = file.seek(0, os.SEEK_END)
+            since = since if since <= size else 0
             file.seek(max(since, size - length))
             text = file.read().decode(errors="replace")
     except OSError:
