@@ -10,6 +10,7 @@ import pytest
 
 from midstride.backends.simulator.host import SimulatedHost
 from midstride.errors import Unreachable
+from midstride.runtime.launcher import STOP_GRACE
 
 from .author import Bench, simulate
 
@@ -351,6 +352,36 @@ comp.start()
         await bench.send("node", "stop")
         await bench.sleep(0.5)
         assert "on_stop raised: SystemExit: no rest" in bench.exits()[0].log_tail
+
+    simulate(tmp_path, main)
+
+
+@pytest.mark.parametrize("limit", [2.0, 6.0])
+def test_a_call_under_way_takes_nothing_of_the_time_of_on_stop(limit: float, tmp_path: Path) -> None:
+    """It has as long as `on_stop`, which has its time after it: a manager waits for both before it kills."""
+    source = f"""
+async def work():
+    await comp.clock.sleep({limit} - 0.1)
+    print("worked")
+
+f = comp.create_functionality("f")
+f.set_normal_mode(work, rate=0.1)
+f.set_degraded_mode(lambda: None)
+
+async def stop():
+    await comp.clock.sleep({limit} - 0.1)
+    print("stopped")
+
+comp.on_stop(stop, timeout={limit})
+comp.start()
+"""
+
+    async def main(bench: Bench) -> None:
+        await bench.start("node", HEAD + source)
+        await bench.mode("node", "f", "normal")
+        log = bench.simulator.processes["node"].log
+        await bench.simulator.end("node", max(STOP_GRACE, bench.state("node").stopping))
+        assert log.tail().split() == ["worked", "stopped"]
 
     simulate(tmp_path, main)
 

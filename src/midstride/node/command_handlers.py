@@ -211,7 +211,7 @@ class CommandHandlers:
             functionalities={runner.name: runner.state() for runner in self._runners},
             ports={name: port.states() for name, port in self.parts.ports.items()},
             parameters={each.name: each.value for each in parameters if _is_shown(each)},
-            stopping=self.parts.callbacks.stop_timeout + SHUTDOWN_SECONDS,
+            stopping=self._stopping_seconds(),
             waiting=waiting,
             simulated_time=self.host.simulated_time,
             node=self.host.node_name,
@@ -222,6 +222,11 @@ class CommandHandlers:
             keeps_state=self.parts.callbacks.export_state is not None,
             host=THIS_HOST,
         )
+
+    def _stopping_seconds(self) -> float:
+        """How long :meth:`end` takes where user code keeps to its times: of the call under way, then of `on_stop`."""
+        callbacks = self.parts.callbacks
+        return callbacks.stop_timeout * (1 if callbacks.stop is None else 2) + SHUTDOWN_SECONDS
 
     def _parameters(self) -> dict[str, HeldParameter]:
         """Those of the component, and those that are declared on the ROS node itself."""

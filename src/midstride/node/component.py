@@ -204,7 +204,8 @@ class Component:
         """``fn()`` is called when the component ends, after the last call of any mode: to write zero velocity, say.
 
         Outputs can still be written. ``fn`` may be async. The component ends after ``timeout`` seconds even if ``fn``
-        has not returned; its exceptions are logged. Raises NodeError.
+        has not returned; its exceptions are logged. A call that is under way when it ends has as long before. Raises
+        NodeError.
         """
         self._parts.callbacks.stop = self._callback("on_stop", fn)
         self._parts.callbacks.stop_timeout = contracts.check_seconds(timeout, "on_stop(timeout=)")
