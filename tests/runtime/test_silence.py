@@ -155,6 +155,22 @@ def test_what_happened_while_a_component_was_stopped_is_not_judged(tmp_path: Pat
     reporting(tmp_path, body)
 
 
+def test_a_manager_that_was_stopped_does_not_take_its_components_for_silent(tmp_path: Path) -> None:
+    """It reads what they have reported meanwhile one after another."""
+
+    async def body(r: Reports) -> None:
+        await r.half_seconds(6)
+        await asyncio.sleep(10.0)
+        r.b.client.states.clear()
+        r.report("talker", "out", "open")
+        assert r.kinds() == [("not_answering", "listener")], "that is still to be read"
+        r.report("listener", "in", None)
+        await r.half_seconds(6)
+        assert r.b.words() == []
+
+    reporting(tmp_path, body)
+
+
 def test_what_has_been_removed_is_forgotten(tmp_path: Path) -> None:
     """A system whose instances come and go for months does not grow."""
 

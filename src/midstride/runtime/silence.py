@@ -93,9 +93,10 @@ class SilenceMonitor:
                 links[port] = _Link(link, now)
                 if known is not None and not fresh and link.gate is not None:
                     self._published(links, link.count - known.state.count, now)
-        if now - self._checked >= CHECK_INTERVAL:
+        if (since := now - self._checked) >= CHECK_INTERVAL:
             self._checked = now
-            self._check(configuration)
+            if since <= SILENCE:  # else this process may have been stopped, and the other reports are still to be read
+                self._check(configuration)
 
     def _forget(self, instance: str, kept: Set[tuple[str, PortRef]] = frozenset()) -> None:
         """Drop the attachments of ``instance`` except ``kept``."""
