@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
 
+from midstride.backends.simulator.host import SimulatedHost
 from midstride.wire.state import LinkState
 
 from .author import Bench, simulate
@@ -95,6 +98,33 @@ def test_a_publisher_that_writes_every_fifth_message_misses_its_declared_rate_on
             assert found.rate == pytest.approx(4, rel=0.01)
             assert found.longest == pytest.approx(0.25, rel=0.01)
             assert found.meets(declared) is False
+
+    simulate(tmp_path, main)
+
+
+@pytest.mark.parametrize("by", [30.0, -30.0])
+def test_a_rate_is_watched_across_a_step_of_the_systems_clock(
+    by: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    step, made = 0, SimulatedHost.__init__
+
+    def with_a_clock_that_steps(host: SimulatedHost, *arguments: Any) -> None:
+        made(host, *arguments)
+        system = host.now
+        host.now = lambda: system() + step
+
+    monkeypatch.setattr(SimulatedHost, "__init__", with_a_clock_that_steps)
+
+    async def main(bench: Bench) -> None:
+        await started(bench)
+        await bench.mode("talker", "talk", "normal")
+        await bench.sleep(1.0)
+        watch: dict[str, Any] = {"port": "out", "topic": "/depth", "rate": 20.0, "window": 1.0, "timeout": 3.0}
+        watching = asyncio.ensure_future(bench.send("talker", "await_rate", until="broken", **watch))
+        await bench.sleep(1.5)
+        nonlocal step
+        step = int(by * 1e9)
+        assert not (await watching)["reached"]
 
     simulate(tmp_path, main)
 

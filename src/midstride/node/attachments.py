@@ -154,9 +154,11 @@ class Attachments:
         link = self.link(command.port, command.topic)
         owner, until = link.output.owner, command.until
         begun, deadline = link.count + link.gated, self.host.steady() + int(command.timeout * 1e9)
-        watch = RateWatch(command.rate, command.window, self.host.now())
+        # The system's clock may be set meanwhile, which would seem to be a pause.
+        now = self.host.now if self.host.simulated_time else self.host.steady
+        watch = RateWatch(command.rate, command.window, now())
         while True:
-            watch.see(link.count + link.gated - begun, self.host.now())
+            watch.see(link.count + link.gated - begun, now())
             reached = watch.kept if until == "met" else watch.broken or owner.failed
             if reached or owner.failed or self.host.steady() >= deadline:
                 rate, pause = round(watch.rate, 3), round(watch.pause, 3)
