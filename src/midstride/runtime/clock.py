@@ -5,7 +5,10 @@ from __future__ import annotations
 import asyncio
 import os
 import time
-from typing import Protocol
+from itertools import takewhile
+from typing import Final, Protocol
+
+STAT: Final = "/proc/stat"
 
 
 class Clock(Protocol):
@@ -42,8 +45,12 @@ class SystemClock:
         return len(os.sched_getaffinity(0))
 
     def idle(self) -> float:
-        with open("/proc/stat", encoding="ascii") as file:
-            return int(file.readline().split()[4]) / os.sysconf("SC_CLK_TCK")
+        own = {f"cpu{number}" for number in os.sched_getaffinity(0)}
+        with open(STAT, encoding="ascii") as file:
+            every = [line.split() for line in takewhile(lambda line: line.startswith("cpu"), file)]
+        # A container may number them from 0, whatever their numbers are: then the first line, of all that it is shown.
+        found = [words for words in every if words[0] in own] or every[:1]
+        return sum(int(words[4]) for words in found) / os.sysconf("SC_CLK_TCK")
 
     async def sleep(self, seconds: float) -> None:
         await asyncio.sleep(seconds)
