@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
+from midstride.backends.ros2.diagnostics import DiagnosticsPublisher
 from midstride.wire.commands import AnswerCommand, SetParametersCommand
 from tests.backends.ros2_support import Bare, Rig, rig, run
 
@@ -51,6 +55,23 @@ class Monitor:
     def shows(self, name: str, level: bytes, words: str = "") -> bool:
         status = self.statuses.get(name)
         return status is not None and status.level == level and words in status.message
+
+
+def test_a_middleware_that_does_not_return_is_not_asked_again_and_again() -> None:
+    """For weeks, each second: the executor would keep them all."""
+    pytest.importorskip("diagnostic_msgs")
+    tasks: list[Callable[[], object]] = []
+    executor, node = Mock(), Mock()
+    executor.create_task = lambda function, *arguments: tasks.append(partial(function, *arguments))
+    publisher = DiagnosticsPublisher(node, executor, "/talker", "/talker")
+    for second in range(3):
+        publisher.publish(list, second)
+    [task] = tasks
+    node.create_publisher.return_value.publish.side_effect = RuntimeError("error not set")
+    with pytest.raises(RuntimeError):
+        task()
+    publisher.publish(list, 3)
+    assert len(tasks) == 2, "one that fails is not the last one"
 
 
 @pytest.mark.full

@@ -22,13 +22,24 @@ class DiagnosticsPublisher:
         self._executor = control_executor
         self._names = node.strip("/"), instance.strip("/")
         self._publisher: Any = None
+        self._under_way = False
 
     def publish(self, entries: Callable[[], Iterable[DiagnosticEntry]], now: int) -> None:
-        """Have the executor of the control node do it; ``entries`` is called where something listens."""
-        if diagnostics.MESSAGE is not None:
+        """Have the executor of the control node do it; ``entries`` is called where something listens.
+
+        Not beside another one: a middleware that has deadlocked may never return, and they would add up.
+        """
+        if diagnostics.MESSAGE is not None and not self._under_way:
+            self._under_way = True
             self._executor.create_task(self._publish, entries, now)
 
     def _publish(self, entries: Callable[[], Iterable[DiagnosticEntry]], now: int) -> None:
+        try:
+            self._publish_now(entries, now)
+        finally:
+            self._under_way = False
+
+    def _publish_now(self, entries: Callable[[], Iterable[DiagnosticEntry]], now: int) -> None:
         if self._publisher is None:
             self._publisher = self._control_node.create_publisher(diagnostics.MESSAGE, DIAGNOSTICS, 1)
         if self._publisher.get_subscription_count():
