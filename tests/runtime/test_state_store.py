@@ -80,6 +80,16 @@ def test_what_was_written_is_found(path: Path) -> None:
     assert stat.S_IMODE(path.stat().st_mode) == 0o600, "it holds the token of the system"
 
 
+@pytest.mark.parametrize("name", ["a folder", "#1", "what?", "100%25", "ü"])
+def test_it_is_found_in_a_folder_of_any_name(name: str, tmp_path: Path) -> None:
+    folder = tmp_path / name
+    folder.mkdir()
+    begun(folder / "state.db").close()
+    found = StateStore(folder / "state.db").load()
+    assert found is not None and found.specification == SPECIFICATION
+    assert [path.name for path in tmp_path.iterdir()] == [name], "and nothing is created elsewhere"
+
+
 def test_an_instance_is_replaced_and_removed(path: Path) -> None:
     store = begun(path)
     store.write_instance(TALKER, HANDLE)

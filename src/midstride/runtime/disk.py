@@ -120,13 +120,14 @@ class Disk:
         if not path.exists():
             return None
         # Not SQLite's own read-only mode: what a killed manager wrote last must be taken from the write-ahead log.
-        connection = sqlite3.connect(f"file:{path}?mode=rw", uri=True)
+        uri = f"{path.absolute().as_uri()}?mode=rw"
+        connection = sqlite3.connect(uri, uri=True)
         try:
             connection.execute("PRAGMA schema_version")
         except sqlite3.OperationalError:
             # A full disk has no room for the index of that log, which an only user keeps in its own memory.
             connection.close()
-            connection = sqlite3.connect(f"file:{path}?mode=rw", uri=True)
+            connection = sqlite3.connect(uri, uri=True)
             connection.execute("PRAGMA locking_mode = EXCLUSIVE")
         except BaseException:
             connection.close()
