@@ -86,6 +86,12 @@ class RosNodeServices:
 
         Raises NoAnswer.
         """
+        try:
+            return await self._response(type_, service, timeout, request, lost)
+        except RuntimeError as error:  # the base of rclpy's own kinds: no memory left, or the client was destroyed
+            raise NoAnswer(f"{self._name}/{service} cannot be asked: {error}") from error
+
+    async def _response(self, type_: Any, service: str, timeout: float, request: Any, lost: Lost | None) -> Any:
         loop = asyncio.get_running_loop()
         deadline = loop.time() + timeout
         name = f"{self._name}/{service}"
