@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.exceptions import ParameterUninitializedException
+from rclpy.exceptions import ParameterNotDeclaredException, ParameterUninitializedException
 from rclpy.parameter import Parameter
 
 from midstride.backends.ros2.gated_node import GatedNode
@@ -34,10 +34,10 @@ class NodeParameter:
 
     @property
     def value(self) -> Any:
-        """None where it has none, or one that cannot be written as JSON: of bytes, or not finite."""
+        """None where it has none (any more), or one that cannot be written as JSON: of bytes, or not finite."""
         try:
             return _plain(self._node.get_parameter(self.name).value)
-        except ParameterUninitializedException:
+        except (ParameterUninitializedException, ParameterNotDeclaredException):
             return None
 
     @property
