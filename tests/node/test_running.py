@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from midstride.backends.common import KeptParameters
 from midstride.backends.simulator.host import SimulatedHost
 from midstride.errors import Unreachable
 from midstride.runtime.launcher import STOP_GRACE
@@ -573,6 +575,31 @@ comp.start()
         await bench.send("node", "stop")
         await bench.sleep(0.5)
         assert "parameter speed cannot be set any more: the component is ending" in bench.exits()[0].log_tail
+
+    simulate(tmp_path, main)
+
+
+def test_a_value_that_is_no_json_is_not_among_those_that_were_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As `ros2 param set /node gain .nan` on a parameter that the author's code has declared on the ROS node itself."""
+    gain = SimpleNamespace(name="gain", value=None, declared=2.0)
+    monkeypatch.setattr(KeptParameters, "held", lambda _: {"gain": gain})
+    source = """
+comp.parameter("speed", 1.5, on_change=print)
+f = comp.create_functionality("f")
+f.set_normal_mode(lambda: None, rate=1)
+f.set_degraded_mode(lambda: None)
+comp.start()
+"""
+
+    async def main(bench: Bench) -> None:
+        await bench.start("node", HEAD + source)
+        await bench.send("node", "set", parameters={"speed": 3.0}, declared={})
+        assert bench.state("node").set_values() == {"speed": 3.0}
+        gain.value = 2.5
+        await bench.send("node", "set", parameters={"speed": 4.0}, declared={})
+        assert bench.state("node").set_values() == {"speed": 4.0, "gain": 2.5}
 
     simulate(tmp_path, main)
 

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 from midstride.errors import BackendError, CommandRefused
 from midstride.model.component import ROS_PARAMETERS
@@ -202,7 +202,8 @@ class CommandHandlers:
 
     def state(self, instance: str, uuid: str, pid: int, waiting: str | None, imported: int) -> ComponentState:
         """The component's state, read without waiting for the data thread."""
-        parameters = list(self._parameters().values())
+        # At one moment: the data thread may set one.
+        parameters = [_Seen(each.name, each.value, each.declared) for each in self._parameters().values()]
         return ComponentState(
             instance=instance,
             uuid=uuid,
@@ -218,7 +219,7 @@ class CommandHandlers:
             answers=self.host.gate.is_open,
             imported=imported,
             clock_speed=self.host.clock_history.speed(self.host.steady()) if self.host.simulated_time else 1.0,
-            declared={each.name: each.declared for each in parameters if each.value != each.declared},
+            declared={each.name: each.declared for each in parameters if _is_shown(each) and each.is_set},
             keeps_state=self.parts.callbacks.export_state is not None,
             host=THIS_HOST,
         )
@@ -390,8 +391,20 @@ class CommandHandlers:
         )
 
 
-def _is_shown(parameter: HeldParameter) -> bool:
+class _Seen(NamedTuple):
+    """A parameter at one moment. ``value`` is None where it has none that can be written as JSON."""
+
+    name: str
+    value: Any
+    declared: Any
+
+    @property
+    def is_set(self) -> bool:
+        return bool(self.value != self.declared)
+
+
+def _is_shown(parameter: _Seen) -> bool:
     """Whether it is in the component's state. Of those that every node has, only what was set at run time is."""
     if parameter.value is None:
         return False
-    return parameter.name not in ROS_PARAMETERS or parameter.value != parameter.declared
+    return parameter.name not in ROS_PARAMETERS or parameter.is_set
