@@ -22,6 +22,7 @@ from midstride import (
 from midstride.codec.component import decode_component, encode_component
 from midstride.model.component import InputAlternatives
 from midstride.model.contract import NOTHING, Interval, OneOf, Predicate
+from midstride.node.parameters import Parameter
 
 from .author import Image, String
 
@@ -343,3 +344,16 @@ def test_a_component_that_is_attached_to_nothing_is_not_live() -> None:
     assert not comp.is_live
     comp.create_output("out", String)
     assert not comp.is_live
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_parameter_is_set_to_no_value_that_is_not_finite(value: float) -> None:
+    """As by `ros2 param set`: JSON has none, so a replacement could not be started with it."""
+    seen: list[object] = []
+    speed, gains = Parameter("speed", 1.5, seen.append), Parameter("gains", [1.0, 2.0], seen.append)
+    with pytest.raises(NodeError, match=r"parameter speed takes a value like 1\.5 \(float\), not -?(nan|inf)"):
+        speed.change(value)
+    with pytest.raises(NodeError, match="parameter gains takes a value like"):
+        gains.change([1.0, value])
+    speed.change(2.5)
+    assert (speed.value, gains.value, seen) == (2.5, [1.0, 2.0], [2.5])

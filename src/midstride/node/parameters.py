@@ -69,7 +69,7 @@ class Parameter:
         self.changed()
 
     def fitted(self, value: Any) -> Any:
-        """``value`` as a value of this parameter: of the default's type; an integer also fits a float."""
+        """``value`` as a value of this parameter: of the default's type, and finite; an integer also fits a float."""
         fitted = _fitted(value, self.default)
         if fitted is None:
             kind = type(self.default).__name__
@@ -102,4 +102,5 @@ def _fitted(value: Any, like: Any) -> Any:
         return None if any(member is None for member in members) else members
     if isinstance(like, float) and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
-    return value if type(value) is type(like) else None
+    finite = not isinstance(value, float) or math.isfinite(value)  # no other can be reported, and so kept
+    return value if type(value) is type(like) and finite else None
