@@ -6,12 +6,15 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
 from midstride.backends.common import KeptParameters
 from midstride.backends.simulator.host import SimulatedHost
 from midstride.errors import Unreachable
+from midstride.node.agent import Agent
+from midstride.node.reflex import Reflex
 from midstride.runtime.launcher import STOP_GRACE
 
 from .author import Bench, simulate
@@ -354,6 +357,29 @@ comp.start()
         await bench.send("node", "stop")
         await bench.sleep(0.5)
         assert "on_stop raised: SystemExit: no rest" in bench.exits()[0].log_tail
+
+    simulate(tmp_path, main)
+
+
+@pytest.mark.parametrize(
+    ("works", "words"),
+    [
+        ((Reflex, "_look"), "node ends, since the watch over its inputs has failed: RuntimeError: error not set"),
+        ((Agent, "_report"), "node ends, since the reports of its state have failed: RuntimeError: error not set"),
+    ],
+    ids=["reflex", "reports"],
+)
+def test_a_component_that_does_not_watch_or_report_any_more_ends_in_order(
+    works: tuple[type, str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would only seem to be well."""
+
+    async def main(bench: Bench) -> None:
+        await bench.start("node", TALKER.replace("comp.start", "comp.on_stop(lambda: print('stopped'))\ncomp.start"))
+        monkeypatch.setattr(*works, Mock(side_effect=RuntimeError("error not set")))
+        await bench.sleep(2.0)
+        [event] = bench.exits()
+        assert words in event.log_tail and "stopped" in event.log_tail.split()
 
     simulate(tmp_path, main)
 

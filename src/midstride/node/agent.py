@@ -13,6 +13,7 @@ import hmac
 import itertools
 import uuid
 from collections import OrderedDict
+from collections.abc import Coroutine
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
@@ -24,7 +25,7 @@ from midstride.node.clock_history import STILL
 from midstride.node.command_handlers import CommandHandlers, Revision
 from midstride.node.declaration import DeclaredParts
 from midstride.node.diagnostics import diagnostics
-from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner
+from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner, format_error
 from midstride.node.host import Host
 from midstride.node.legible import legible
 from midstride.node.program import ProgramFiles
@@ -89,7 +90,7 @@ class Agent:
         handlers, host = self._handlers, self.host
         if host.transport is not None and self.standalone is None:
             await self._server.open(host.transport)
-        tasks = [asyncio.ensure_future(self._heartbeat())]
+        tasks = [self._in_background(self._heartbeat(), "the reports of its state have")]
         try:
             await host.on_data(handlers.set_up)
             host.parameters.on_changed(self._parameter_changed)
@@ -98,7 +99,7 @@ class Agent:
                 if self.standalone is not None:
                     await self._run_alone(self.standalone)
                 else:  # without a manager, nothing would restore what has degraded
-                    tasks.append(asyncio.ensure_future(handlers.reflex.run()))
+                    tasks.append(self._in_background(handlers.reflex.run(), "the watch over its inputs has"))
                 self._register()
                 await self._stopping.wait()
             except asyncio.CancelledError:
@@ -111,6 +112,18 @@ class Agent:
             with contextlib.suppress(asyncio.CancelledError):
                 # Requests that wait for a set-up that has failed are never answered.
                 await self._server.close(CLOSE_TIMEOUT if self._ready.is_set() else 0.0)
+
+    def _in_background(self, work: Coroutine[Any, Any, None], what: str) -> asyncio.Task[None]:
+        """A task that lasts as long as the component, which ends if it fails: it would only seem to be well."""
+
+        def ended(task: asyncio.Task[None]) -> None:
+            if not task.cancelled() and (error := task.exception()) is not None:
+                self.host.logger.error(f"{self.host.instance} ends, since {what} failed: {format_error(error)}")
+                self._stopping.set()
+
+        task = asyncio.get_running_loop().create_task(work)
+        task.add_done_callback(ended)
+        return task
 
     def stop(self) -> None:
         """End in order, on any thread. Does nothing if it ends already."""
