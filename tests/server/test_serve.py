@@ -191,6 +191,59 @@ def test_a_change_that_takes_long_to_take_back_still_has_an_answer(
     run(test)
 
 
+def test_a_change_that_arrives_after_the_manager_was_told_to_end_is_refused(workspace: Workspace) -> None:
+    """It was begun, and then nothing interrupted it: the manager closed in the middle of its steps."""
+
+    async def test() -> None:
+        manager = Changing(0.0)
+        async with serving(manager, workspace) as (client, server):
+            await client.get("/up")
+            arriving = asyncio.Event()
+
+            async def body() -> AsyncIterator[bytes]:
+                yield b'{"request": {"remove": '
+                await arriving.wait()
+                yield b'["talker"]}}'
+
+            headers = {"Content-Type": "application/json"}
+            changing = asyncio.ensure_future(client.post("/change", content=body(), headers=headers))
+            async with client.stream("GET", "/events") as response:
+                stream = events(response)
+                assert (await anext(stream))[1]["kind"] == "up"
+                os.kill(os.getpid(), signal.SIGTERM)
+                assert await anext(stream, None) is None
+            arriving.set()
+            refused = await changing
+            assert refused.status_code == 409
+            assert "begins nothing more" in refused.json()["error"]["message"]
+            assert await asyncio.wait_for(server, 20) == 0
+        assert [operation for operation, _ in manager.asked] == ["up", "close"]
+
+    run(test)
+
+
+def test_a_down_under_way_when_the_manager_is_told_to_end_is_not_said_to_be_rolled_back(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("midstride.server.connections.LAST_ANSWERS", 0)
+
+    async def test() -> None:
+        manager = ScriptedManager()
+        manager.holds["down"] = asyncio.Event()
+        async with serving(manager, workspace) as (client, server):
+            await client.get("/up")
+            downing = asyncio.ensure_future(client.post("/down"))
+            while ("down", None) not in manager.asked:
+                await client.get("/log")
+            os.kill(os.getpid(), signal.SIGTERM)
+            message = (await downing).json()["error"]["message"]
+            assert "still ends the components" in message and "rolling back" not in message
+            manager.holds["down"].set()
+            assert await asyncio.wait_for(server, 20) == 0
+
+    run(test)
+
+
 def test_a_system_whose_manager_is_told_to_end_while_it_comes_is_not_said_to_be_up(workspace: Workspace) -> None:
     async def test() -> None:
         manager = ScriptedManager()

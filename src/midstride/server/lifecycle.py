@@ -28,6 +28,8 @@ _INTERRUPTED: Final = "the manager was terminated; the operation was interrupted
 _ROLLING_BACK: Final = (
     "the manager was terminated and is still rolling back; `midstride up` with the system's file finds what is running"
 )
+_STILL_ENDING: Final = "the manager was terminated and still ends the components; what it cannot end keeps running"
+_NO_MORE: Final = "the manager was told to end and begins nothing more; nothing was changed"
 
 
 class Lifecycle:
@@ -76,8 +78,12 @@ class Lifecycle:
     async def carry_out(self, work: Coroutine[Any, Any, T], *, breakable: bool = True) -> T:
         """Await ``work`` even if the client that requested it disconnects.
 
-        ``breakable`` work is interrupted when the manager is terminated, and raises ManagerError then.
+        ``breakable`` work is interrupted when the manager is terminated, and raises ManagerError then. Once the manager
+        shall exit, none is begun: nothing would interrupt it.
         """
+        if self.ended.is_set():
+            work.close()
+            raise ManagerError("the system is down" if self.phase == "down" else _NO_MORE)
         task = asyncio.ensure_future(work)
         for tasks in (self._tasks, self._breakable) if breakable else (self._tasks,):
             tasks.add(task)
@@ -87,8 +93,8 @@ class Lifecycle:
         except asyncio.CancelledError:
             if task.cancelled():
                 raise ManagerError(_INTERRUPTED) from None
-            if self.ended.is_set():  # the server closed before the roll-back was complete
-                raise ManagerError(_ROLLING_BACK) from None
+            if self.ended.is_set():  # the server closed before the work was complete
+                raise ManagerError(_ROLLING_BACK if breakable else _STILL_ENDING) from None
             raise
 
     async def interrupt(self) -> None:
