@@ -74,6 +74,13 @@ def test_the_url_gives_a_browser_the_cookie_once() -> None:
     assert send(headers=COOKIE).text == "passed on"
 
 
+@pytest.mark.parametrize("other", ['layout={"open":true}', "title=two words", "grafana[1]=x", "a,b=c", "flag"])
+def test_the_cookies_of_other_servers_on_this_host_are_passed_over(other: str) -> None:
+    """A browser sends them, too: cookies do not know ports."""
+    for cookies in (f"{other}; midstride_7420={TOKEN}", f"midstride_7420={TOKEN}; {other}"):
+        assert send(headers={"Cookie": cookies}).text == "passed on", cookies
+
+
 @pytest.mark.parametrize("base", ["http://evil.example:7420", "http://evil.example", "http://127.0.0.1.evil.example"])
 def test_another_host_name_is_refused(base: str) -> None:
     for path in ("/api/v1", f"/?token={TOKEN}"):

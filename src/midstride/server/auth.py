@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ipaddress
 import secrets
-from http.cookies import CookieError, SimpleCookie
 from typing import Final
 from urllib.parse import parse_qs
 
@@ -85,11 +84,9 @@ class TokenAuth:
         return True  # only names can be rebound
 
     def _cookie_in(self, headers: Headers) -> str:
-        try:
-            cookies = SimpleCookie(headers.get("cookie", ""))
-        except CookieError:
-            return ""
-        return cookies[self._cookie].value if self._cookie in cookies else ""
+        """Whatever others there are: a browser also sends those of every other server on this host, in any form."""
+        pairs = (each.partition("=") for each in headers.get("cookie", "").split(";"))
+        return next((value.strip() for name, _, value in pairs if name.strip() == self._cookie), "")
 
     def _opened(self) -> Response:
         response = HTMLResponse(_OPENED, headers={**HEADERS, "Cache-Control": "no-store"})
