@@ -228,6 +228,28 @@ def test_what_cannot_be_taken_over_is_reported_at_its_line(tmp_path: Path) -> No
     assert found.findings.counts()["unsupported"] == 3
 
 
+@pytest.mark.parametrize(
+    ("attributes", "param", "kind", "message"),
+    [
+        ('respawn="true" respawn_delay="2 s"', "", "unsupported", "`respawn_delay` of a node is left out"),
+        ('respawn="true" respawn_delay="nan"', "", "unsupported", "`nan` is not a number from 0"),
+        ('respawn="true" respawn_delay="-1"', "", "unsupported", "`-1` is not a number from 0"),
+        ('respawn="true" respawn_max_retries="many"', "", "unsupported", "`respawn_max_retries` of a node is left out"),
+        ("", '<param name="far" value="inf" type="float"/>', "parameters", "the value is not finite"),
+        ("", '<param name="far" value="nan" type="float"/>', "parameters", "the value is not finite"),
+        ("", '<param name="far" value="1.0e300"/>', "parameters", "the parameter `far` of `n` cannot be written"),
+        ("", '<param name="far" value="9223372036854775807"/>', "parameters", "the parameter `far` of `n` cannot"),
+    ],
+)
+def test_numbers_that_the_language_does_not_have_are_left_out(
+    tmp_path: Path, attributes: str, param: str, kind: str, message: str
+) -> None:
+    found = of_xml(tmp_path, f'<node pkg="" exec="n" name="n" {attributes}>{param}</node>')
+    assert kinds(found) == [kind]
+    assert message in str(next(iter(found.findings)))
+    assert found.nodes == 1
+
+
 def test_files_outside_are_not_read_and_others_not_quoted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     inside, outside = tmp_path / "inside", tmp_path / "outside"
     inside.mkdir()

@@ -11,11 +11,13 @@ from typing import Any, Final
 from midstride.lang.source import Span
 from midstride.launch_files.context import Context, ParameterFileName, Setting
 from midstride.launch_files.entity import Entity, Value
+from midstride.launch_files.expression import shortened
 from midstride.launch_files.files import ReadableFiles
 from midstride.launch_files.findings import ImportFindings, UnknownValue
 from midstride.launch_files.nodes import LaunchedNode, LaunchedSystem
 from midstride.launch_files.substitutions import substituted, truth
 from midstride.launch_files.values import plain, value_of
+from midstride.model.component_rules import MAX_NUMBER
 
 # Attributes that every element may have, and those that change nothing that a node does.
 _ANYWHERE: Final = "if unless description output output_format emulate_tty exec_name"
@@ -164,13 +166,24 @@ class NodeElements:
         """The statements on restarts, of which `respawn` is the first."""
         if "respawn" in entity.attributes and truth(self.text(entity, "respawn", context)):
             yield "respawn"
-            if "respawn_delay" in entity.attributes:
-                delay = self.text(entity, "respawn_delay", context)
-                yield f"respawn_delay {float(delay):g} s"
-            if "respawn_max_retries" in entity.attributes:
-                retries = int(self.text(entity, "respawn_max_retries", context))
-                if retries > 0:
-                    yield f"respawn_max_retries {retries}"
+            if (delay := self._number(entity, "respawn_delay", context)) is not None:
+                yield f"respawn_delay {delay:g} s"
+            retries = self._number(entity, "respawn_max_retries", context)
+            if retries is not None and retries >= 1:
+                yield f"respawn_max_retries {int(retries)}"
+
+    def _number(self, entity: Entity, attribute: str, context: Context) -> float | None:
+        """A number from 0, if the node states one."""
+        if attribute not in entity.attributes:
+            return None
+        try:
+            text = self.text(entity, attribute, context)
+            if (found := _from_zero(text)) is not None:
+                return found
+            raise UnknownValue(f"`{shortened(text)}` is not a number from 0", "unsupported")
+        except UnknownValue as error:
+            self.findings.add(error.kind, f"`{attribute}` of a node is left out: {error}", entity.span)
+            return None
 
     def _remaps(self, entity: Entity, context: Context) -> Iterator[tuple[str, str]]:
         for remap in entity.named("remap"):
@@ -260,6 +273,15 @@ class NodeElements:
 
 def _stem(path: str) -> str:
     return os.path.splitext(os.path.basename(path))[0]
+
+
+def _from_zero(text: str) -> float | None:
+    """A number that the language has, and that is not negative."""
+    try:
+        found = float(text)
+    except ValueError:
+        return None
+    return found if 0 <= found <= MAX_NUMBER else None
 
 
 def _split(text: str) -> list[str]:

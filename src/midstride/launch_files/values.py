@@ -51,7 +51,8 @@ def _of_type(text: str, stated: str) -> ParameterValue:
     if wanted is str:
         return text
     try:
-        return {"1": True, "0": False, "true": True, "false": False}[text.lower()] if wanted is bool else wanted(text)
+        words = {"1": True, "0": False, "true": True, "false": False}
+        return words[text.lower()] if wanted is bool else _finite(wanted(text))
     except (KeyError, ValueError):
         raise UnknownValue(f"the value is not of the type `{stated}`", "parameters") from None
 

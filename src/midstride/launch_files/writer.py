@@ -14,6 +14,7 @@ from midstride.launch_files.findings import ImportFindings
 from midstride.launch_files.nodes import LaunchedNode, LaunchedSystem
 from midstride.launch_files.parameters import LaunchedParameters, ParameterReader
 from midstride.model.component import ParameterValue
+from midstride.model.component_rules import MAX_NUMBER
 
 MAX_STRING: Final = 8000
 _PARAMETER: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*")
@@ -133,9 +134,12 @@ def quoted(text: str) -> str | None:
 
 
 def _value(value: ParameterValue) -> str | None:
+    """``value`` in the language; None if it cannot be written."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list):
         members = [_value(each) for each in value]
         return None if None in members else f"[{', '.join(str(each) for each in members)}]"
-    return quoted(value) if isinstance(value, str) else repr(value)
+    if isinstance(value, str):
+        return quoted(value)
+    return repr(value) if abs(value) <= MAX_NUMBER else None
