@@ -238,6 +238,19 @@ def test_names_of_ports_are_words_that_the_language_leaves_free() -> None:
     assert load_text(draft("s", graph.observed())) == []
 
 
+def test_names_of_nodes_in_a_draft_are_each_their_own_and_no_words_of_the_language(tmp_path: Path) -> None:
+    graph = SimulatedGraph()
+    for node in ("/front_camera", "/front/camera", "/a/mode", "/a/mode_2"):
+        graph.publisher(node, f"{node}/out", STRING)
+    system = checked(draft("s", graph.observed()), tmp_path)
+    assert {node.role: node.component for node in system.nodes.values()} == {
+        "front_camera": "FrontCamera2",
+        "front/camera": "FrontCamera",
+        "a/mode_3": "AMode",
+        "a/mode_2": "AMode2",
+    }
+
+
 def load_text(text: str) -> list[str]:
     return [str(each) for each in format_text(text).diagnostics]
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
+from itertools import count
 
 from midstride.capture.observed import ObservedGraph
 from midstride.capture.probe import Dependences
@@ -26,14 +28,28 @@ def draft(name: str, graph: ObservedGraph, rates: bool = False, findings: Depend
         "",
     ]
     nodes: dict[str, list[str]] = {}
+    components: set[str] = set()
+    owns = {node.rpartition("/")[2] for node in ports}
     for node, found in ports.items():
-        component = "".join(word[0].upper() + word[1:] for word in re.split(r"[^A-Za-z0-9]+", node) if word)
+        words = (word[0].upper() + word[1:] for word in re.split(r"[^A-Za-z0-9]+", node) if word)
+        component = _free("".join(words), components)  # of `/a/b` and `/a_b`, too
+        components.add(component)
         lines += [f"component {component} {{", *component_text(found, heard, rates, own_topics=False), "}", ""]
         namespace, _, own = node.rpartition("/")
-        nodes.setdefault(namespace.strip("/"), []).append(f"node {own} : {component} {node_block(found)}")
+        name = own if own not in RESERVED else _free(own, {*RESERVED, *owns}, "_")
+        if name != own:
+            nodes.setdefault(namespace.strip("/"), []).append(f"# `{own}` is a word of the language")
+        nodes.setdefault(namespace.strip("/"), []).append(f"node {name} : {component} {node_block(found)}")
     for namespace, statements in sorted(nodes.items()):
         word = "/" if namespace in RESERVED else ""  # as a path, it is a name
         lines += [f"namespace {word}{namespace} {{", *statements, "}", ""] if namespace else [*statements, ""]
     formatted = format_text("\n".join(lines))
     assert formatted.text is not None, [str(each) for each in formatted.diagnostics]
     return formatted.text
+
+
+def _free(base: str, taken: Collection[str], ending: str = "") -> str:
+    """``base``, or with the first number after ``ending`` that makes it a name that is not taken."""
+    return next(
+        name for number in count(1) if (name := base if number == 1 else f"{base}{ending}{number}") not in taken
+    )
