@@ -262,6 +262,15 @@ def test_remaps_that_no_port_states_stay() -> None:
     assert without_remaps("./e  'x y'", {"a"}) == "./e  'x y'"
 
 
+def test_a_command_without_its_closing_quotation_does_not_lose_what_was_captured() -> None:
+    graph = SimulatedGraph()
+    graph.publisher("/a", "/t", STRING)
+    text = 'system s\n\ncomponent A {\n  run "python3 it\'s.py --ros-args -r x:=/t" gate preload\n}\n\nnode a : A\n'
+    found = insert(text, "s.stride", graph.observed())
+    assert 'run "python3 it\'s.py --ros-args -r x:=/t" gate preload' in found.text
+    assert "node a : A { t -> /t }" in found.text
+
+
 def test_a_file_with_errors_is_refused() -> None:
     with pytest.raises(SpecificationError, match=r"bad\.stride"):
         insert("system s\ncomponent {", "bad.stride", SimulatedGraph().observed())

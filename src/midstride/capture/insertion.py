@@ -222,7 +222,7 @@ def _edited(text: str, edits: list[tuple[int, int, str]]) -> str:
 
 def _remappings(command: str) -> Iterator[tuple[str, str]]:
     """The remappings of topics in a command: what the program calls the topic, and its name outside."""
-    words = shlex.split(command)
+    words = _words(command)
     if "--ros-args" in words:
         for option, value in pairwise(words):
             own, separator, topic = value.partition(":=")
@@ -232,7 +232,7 @@ def _remappings(command: str) -> Iterator[tuple[str, str]]:
 
 def without_remaps(command: str, own: set[str]) -> str:
     """``command`` without its remappings of the topics that the program calls ``own``: their ports state them now."""
-    words, kept, at = shlex.split(command), [], 0
+    words, kept, at = _words(command), list[str](), 0
     while at < len(words):
         name, separator, _ = words[at + 1].partition(":=") if at + 1 < len(words) else ("", "", "")
         if words[at] in {"-r", "--remap"} and separator and name in own:
@@ -245,3 +245,11 @@ def without_remaps(command: str, own: set[str]) -> str:
     if kept and kept[-1] == "--ros-args":
         kept.pop()
     return shlex.join(kept)
+
+
+def _words(command: str) -> list[str]:
+    """The words of a command; none where a quotation is not closed, which `midstride check` reports."""
+    try:
+        return shlex.split(command)
+    except ValueError:
+        return []
