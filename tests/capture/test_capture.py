@@ -231,6 +231,22 @@ namespace right {
     assert "as " not in found.text.replace("has", "")  # `image` in the namespace is what the program says
 
 
+@pytest.mark.parametrize(("slow", "stated"), [(2.0, 1.9), (0.1, None)])
+def test_nodes_that_share_a_component_state_the_rate_of_the_slowest(
+    tmp_path: Path, slow: float, stated: float | None
+) -> None:
+    """Else the others would break its guarantee from the beginning. Of the slower one, one message says nothing."""
+    graph = SimulatedGraph(jitter=0.0)
+    for side, rate in (("left", 10.0), ("right", slow)):
+        graph.publisher(f"/{side}/camera", f"/{side}/image", STRING, rate=rate)
+    text = 'system cameras\n\ncomponent Camera {\n  run "camera" gate preload\n}\n\n'
+    text += "\n".join(f"namespace {side} {{\n  node camera : Camera\n}}\n" for side in ("left", "right"))
+    system = checked(insert(text, "cameras.stride", graph.observed(), rates=True).text, tmp_path)
+    guarantee = system.components["Camera"].functionalities["main"].modes[0].guarantees["image"]
+    topics = {connector.guarantee.rate for connector in system.connectors.values()}
+    assert (guarantee.rate, topics) == (stated, {stated})
+
+
 def test_names_of_ports_are_words_that_the_language_leaves_free() -> None:
     graph = SimulatedGraph()
     for topic in ("/mode", "/a/scan", "/b/scan", "/input", "/x/3d"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from bisect import bisect_left
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -82,14 +82,15 @@ class _Inserter:
             for _, full, component in found
         }
         heard = {port.endpoint.topic for each in ports.values() for port in each if port.endpoint.output}
+        stated: list[ProposedPort] = []
         for component in {id(each): each for _, _, each in found}.values():
-            self._complete(component, [(node, ports[full]) for node, full, other in found if other is component], heard)
+            members = [(node, ports[full]) for node, full, other in found if other is component]
+            stated += self._complete(component, members, heard)
         for node, full, _ in found:
             self._attach(node, ports[full])
             result.added.append(full)
-        found_ports = [port for each in ports.values() for port in each]
-        topics = sorted({port.endpoint.topic for port in found_ports} - self._declared_topics())
-        self._declare(topic_lines(self.graph, topics, found_ports if self.rates else ()))
+        topics = sorted({port.endpoint.topic for each in ports.values() for port in each} - self._declared_topics())
+        self._declare(topic_lines(self.graph, topics, stated if self.rates else ()))
         result.text = self._text()
         return result
 
@@ -128,17 +129,23 @@ class _Inserter:
         component: ComponentDeclaration,
         nodes: list[tuple[NodeDeclaration, list[ProposedPort]]],
         heard: set[str],
-    ) -> None:
-        """Give the component the ports of its nodes. Where these differ, further nodes get copies of the component."""
+    ) -> list[ProposedPort]:
+        """Give the component the ports of its nodes. Where these differ, further nodes get copies of the component.
+
+        Returns those of every node, with the rates that the components state.
+        """
         variants: dict[tuple[str, ...], list[tuple[NodeDeclaration, list[ProposedPort]]]] = {}
         for node, ports in nodes:
             variants.setdefault(tuple(each.declaration + each.contract for each in ports), []).append((node, ports))
         close = self._end_of_block(component.name.span.start)
         if close is None:
-            return
-        start = component.name.span.end
+            return []
+        start, stated = component.name.span.end, list[ProposedPort]()
         for number, members in enumerate(variants.values()):
             ports = merged(ports for _, ports in members)
+            stated += [
+                replace(port, rate=same.rate) for _, own in members for port, same in zip(own, ports, strict=True)
+            ]
             lines = component_text(ports, heard, self.rates)
             commands = self._commands(component, ports)
             if number == 0:
@@ -151,6 +158,7 @@ class _Inserter:
             for node, _ in members:
                 if node.component is not None:
                     self.edits.append((node.component.span.start, node.component.span.end, name))
+        return stated
 
     def _commands(self, component: ComponentDeclaration, ports: list[ProposedPort]) -> list[tuple[int, int, str]]:
         """The changes of the component's command, as offsets after its name."""

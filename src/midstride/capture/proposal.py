@@ -97,17 +97,21 @@ def _probed(port: ProposedPort, ports: Iterable[ProposedPort], findings: Depende
 
 
 def merged(variants: Iterable[list[ProposedPort]]) -> list[ProposedPort]:
-    """The ports of nodes that share a component: it depends on what one of them depends on."""
-    return [
-        replace(
-            same[0],
-            probed={
-                name: max((port.probed[name] for port in same if name in port.probed), key=_weight)
-                for name in dict.fromkeys(name for port in same for name in port.probed)
-            },
-        )
-        for same in zip(*variants, strict=True)
-    ]
+    """The ports of nodes that share a component: it depends on what one of them depends on, and is as slow as one."""
+    found = []
+    for same in zip(*variants, strict=True):
+        slowest = min(same, key=_bound)
+        probed = {
+            name: max((port.probed[name] for port in same if name in port.probed), key=_weight)
+            for name in dict.fromkeys(name for port in same for name in port.probed)
+        }
+        found.append(replace(same[0], probed=probed, rate=slowest.rate, note=slowest.note))
+    return found
+
+
+def _bound(port: ProposedPort) -> float:
+    """The rate that the port can be relied on for; 0: none is known."""
+    return 0.0 if port.rate is None else port.rate.bound
 
 
 def _weight(finding: Dependence) -> int:
