@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,7 +15,8 @@ from xmlrpc.server import SimpleXMLRPCServer
 import pytest
 
 from midstride.backends import common, processes
-from midstride.backends.ros1 import connection_headers, launching, names, rpc
+from midstride.backends.ros1 import connection_headers, launching, master_process, names, rpc
+from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, CallTimeout, NodeError, StartFailed, Unreachable
 from midstride.model.contract import QoS
 from tests.backends.ros1_support import free_port
@@ -176,6 +178,17 @@ def test_a_master_elsewhere_needs_an_address_of_this_machine() -> None:
         launching.own_host({}, "http://robot:11311")
     with pytest.raises(BackendError, match="ROS_IP"):
         launching.environment({}, "http://robot:11311")
+
+
+def test_another_manager_is_found_among_the_sockets_of_programs_that_name_theirs_in_any_bytes() -> None:
+    async def nodes() -> bool:
+        return await master_process._in_use(Master(uri, "/x"))
+
+    with python_server(getSystemState=lambda _: [1, "", [[], [], []]]) as uri, socket.socket(socket.AF_UNIX) as other:
+        other.bind(b"\0\xff\xfe")
+        assert run(nodes()) is False
+        with master_process.hold(uri):
+            assert run(nodes()) is True
 
 
 def test_a_component_listens_where_its_manager_or_its_user_says(

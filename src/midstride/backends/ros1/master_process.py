@@ -99,7 +99,8 @@ async def release(master: Master, guardian: Reaper | None) -> None:
 async def _in_use(master: Master) -> bool:
     """Whether another manager needs the master, or a node is left that answers."""
     marks = f" @{_marks(master.uri)}"
-    if any(marks in line for line in Path("/proc/net/unix").read_text(encoding="utf-8").splitlines()):
+    # Other programs' names may be any bytes.
+    if any(marks in line for line in Path("/proc/net/unix").read_text(encoding="latin-1").split("\n")):
         return True
     left = sorted((await master.state()).nodes())
     return any(await asyncio.gather(*(master.is_running(node) for node in left)))
