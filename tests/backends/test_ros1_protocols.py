@@ -16,6 +16,7 @@ import pytest
 
 from midstride.backends import common, processes
 from midstride.backends.ros1 import connection_headers, launching, master_process, names, rpc
+from midstride.backends.ros1.backend import Ros1Backend
 from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, CallTimeout, NodeError, StartFailed, Unreachable
 from midstride.model.contract import QoS
@@ -178,6 +179,20 @@ def test_a_master_elsewhere_needs_an_address_of_this_machine() -> None:
         launching.own_host({}, "http://robot:11311")
     with pytest.raises(BackendError, match="ROS_IP"):
         launching.environment({}, "http://robot:11311")
+
+
+@pytest.mark.parametrize("uri", ["localhost:11311", "http://localhost", "http://localhost:x", "robot"])
+@pytest.mark.parametrize("address", [None, "127.0.0.1"])
+def test_an_address_that_is_none_of_a_master_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, uri: str, address: str | None
+) -> None:
+    monkeypatch.setenv("ROS_MASTER_URI", uri)
+    monkeypatch.delenv("ROS_HOSTNAME", raising=False)
+    monkeypatch.delenv("ROS_IP", raising=False)
+    if address is not None:
+        monkeypatch.setenv("ROS_IP", address)
+    with pytest.raises(BackendError, match=f"ROS_MASTER_URI .*'{uri}' is not an address like"):
+        run(Ros1Backend(tmp_path).open(lambda _: None))
 
 
 def test_another_manager_is_found_among_the_sockets_of_programs_that_name_theirs_in_any_bytes() -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from midstride.backends import naming, processes
-from midstride.backends.ros1 import launching, master_process, names
+from midstride.backends.ros1 import launching, master_process, names, rpc
 from midstride.backends.ros1.master import Master
 from midstride.codec.component import NamedComponentForm
 from midstride.errors import BackendError, StartFailed, Unreachable
@@ -48,6 +48,10 @@ class Ros1Backend(processes.ProcessBackend):
 
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
         uri = launching.master_uri(os.environ)
+        try:
+            rpc.address(uri)
+        except ValueError as error:
+            raise BackendError(f"{launching.MASTER_URI} does not name a ROS master: {error}") from None
         environment = launching.environment(os.environ, uri)
         self._on_exit = on_exit
         self._master = Master(uri, names.MANAGER)

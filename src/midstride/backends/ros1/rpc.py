@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import xmlrpc.client
+from contextlib import suppress
 from typing import Any, Final
 from urllib.parse import urlsplit
 from xml.parsers.expat import ExpatError
@@ -61,9 +62,10 @@ async def _call(uri: str, method: str, arguments: tuple[Any, ...]) -> Any:
 def address(uri: str) -> tuple[str, int, str]:
     """Host, port and path of ``http://host:port/``. Raises ValueError."""
     parts = urlsplit(uri)
-    if parts.scheme != "http" or parts.hostname is None or parts.port is None:
-        raise ValueError(f"{uri!r} is not an address like http://host:11311")
-    return parts.hostname, parts.port, parts.path or "/RPC2"
+    with suppress(ValueError):  # the port is no number
+        if parts.scheme == "http" and parts.hostname is not None and parts.port is not None:
+            return parts.hostname, parts.port, parts.path or "/RPC2"
+    raise ValueError(f"{uri!r} is not an address like http://host:11311")
 
 
 async def _head(reader: asyncio.StreamReader) -> tuple[str, dict[str, str]]:
