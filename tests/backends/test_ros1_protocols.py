@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import socket
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,7 +20,9 @@ from midstride.backends.ros1 import connection_headers, launching, master_proces
 from midstride.backends.ros1.backend import Ros1Backend
 from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, CallTimeout, NodeError, StartFailed, Unreachable
+from midstride.model.component import ComponentSpec
 from midstride.model.contract import QoS
+from midstride.runtime.backend import Handle, Launch
 from tests.backends.ros1_support import free_port
 from tests.backends.ros2_support import run
 
@@ -193,6 +196,42 @@ def test_an_address_that_is_none_of_a_master_is_named(
         monkeypatch.setenv("ROS_IP", address)
     with pytest.raises(BackendError, match=f"ROS_MASTER_URI .*'{uri}' is not an address like"):
         run(Ros1Backend(tmp_path).open(lambda _: None))
+
+
+def test_the_parameters_of_a_program_behind_a_relay_end_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A later program of its name would read them, although its specification states them no more."""
+    shown: dict[str, Any] = {"/chat/own": 1}
+
+    def set_param(_: str, name: str, value: Any) -> Any:
+        shown[name] = value
+        return [1, "", 0]
+
+    def delete_param(_: str, name: str) -> Any:
+        return [-1, "not set", 0] if shown.pop(name, None) is None else [1, "", 0]
+
+    async def spawned(self: Any, launch: Launch, *_: Any) -> Handle:
+        return Handle(launch.instance)
+
+    async def scenario(uri: str) -> None:
+        backend = Ros1Backend(tmp_path)
+        with master_process.hold(uri) as backend._mark:
+            backend._master = Master(uri, names.MANAGER)
+            component = ComponentSpec("Talker")
+            values: dict[str, object] = {"word": "hello", "unset": True}
+            launch = Launch("chat", "", ("true",), "token", tmp_path, values, {"rate": 2}, foreign=component)
+            await backend.start(launch)
+            assert shown == {"/chat/own": 1, "/chat/word": "hello", "/chat/unset": True, "/chat/rate": 2}
+            del shown["/chat/unset"]
+            await backend.end("chat", 0.0)
+        assert shown == {"/chat/own": 1}
+
+    monkeypatch.setenv("MIDSTRIDE_ROS1_PYTHON", sys.executable)
+    monkeypatch.setattr(Ros1Backend, "_spawn", spawned)
+    unknown = {"lookupNode": lambda *_: [-1, "unknown", 0]}
+    with python_server(setParam=set_param, deleteParam=delete_param, **unknown) as uri:
+        run(scenario(uri))
 
 
 def test_another_manager_is_found_among_the_sockets_of_programs_that_name_theirs_in_any_bytes() -> None:

@@ -89,7 +89,7 @@ class Ros1Backend(processes.ProcessBackend):
         if launch.foreign is not None:
             command = self._relay(launch, launch.foreign, node, command)
             # They are the program's. On its command line, roscpp would take the quotes of a string for a part of it.
-            for name, value in {**launch.parameters, **launch.set_parameters}.items():
+            for name, value in _values(launch).items():
                 await master.set_parameter(f"{node}/{name}", value)
             launch = replace(launch, parameters={}, set_parameters={})
         handle = await self._spawn(launch, node, command, self._environment(launch))
@@ -107,6 +107,7 @@ class Ros1Backend(processes.ProcessBackend):
             declaration=NamedComponentForm.of(component),
             topics=topics,
             real={port: topic for port, topic in launch.topics.items() if component.has_output(port)},
+            stated=_values(launch),
         )
         order.write(path := self._order_file(launch.instance))
         return self._python(), "-m", _RELAY, str(path)
@@ -166,16 +167,21 @@ class Ros1Backend(processes.ProcessBackend):
 
     async def _died(self, instance: str) -> None:
         """Take back what a component that has ended may have left with the master, in bounded time."""
-        ended = [names.full(instance)]
-        if (order := self._order_file(instance)).exists():  # that was the node of its program
+        ended, given = [names.full(instance)], list[str]()
+        if (path := self._order_file(instance)).exists():  # that was the node of its program
             ended.append(f"{ended[0]}{RELAY_SUFFIX}")
-            order.unlink()
+            with contextlib.suppress(BackendError):
+                order = RelayOrder.read(path)
+                given = [f"{order.node}/{name}" for name in order.stated]
+            path.unlink()
         self._dead.update(ended)
         with contextlib.suppress(BackendError, asyncio.TimeoutError):
             async with within(_TIDY):
                 for node in ended:
                     await self._opened().forget(node)
                     self._dead.discard(node)
+                for name in given:  # the next program of its name would read them
+                    await self._opened().delete_parameter(name)
 
     def middleware(self) -> Middleware:
         variables = (launching.MASTER_URI, "ROS_HOSTNAME", "ROS_IP")
@@ -206,3 +212,7 @@ class Ros1Backend(processes.ProcessBackend):
         if self._mark is None:
             raise Unreachable("the back end is not open")
         return self._master
+
+
+def _values(launch: Launch) -> dict[str, object]:
+    return {**launch.parameters, **launch.set_parameters}

@@ -80,6 +80,15 @@ class Master:
         except (OverflowError, TypeError) as error:
             raise BackendError(f"the ROS master cannot have {value!r} as the parameter {name}: {error}") from None
 
+    async def delete_parameter(self, name: str) -> None:
+        """``name``: in full. Raises BackendError where no master answers."""
+        try:
+            await self.call("deleteParam", self.caller, name)
+        except (Unreachable, CallTimeout):
+            raise
+        except BackendError:
+            pass  # it is not set any more
+
     async def forget(self, node: str) -> None:
         """Take back every registration of a node that has ended. Raises BackendError where that cannot be done."""
         for _ in range(_ROUNDS):
