@@ -260,6 +260,25 @@ def test_the_block_is_rewritten_and_the_rest_kept() -> None:
     compile(merged.text, "merged.py", "exec")
 
 
+@pytest.mark.parametrize("indent", ["  ", "\t", "    "])
+def test_new_methods_are_indented_as_the_user_s_are(indent: str) -> None:
+    """By two spaces, a method that is indented by four would be inside the one before it."""
+    (old,), (new,) = skeletons(OLD).values(), skeletons(NEW).values()
+    head, _, tail = old.partition(END)
+    merged = merge_component(head + END + tail.replace("    ", indent), new)
+    assert merged.text is not None and merged.note == "new: talk_rarely"
+    classes = [each for each in ast.parse(merged.text).body if isinstance(each, ast.ClassDef)]
+    assert "talk_rarely" in [each.name for each in classes[-1].body if isinstance(each, ast.FunctionDef)]
+    assert merge_component(merged.text, new).text is None
+
+
+def test_a_class_on_one_line_gets_no_methods_and_it_is_said() -> None:
+    (old,), (new,) = skeletons(OLD).values(), skeletons(NEW).values()
+    merged = merge_component(old.partition(END)[0] + END + "\n\n\nclass Talker(TalkerBase): pass\n", new)
+    assert merged.text is not None and "on the line of its name: no methods added" in merged.note
+    compile(merged.text, "merged.py", "exec")
+
+
 def test_a_file_without_marks_or_valid_python_is_left_to_the_user() -> None:
     (new,) = skeletons(NEW).values()
     (old,) = skeletons(OLD).values()
