@@ -19,6 +19,8 @@ from midstride.foreign.page import Page
 from midstride.foreign.relayed_program import RelayOrder
 from midstride.generate.project import project
 from midstride.lang.load import load
+from midstride.lang.source import Source
+from midstride.lang.yaml_tree import read_tree
 from midstride.model.action import Swap
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
@@ -130,6 +132,17 @@ def test_what_the_program_is_started_with(tmp_path: Path) -> None:
         *("-r", "__node:=talker", "-r", "__ns:=/robot1", "-r", "chatter:=/chat"),
         *("-p", 'word:="bye"', "-p", "use_sim_time:=true"),
     ]
+
+
+def test_texts_beyond_ascii_are_escaped_as_yaml_has_it(tmp_path: Path) -> None:
+    specification = parsed(TEXT.partition("component Other")[0], tmp_path)
+    launch = launched("Talker", specification, "robot1")
+    word = "\U0001f916 grün\x7f\n\\"
+    launch = replace(launch, parameters={"words": ["a", word]}, set_parameters={})
+    (stated,) = ros_arguments(launch, specification.components["Talker"], "/robot1/talker")[-1:]
+    assert stated == r'words:=["a", "\U0001f916 gr\U000000fcn\U0000007f\n\\"]'
+    value, _ = read_tree(Source("", stated.removeprefix("words:="))) or (None, None)
+    assert isinstance(value, list) and [each for each, _ in value] == ["a", word]
 
 
 def test_a_relayed_program_gets_private_topics_for_its_outputs(tmp_path: Path) -> None:

@@ -220,5 +220,11 @@ def ros_arguments(launch: Launch, component: ComponentSpec, node: str) -> list[s
     ]
     values = {**launch.parameters, **launch.set_parameters}
     arguments = [part for remap in remaps for part in ("-r", remap)]
-    arguments += [part for key, value in values.items() for part in ("-p", f"{key}:={json.dumps(value)}")]
+    arguments += [part for key, value in values.items() for part in ("-p", f"{key}:={_in_yaml(value)}")]
     return ["--ros-args", *arguments]
+
+
+def _in_yaml(value: object) -> str:
+    """``value`` as rcl reads it: JSON, but for its escapes of characters beyond U+FFFF, which are no YAML."""
+    text = json.dumps(value, ensure_ascii=False)
+    return "".join(each if each.isascii() and each.isprintable() else f"\\U{ord(each):08x}" for each in text)
