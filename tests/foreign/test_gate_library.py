@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import os
 import signal
 import struct
@@ -302,6 +303,23 @@ def test_without_a_page_a_process_behaves_as_without_the_library(
     if page in ("another version", "cut off"):
         with pytest.raises(BackendError, match="midstride down"):
             Page(path, gate_library)
+
+
+def test_a_page_has_its_space_on_the_disk_or_is_refused(
+    tmp_path: Path, gate_library: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A write to memory for which the disk has none ends the process."""
+    path = tmp_path / "page"
+
+    def full(*_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "posix_fallocate", full)
+        with pytest.raises(BackendError, match="No space left on device"):
+            Page(path, gate_library)
+    Page(path, gate_library)  # there is space again
+    assert path.stat().st_blocks * 512 >= path.stat().st_size
 
 
 def test_it_is_compiled_once(tmp_path: Path) -> None:

@@ -137,7 +137,7 @@ class Page:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
             fresh = os.fstat(self._file).st_size == 0
             if fresh:
-                os.ftruncate(self._file, size)
+                self._reserve(size)
             if os.fstat(self._file).st_size < size:
                 raise BackendError(f"{path} is not the page of this version of Midstride; run `midstride down` first")
             self._memory = mmap.mmap(self._file, size)
@@ -148,6 +148,14 @@ class Page:
             self.layout.size, self.layout.version, self.layout.magic = size, VERSION, MAGIC
         elif (self.layout.magic, self.layout.version, self.layout.size) != (MAGIC, VERSION, size):
             raise BackendError(f"{path} is the page of another version of Midstride; run `midstride down` first")
+
+    def _reserve(self, size: int) -> None:
+        """Now: a process that writes where the disk has no space left by then is killed (SIGBUS). Raises OSError."""
+        try:
+            os.posix_fallocate(self._file, 0, size)
+        except OSError:
+            os.ftruncate(self._file, 0)  # the next one begins anew
+            raise
 
     def allocate(self, instance: str) -> int:
         """The index of an unused node, which now is that of ``instance``. Raises BackendError where all are used."""
