@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import threading
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from pathlib import Path
@@ -164,6 +165,13 @@ def test_what_the_manager_reports_is_what_the_openapi_document_describes(tmp_pat
             jsonschema.Draft202012Validator(schema).validate(json.loads(text))
             again = msgspec.json.encode(msgspec.json.decode(text, type=form))
             assert json.loads(again) == json.loads(text)
+
+
+def test_every_operation_is_in_the_documentation() -> None:
+    app = create_app(LiveView(Lifecycle(ScriptedManager().as_manager), backend="scripted"))
+    served = {(method.upper(), path) for path, methods in app.openapi()["paths"].items() for method in methods}
+    page = (Path(__file__).parents[2] / "docs" / "http.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"^\| `([A-Z]+) (/api/v1[a-z/]*)", page, re.MULTILINE)) == served
 
 
 def test_answers_pass_through_whole() -> None:
