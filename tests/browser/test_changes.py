@@ -141,6 +141,20 @@ def scrubbed(page: Page) -> None:
     expect(page.locator('.component[data-name="talker_2"]')).to_be_visible()
 
 
+def test_a_change_without_an_answer_is_not_said_to_be_refused(own_talker: System, opened: Opened) -> None:
+    """The manager completes a change whose client has gone."""
+    page = opened(own_talker)
+    choose(page, "talker", "NewTalker")
+    press(page, "Plan")
+    expect(page.locator("#change .step")).to_have_count(4)
+    page.route("**/api/v1/change", lambda route: route.abort())
+    press(page, "Execute")
+    banner = page.locator("#change .change-result .banner")
+    expect(banner).to_contain_text("No answer:")
+    expect(banner).to_contain_text("may carry the change out all the same")
+    expect(banner).not_to_contain_text("Refused")
+
+
 def test_an_earlier_time_is_not_said_to_be_shown_before_its_view_has_come(talker: System, opened: Opened) -> None:
     page = opened(talker)
     asked: list[Route] = []

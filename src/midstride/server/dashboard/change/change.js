@@ -221,7 +221,7 @@ class ChangePanel {
       const shown = await setParameter(this.context.ask, this.#choice);
       if (mine === this.#generation) replace(this.result, ...shown);
     } catch (error) {
-      if (mine === this.#generation) this.#refusedBy(error);
+      if (mine === this.#generation) this.#refusedBy(error, "It may be set all the same.");
     }
   }
 
@@ -239,11 +239,14 @@ class ChangePanel {
     this.context.graph.ghosts(plan, { step });
   }
 
-  /** @param {unknown} error */
-  #refusedBy(error) {
+  /** @param {unknown} error @param {string} [otherwise] what may be so all the same where no answer has come */
+  #refusedBy(error, otherwise = "") {
     const unexpected = !(error instanceof ApiError);
-    if (unexpected && /** @type {Error} */ (error).name === "AbortError") return;
-    this.#refused(unexpected ? "The page has failed:" : "Refused:", /** @type {Error} */ (error).message);
+    const { name, message } = /** @type {Error} */ (error);
+    if (unexpected && name === "AbortError") return;
+    const unanswered = !unexpected && ["Unreachable", "NoManager"].includes(error.kind);
+    if (unanswered) this.#refused("No answer:", otherwise ? `${message}. ${otherwise}` : message);
+    else this.#refused(unexpected ? "The page has failed:" : "Refused:", message);
   }
 
   /** @param {string} head @param {string} words those of the planner, in full */
@@ -281,7 +284,7 @@ class ChangePanel {
       });
       this.#ended(outcome, by.replace("dashboard: ", ""));
     } catch (error) {
-      this.#refusedBy(error);
+      this.#refusedBy(error, "The manager may carry the change out all the same: its events show how it ends.");
     } finally {
       this.#mine = false;
       this.#plan = null;
