@@ -219,6 +219,9 @@ def test_an_edited_file_is_planned_and_its_errors_are_listed(talker: System, ope
     refusal = page.locator("#change .refusal")
     expect(refusal).to_contain_text("edited.stride:")
     expect(refusal).to_contain_text("Nobody")
+    file.write_text("#" * 1_000_001 + "\n" + text)
+    chooser.set_input_files(file)
+    expect(page.locator("#change .change-result .banner")).to_contain_text("edited.stride is too large")
 
 
 def test_a_rehearsal_says_how_its_runs_ended(talker: System, opened: Opened) -> None:

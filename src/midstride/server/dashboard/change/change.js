@@ -124,11 +124,15 @@ class ChangePanel {
     this.#offer();
   }
 
-  /** @param {string} file @param {string} text */
+  /** @param {string} file @param {string | null} text null: it is too large */
   async #dropped(file, text) {
     const { ask } = this.context;
     const mine = ++this.#generation;
     this.chooser.open = true;
+    if (text === null) {
+      this.#refused(`${file} is too large:`, "a file that is sent to the manager may have 1 MB; save it on the robot, and apply it there with `midstride apply`");
+      return;
+    }
     replace(this.result, h("p", { class: "muted" }, `Checking ${file} …`));
     try {
       const checked = await ask("POST", "/check", { text, name: file });

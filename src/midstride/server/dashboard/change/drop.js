@@ -9,12 +9,12 @@ const LARGEST = 1_000_000;
 
 /**
  * @param {HTMLInputElement} input for those who do not drag
- * @param {(file: string, text: string) => void} onFile
+ * @param {(file: string, text: string | null) => void} onFile with null for a file that is larger
  */
 export function listenForFiles(input, onFile) {
   const read = async (/** @type {File | undefined} */ file) => {
     if (file === undefined) return;
-    onFile(file.name, file.size > LARGEST ? "" : await file.text());
+    onFile(file.name, file.size > LARGEST ? null : await file.text());
   };
   const carriesFile = (/** @type {DragEvent} */ event) => event.dataTransfer?.types.includes("Files") ?? false;
   input.addEventListener("change", async () => {
