@@ -131,6 +131,7 @@ class Synthetic:
         self.topics = topics_of(components)
         self.events: list[Event] = []
         self.n = 1
+        self.quiet = 0.0  # for how long nothing has changed (s)
         self.port = free_port()
         self._queues: set[asyncio.Queue[bytes]] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -144,7 +145,7 @@ class Synthetic:
             version=1,
             manager="0" * 16,
             n=self.n,
-            at=time.time(),
+            at=time.time() - self.quiet,
             system="synthetic",
             backend="sim",
             phase="up",

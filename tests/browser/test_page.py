@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+import time
+from contextlib import closing
 from pathlib import Path
 
+import msgspec
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Browser, expect
 
 from tests.browser.conftest import Opened, System
+from tests.browser.synthetic import Synthetic, component, functionality, serving
 
 pytestmark = [pytest.mark.browser, pytest.mark.full]
 
@@ -42,6 +46,18 @@ def test_details_of_the_selected_component_say_why(talker: System, opened: Opene
     expect(details.locator("h2")).to_have_text("talker")
     page.keyboard.press("Escape")
     expect(details).to_contain_text("Choose a component")
+
+
+def test_it_is_now_also_where_nothing_has_changed_for_long(browser: Browser) -> None:
+    """The view's time is since when it is so: to a page that is opened an hour later, that is not the present."""
+    mode = msgspec.structs.replace(functionality("work"), since=time.time() - 7_300)
+    synthetic = Synthetic([component("worker", [mode], [])])
+    synthetic.quiet = 3_600.0
+    with serving(synthetic), closing(browser.new_context()) as context:
+        page = context.new_page()
+        page.goto(synthetic.url)
+        page.locator('.component[data-name="worker"]').click()
+        expect(page.locator("#details .because")).to_contain_text("for 2 h 1 min.")
 
 
 def test_the_keyboard_reaches_everything(talker: System, opened: Opened) -> None:

@@ -108,6 +108,7 @@ export class Store {
         this.connection = { ...connection, since };
         this.#notify(["connection"]);
       },
+      clock: (at) => (this.#offset = at - Date.now() / 1000),
     });
   }
 
@@ -220,9 +221,9 @@ export class Store {
     this.#notify(["events"]);
   }
 
-  /** @param {number} at */
+  /** @param {number} at since when the view is as it is, which is long ago where nothing happens */
   #tick(at) {
-    this.#offset = at - Date.now() / 1000;
+    this.#offset = Math.max(this.#offset, at - Date.now() / 1000);
   }
 
   /** @param {string[]} more */

@@ -18,6 +18,7 @@ const SILENCE = 25; // seconds without a byte: the other end is gone, though not
  * @property {(patch: any) => void} patch
  * @property {(event: any) => void} event
  * @property {(connection: Omit<import("./store.js").Connection, "since">) => void} connection
+ * @property {(at: number) => void} clock the time at the manager when a connection opens (unix seconds), up to 2 s old
  */
 
 /**
@@ -75,7 +76,10 @@ export async function follow(listener) {
         last = message.id ?? last;
         pause = FIRST_RETRY;
         dispatch(listener, message);
-      }, () => listener.connection({ state: "live", because: null, retryAt: null }));
+      }, (at) => {
+        if (!Number.isNaN(at)) listener.clock(at);
+        listener.connection({ state: "live", because: null, retryAt: null });
+      });
     } catch (error) {
       if (error instanceof ApiError) {
         because = error.message;
@@ -101,7 +105,7 @@ function dispatch(listener, { type, data }) {
  *
  * @param {string | null} last the id of the last message
  * @param {(message: {id: string | null, type: string, data: string}) => void} deliver
- * @param {() => void} opened
+ * @param {(at: number) => void} opened with the time at the manager (unix seconds), NaN where that is not said
  */
 async function once(last, deliver, opened) {
   const giveUp = new AbortController();
@@ -121,7 +125,7 @@ async function once(last, deliver, opened) {
     if (last !== null) headers["Last-Event-ID"] = last;
     const response = await request("/view/stream", { headers, signal: giveUp.signal });
     if (response.body === null) throw new Error("this browser cannot read a stream");
-    opened();
+    opened(Date.parse(response.headers.get("Date") ?? "") / 1000);
     const reader = response.body.getReader();
     const decoder = new TextDecoder();
     const take = messages(deliver);
