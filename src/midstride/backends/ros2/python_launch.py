@@ -10,7 +10,7 @@ import asyncio
 import json
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -31,6 +31,7 @@ class _Visitor:
         self._context: Any = launch.LaunchContext()
         self._context._set_asyncio_loop(asyncio.new_event_loop())
         self._context.launch_configurations.update(variables)
+        self._environment = dict(self._context.environment)
         if namespace:
             self._context.launch_configurations["ros_namespace"] = f"/{namespace}"
         self.nodes: list[dict[str, Any]] = []
@@ -67,6 +68,10 @@ class _Visitor:
                 os.unlink(value)
             else:
                 parameters.append((str(value), None))
+        for option in self._options(node):
+            self.left.append(("unsupported", f"`{option}` of `{full}` is left out"))
+        for variable in self._changed_variables():
+            self.left.append(("unsupported", f"the environment variable `{variable}` of `{full}` is left out"))
         if type(node).__name__ == "ComposableNodeContainer":
             self.left.append(("composable", f"the components of `{full}` are left out: they would share its process"))
         self.nodes.append(
@@ -81,6 +86,23 @@ class _Visitor:
                 "lifecycle": type(node).__name__ == "LifecycleNode",
             }
         )
+
+    def _options(self, node: Any) -> Iterator[str]:
+        """What is stated of a node's process, and not taken over."""
+        process = node.process_description
+        stated = {
+            "prefix": self._text(process.prefix),
+            "env": process.env,
+            "additional_env": process.additional_env,
+            "ros_arguments": getattr(node, "_Node__ros_arguments", None),
+            "respawn": getattr(node, "_ExecuteLocal__respawn", None),
+        }
+        return (name for name, value in stated.items() if value)
+
+    def _changed_variables(self) -> list[str]:
+        """The variables that actions of the launch file have set or taken away by now."""
+        before, now = self._environment, self._context.environment
+        return sorted(name for name in {*before, *now} if before.get(name) != now.get(name))
 
     def _text(self, value: Any) -> str:
         if value is None or isinstance(value, (str, os.PathLike)):
