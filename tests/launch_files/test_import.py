@@ -342,6 +342,20 @@ def test_what_only_ros_can_name_is_passed_in_the_command(tmp_path: Path) -> None
     assert found.text.count("use_sim_time = true") == 2
 
 
+def test_a_variable_that_is_taken_away_is_not_inherited(tmp_path: Path) -> None:
+    found = of_xml(
+        tmp_path,
+        """<set_env name="MODE" value="a"/><unset_env name="RMW_IMPLEMENTATION"/><unset_env name="MODE"/>
+        <node exec="./a" name="a"><env name="B" value="1"/></node>
+        <group><set_env name="MODE" value="b"/><node exec="./b" name="b"/></group>""",
+    )
+    assert kinds(found) == []
+    assert commands(found, tmp_path) == {
+        "a": "env -u MODE -u RMW_IMPLEMENTATION B=1 ./a",
+        "b": "env -u RMW_IMPLEMENTATION MODE=b ./b",
+    }
+
+
 def test_a_lifecycle_node_has_its_gate(tmp_path: Path) -> None:
     found = of_xml(tmp_path, '<lifecycle_node pkg="nav" exec="map" name="map" namespace=""/>')
     assert 'run "map" package "nav" gate lifecycle' in found.text and kinds(found) == ["package"]

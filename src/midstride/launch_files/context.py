@@ -26,7 +26,10 @@ class ParameterFileName:
 
 @dataclass(slots=True)
 class Context:
-    """A scope. ``file`` is the absolute path of the launch file; a variable may have no known value, and says why."""
+    """A scope. ``file`` is the absolute path of the launch file; a variable may have no known value, and says why.
+
+    ``variables_set``: those of the environment, None for one that is taken away.
+    """
 
     packages: Packages
     environment: Mapping[str, str]
@@ -35,7 +38,7 @@ class Context:
     namespace: str = ""
     remaps: list[tuple[str, str]] = field(default_factory=list)
     settings: list[Setting] = field(default_factory=list)
-    variables_set: dict[str, str] = field(default_factory=dict)
+    variables_set: dict[str, str | None] = field(default_factory=dict)
 
     def scoped(self, forwarding: bool = True) -> Context:
         """A copy, for a group. Without ``forwarding``, it has none of the variables."""

@@ -169,7 +169,7 @@ class Interpreter(NodeElements):
     def _unset_env(self, entity: Entity, context: Context) -> None:
         name = self.text(entity, "name", context)
         context.environment = {key: value for key, value in context.environment.items() if key != name}
-        context.variables_set.pop(name, None)
+        context.variables_set[name] = None  # what is inherited, too
 
     # -- scopes ----------------------------------------------------------------------------------------------
 

@@ -145,8 +145,8 @@ class NodeElements:
             self.findings.add(error.kind, f"`{attribute}` of a node is left out: {error}", entity.span)
             return ()
 
-    def _environment(self, entity: Entity, context: Context) -> Iterator[tuple[str, str]]:
-        variables: list[tuple[str, str, Span]] = [
+    def _environment(self, entity: Entity, context: Context) -> Iterator[tuple[str, str | None]]:
+        variables: list[tuple[str, str | None, Span]] = [
             (name, value, entity.span) for name, value in context.variables_set.items()
         ]
         for variable in entity.named("env"):

@@ -16,6 +16,7 @@ class LaunchedNode:
     """A process with one node. ``namespace`` has no outer slashes; ``command`` is without ROS's arguments.
 
     The first word of ``command`` is an executable of ``package``, if there is one; ``prefix`` stands before it.
+    ``environment`` has None for a variable that the process does not inherit.
     """
 
     name: str
@@ -25,7 +26,7 @@ class LaunchedNode:
     span: Span
     remaps: tuple[tuple[str, str], ...] = ()
     settings: tuple[Setting, ...] = ()
-    environment: Mapping[str, str] = field(default_factory=dict)
+    environment: Mapping[str, str | None] = field(default_factory=dict)
     ros_arguments: tuple[str, ...] = ()
     respawn: tuple[str, ...] = ()
     package: str = ""
@@ -38,7 +39,8 @@ class LaunchedNode:
 
     def run(self, more: Sequence[str] = ()) -> tuple[str, str]:
         """The whole command, with ``more`` arguments for ROS, and the package that it is looked up in, or ""."""
-        before = [*(f"{name}={value}" for name, value in self.environment.items())]
+        before = [word for name, value in self.environment.items() if value is None for word in ("-u", name)]
+        before += [f"{name}={value}" for name, value in self.environment.items() if value is not None]
         before = [*(["env", *before] if before else []), *self.prefix]
         looked_up = PACKAGE_NAME.fullmatch(self.package) and "/" not in self.command[0]
         if self.package and (before or not looked_up):  # what is looked up is the first word
