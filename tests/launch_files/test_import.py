@@ -314,6 +314,8 @@ def test_packages_are_found_where_they_are_installed_and_in_source_trees(
     source.mkdir(parents=True)
     (source.parent / "package.xml").write_text("<package><name>own_package</name></package>")
     (source / "b.launch.xml").write_text('<launch><node pkg="own_package" exec="b" name="b"/></launch>')
+    (tmp_path / "src" / "left").mkdir()
+    (tmp_path / "src" / "left" / "package.xml").symlink_to(tmp_path / "gone")  # as `--symlink-install` leaves behind
     (tmp_path / "robot").mkdir()
     monkeypatch.setenv(INCLUDE_PATH, str(tmp_path / "src"))
     found = of_xml(

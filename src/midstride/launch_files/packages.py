@@ -64,8 +64,15 @@ class Packages:
                 inner[:] = sorted(name for name in inner if not name.startswith("."))
                 if "package.xml" in files:
                     inner.clear()
-                    with open(Path(folder, "package.xml"), "rb") as stream:
-                        match = _NAME.search(stream.read(_HEAD))
-                    if match:
+                    if match := _NAME.search(_head_of(Path(folder, "package.xml"))):
                         found.setdefault(match[1].decode(), folder)
         return found
+
+
+def _head_of(path: Path) -> bytes:
+    """Nothing for a file that cannot be read, such as a link that leads nowhere."""
+    try:
+        with open(path, "rb") as stream:
+            return stream.read(_HEAD)
+    except OSError:
+        return b""
