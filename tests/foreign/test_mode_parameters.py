@@ -139,3 +139,20 @@ def test_a_mode_between_that_sets_nothing_is_reported(tmp_path: Path) -> None:
     path.write_text(text.replace("GATE", "preload"), encoding="utf-8")
     found = [each.message for each in load(path).diagnostics if each.severity == "error"]
     assert found == ["mode slow of drive does the same as the normal mode"]
+
+
+def test_a_mode_that_is_not_entered_leaves_the_parameters_of_the_one_before(tmp_path: Path) -> None:
+    """They are set first; then the node does not make the transition that the mode needs."""
+
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        outcome = await manager.change(REMOVE)
+        assert outcome.outcome == "rolled_back"
+        assert "driver has answered `deactivate` with a failure; it is active" in str(outcome.because)
+        driver = simulator.nodes["driver"]
+        assert (driver.state, driver.values["gain"]) == ("active", 5)
+        assert (await manager.status()).valid
+
+    slow = "    mode slow {\n      parameters { speed = 0.25 }\n    }\n"
+    text = TEXT.replace(f"{slow}    mode degraded {{ }}", "    mode degraded { parameters { gain = 1 } }")
+    text = text.replace("GATE", "lifecycle")
+    managed(tmp_path, text, body, {"Driver": {"refuses": {"deactivate"}}})

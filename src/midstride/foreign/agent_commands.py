@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from typing import Any, Final
 
 from midstride.errors import CommandRefused
@@ -103,7 +104,13 @@ class ForeignCommands:
         if self._parameters is not None:
             await self._parameters.enter_modes(command.modes)
         if self._lifecycle is not None:
-            await self._lifecycle.enter_modes(command.modes, command.because)
+            try:
+                await self._lifecycle.enter_modes(command.modes, command.because)
+            except CommandRefused:
+                if self._parameters is not None and self._lifecycle.lifecycle.responsive:
+                    with suppress(CommandRefused):  # why it is in neither mode is said already
+                        await self._parameters.enter_modes(before)
+                raise
         else:
             self._node.enter_modes(command.modes, command.because)
         return replies.PreviousModes(before=before)
