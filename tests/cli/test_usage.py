@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import re
 import subprocess
 import sys
@@ -18,8 +20,9 @@ from midstride.backends import NAMES
 from midstride.cli import main, render, render_status
 from midstride.cli.app import COMMANDS, GROUPS
 from midstride.cli.change_options import parse_value
-from midstride.cli.files import read_json
+from midstride.cli.files import read_json, write
 from midstride.cli.output import console
+from midstride.errors import MidstrideError
 from midstride.model.specification import Specification
 from midstride.runtime.state_store import StateStore
 from tests.cli.conftest import EXAMPLES, Midstride
@@ -533,6 +536,26 @@ def test_a_closed_stream_is_not_an_error(
         assert run(capsys, "plan", TALKER, "--replace", "talker=NewTalker")[0] == 0
     finally:
         getattr(sys, stream).close()
+
+
+def test_a_file_is_written_whole_or_stays_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`generate` and `capture --into` rewrite what a user has edited."""
+    file, link = tmp_path / "talker.py", tmp_path / "link.py"
+    file.write_text("mine\n")
+    file.chmod(0o750)
+    link.symlink_to(file)
+    write(link, "new\n")
+    assert link.is_symlink() and file.read_text() == "new\n" and file.stat().st_mode & 0o777 == 0o750
+    whole = Path.write_text
+
+    def full(self: Path, data: str, **options: Any) -> int:
+        whole(self, data[: len(data) // 2], **options)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(MidstrideError, match="No space left on device"):
+        write(file, "newer\n")
+    assert file.read_text() == "new\n" and sorted(os.listdir(tmp_path)) == ["link.py", "talker.py"]
 
 
 def test_an_output_that_cannot_be_written_is_reported(

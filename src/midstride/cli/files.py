@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import shutil
 import sys
+import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +19,8 @@ from midstride.model.specification import Specification
 
 # Longer than any specification or plan. A device that never ends, such as /dev/zero, would fill the memory.
 MAX_CHARACTERS: Final = 64_000_000
+# Why a file that can be written may not be replaced: its folder is another's, or it is mounted alone.
+_IN_PLACE: Final = frozenset({errno.EACCES, errno.EPERM, errno.EROFS, errno.EBUSY})
 
 
 def as_typed_here(path: str) -> str:
@@ -77,9 +82,24 @@ def require_new(path: Path | None) -> None:
 
 
 def write(path: Path, text: str) -> None:
-    """Write a text file. Raises MidstrideError if that fails."""
+    """Write a text file. Raises MidstrideError if that fails; a file that was there is then as before."""
+    if path.exists() and not path.is_file():  # as /dev/stdout
+        with written(path):
+            path.write_text(text, encoding="utf-8")
+        return
     with written(path):
-        path.write_text(text, encoding="utf-8")
+        target = path.resolve()  # a link stays one
+        try:
+            with tempfile.TemporaryDirectory(prefix=".midstride-", dir=target.parent) as folder:
+                new = Path(folder, target.name)
+                new.write_text(text, encoding="utf-8")
+                if target.exists():
+                    shutil.copymode(target, new)
+                new.replace(target)
+        except OSError as error:
+            if error.errno not in _IN_PLACE:
+                raise
+            path.write_text(text, encoding="utf-8")
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from typing import Final
 
 import click
 
-from midstride.cli.files import require_file, written
+from midstride.cli.files import require_file, write, written
 from midstride.cli.output import json_option, print_json, wants_json
 from midstride.errors import MidstrideError, SpecificationError
 from midstride.generate.merge import Merged, digest, merge_component, merge_copy, merge_empty, merge_whole
@@ -95,7 +95,7 @@ def _existing(path: Path) -> str | None:
 def _write(path: Path, text: str, executable: bool) -> None:
     with written(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        write(path, text)
         if executable:
             path.chmod(path.stat().st_mode | 0o111)
 
