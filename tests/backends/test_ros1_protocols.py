@@ -10,6 +10,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from xmlrpc.server import SimpleXMLRPCServer
 
@@ -22,7 +23,7 @@ from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, CallTimeout, NodeError, StartFailed, Unreachable
 from midstride.model.component import ComponentSpec
 from midstride.model.contract import QoS
-from midstride.runtime.backend import Handle, Launch
+from midstride.runtime.backend import Exited, Handle, Launch
 from tests.backends.ros1_support import free_port
 from tests.backends.ros2_support import run
 
@@ -231,6 +232,22 @@ def test_the_parameters_of_a_program_behind_a_relay_end_with_it(
     monkeypatch.setattr(Ros1Backend, "_spawn", spawned)
     unknown = {"lookupNode": lambda *_: [-1, "unknown", 0]}
     with python_server(setParam=set_param, deleteParam=delete_param, **unknown) as uri:
+        run(scenario(uri))
+
+
+def test_an_exit_is_reported_whatever_the_master_answers(tmp_path: Path) -> None:
+    async def scenario(uri: str) -> None:
+        backend, exits = Ros1Backend(tmp_path), list[Exited]()
+        with master_process.hold(uri) as backend._mark:
+            backend._master, backend._on_exit = Master(uri, names.MANAGER), exits.append
+            process: Any = SimpleNamespace(last_words=lambda: "the end")
+            backend._exited("chat", 1, process)
+            await asyncio.gather(*backend._tidying, return_exceptions=True)
+        assert exits == [Exited("chat", 1, "the end")]
+
+    with python_server(
+        lookupNode=lambda *_: [1, "", "http://127.0.0.1:1/"], getSystemState=lambda _: [1, "", ["?"]]
+    ) as uri:
         run(scenario(uri))
 
 

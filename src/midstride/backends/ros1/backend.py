@@ -149,8 +149,10 @@ class Ros1Backend(processes.ProcessBackend):
         """Clean up, then report: after the report another component may be started on the same port."""
 
         async def tidy_and_report() -> None:
-            await self._died(instance)
-            self._on_exit(Exited(instance, status, process.last_words()))
+            try:
+                await self._died(instance)
+            finally:  # whatever the master has answered
+                self._on_exit(Exited(instance, status, process.last_words()))
 
         self._begin(tidy_and_report())
 
