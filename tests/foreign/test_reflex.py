@@ -202,8 +202,10 @@ def test_publishers_that_report_are_judged_as_well(robot: Robot, monkeypatch: py
 def test_on_simulated_time_nothing_is_judged(robot: Robot) -> None:
     robot.wrote(30)
     robot.received(30)
+    assert robot.driver.state().ports["scan"]["/scan"].measured is not None
     robot.driver.change_record(stated={"use_sim_time": True})
     assert broken_assumptions(robot.driver) == {}
+    assert robot.driver.state().ports["scan"]["/scan"].measured is None  # half as fast where `/clock` is
 
 
 def test_on_a_full_disk_the_gate_closes_and_the_reflex_goes_on(

@@ -182,8 +182,13 @@ class ForeignNode:
             fenced=self.component.has_output(port) and gates.fenced(port),
         )
 
-    def _measured(self, port: str) -> Measured:
-        """From the counts at each report, so less exact than a component's own figures; there is no jitter."""
+    def _measured(self, port: str) -> Measured | None:
+        """From the counts at each report, so less exact than a component's own figures; there is no jitter.
+
+        None in simulated time: the page has no times on `/clock`, which its contracts are meant on.
+        """
+        if self.record.stated.get("use_sim_time"):
+            return None
         gates, now = self.require_gates(), time.monotonic()
         entry, window = gates.entry(port), window_of(self.component.stated_rate(port, self.record.modes))
         seen, total = self._counts.setdefault(port, deque()), int(entry.passed + entry.gated)
