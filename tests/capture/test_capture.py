@@ -247,6 +247,19 @@ def test_nodes_that_share_a_component_state_the_rate_of_the_slowest(
     assert (guarantee.rate, topics) == (stated, {stated})
 
 
+def test_an_input_is_assumed_where_every_node_of_the_component_has_a_publisher(tmp_path: Path) -> None:
+    graph = SimulatedGraph()
+    graph.publisher("/left/lidar", "/left/scan", STRING)
+    for side in ("left", "right"):
+        graph.subscription(f"/{side}/driver", f"/{side}/scan", STRING)
+    text = 'system s\n\ncomponent Lidar {\n  run "lidar" gate preload\n}\n\n'
+    text += 'component Driver {\n  run "driver" gate preload\n}\n\n'
+    text += "namespace left {\n  node lidar  : Lidar\n  node driver : Driver\n}\n\n"
+    text += "namespace right {\n  node driver : Driver\n}\n"
+    system = checked(insert(text, "s.stride", graph.observed()).text, tmp_path, "W031")  # nothing publishes /right/scan
+    assert system.components["Driver"].functionalities["main"].modes[0].assumptions == ()
+
+
 def test_names_of_ports_are_words_that_the_language_leaves_free() -> None:
     graph = SimulatedGraph()
     for topic in ("/mode", "/a/scan", "/b/scan", "/input", "/x/3d"):

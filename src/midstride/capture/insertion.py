@@ -143,10 +143,13 @@ class _Inserter:
         start, stated = component.name.span.end, list[ProposedPort]()
         for number, members in enumerate(variants.values()):
             ports = merged(ports for _, ports in members)
+            alike = zip(*(own for _, own in members), strict=True)
+            # An input for which one of them has no publisher: assumed, that one would start degraded.
+            unheard = {same[0].endpoint.topic for same in alike if not heard.issuperset(p.endpoint.topic for p in same)}
             stated += [
                 replace(port, rate=same.rate) for _, own in members for port, same in zip(own, ports, strict=True)
             ]
-            lines = component_text(ports, heard, self.rates)
+            lines = component_text(ports, heard - unheard, self.rates)
             commands = self._commands(component, ports)
             if number == 0:
                 self.edits += [(start + first, start + last, new) for first, last, new in commands]
