@@ -185,13 +185,13 @@ class PartSearch:
 
     # -- searching -------------------------------------------------------------------------------------
 
-    def beam(self, width: int = _BEAM) -> PartResult:
+    def beam(self) -> PartResult:
         """A way through the part, not always the cheapest: the most promising states with each number of actions."""
         layers: list[dict[int, tuple[float, int]]] = [{} for _ in range(len(self.part.ops) + 1)]
         layers[0][0] = (0.0, -1)
         best, end, parents = inf, -1, dict[Node, Node | None]()
         for layer in layers:
-            ranked = heapq.nsmallest(width, layer.items(), key=lambda item: item[1][0] + self.bounds.of(item[0]))
+            ranked = heapq.nsmallest(_BEAM, layer.items(), key=lambda item: item[1][0] + self.bounds.of(item[0]))
             for state, (cost, parent) in ranked:
                 parents[state, ()] = None if parent < 0 else (parent, ())
                 if state & self._goal == self._goal:

@@ -28,7 +28,6 @@ class Life:
     def __init__(self, simulator: Simulator) -> None:
         self.alive = True
         self.backend: Any = _Backend(self, simulator)
-        self._simulator = simulator
         self._connections: list[Connection] = []
         self._under_way: set[asyncio.Future[Any]] = set()
         self._over: asyncio.Future[None] | None = None
