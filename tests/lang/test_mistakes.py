@@ -242,6 +242,18 @@ MISTAKES = {
     "a node for a functionality": Mistake(
         "node sensor", "keep brake ‹E120›at normal\nnode sensor", "expected `.` after `brake`", None
     ),
+    "two assumptions in one statement": Mistake(
+        "{ assume distance ",
+        "{ assume distance, ‹E120›distance ",
+        "expected `assume` before `distance`",
+        "write `assume distance`",
+    ),
+    "two assumptions with `and`": Mistake(
+        "{ assume distance ",
+        "{ assume distance and ‹E120›distance ",
+        "expected `assume` before `distance`",
+        "write `assume distance`",
+    ),
     "a time without a unit": Mistake(
         "node sensor", "limit brake.watch below baseline ‹E127›2\nnode sensor", "a time needs a unit", "write `2 s`"
     ),
@@ -287,6 +299,19 @@ def test_a_mistake_is_reported_once_at_its_place_with_what_to_write_instead(name
     assert not follows or direct[0].severity == "warning", shown
     assert mistake.message in direct[0].message, shown
     assert (direct[0].help is None) if mistake.help is None else (mistake.help in (direct[0].help or "")), shown
+
+
+def test_a_second_guarantee_in_one_statement_is_reported_and_taken_as_meant() -> None:
+    text = (
+        "system s\ncomponent C { output a output b functionality f { produces a, b\n"
+        "  mode normal { guarantee a : std_msgs/msg/String @ 1 Hz, b : std_msgs/msg/String }\n  mode off { } } }\n"
+    )
+    (found,) = load_text(text, "s.stride", messages=installed({})).diagnostics
+    assert (found.code, found.message, found.help) == (
+        "E120",
+        "expected `guarantee` before `b`",
+        "write `guarantee b : …`",
+    )
 
 
 def test_many_mistakes_are_reported_together() -> None:

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Final, TypeVar
+
 from midstride.lang import syntax
 from midstride.lang.blocks import Handlers
 from midstride.lang.parse_contract import ContractParser
 from midstride.model.component import GATES
+from midstride.model.near_miss import nearest
 
 ENDPOINT_KINDS = ("topic", "service", "ROS action")
+_MODE_WORDS: Final = ("assume", "guarantee", "parameters")
+
+_Stated = TypeVar("_Stated", syntax.AssumptionExpression, syntax.GuaranteeStatement)
 
 
 class ComponentParser(ContractParser):
@@ -165,13 +172,31 @@ class ComponentParser(ContractParser):
         parameters: list[syntax.ParameterEntry] = []
         lost: set[str] = set()
         handlers: Handlers = {
-            "assume": lambda _: assumptions.append(self._assumption()),
-            "guarantee": lambda _: guarantees.append(self._guarantee()),
+            "assume": lambda _: self._each("assume", assumptions, self._assumption),
+            "guarantee": lambda _: self._each("guarantee", guarantees, self._guarantee),
             "parameters": lambda start: lost.update(self._mode_parameters(start, parameters)),
         }
         skipped = self.block(f"mode `{name.text}`", first, handlers)
         incomplete = bool(skipped or lost)
         return syntax.ModeDeclaration(name, tuple(assumptions), tuple(guarantees), tuple(parameters), incomplete)
+
+    def _each(self, word: str, found: list[_Stated], parse: Callable[[], _Stated]) -> None:
+        """One assumption or guarantee. Further ones after a comma or ``and`` are reported, and parsed as meant."""
+        found.append(parse())
+        while self.texts[self.i] in {",", "and"} and self._is_listed(word, self.i + 1):
+            self.i += 1
+            listed = self.texts[self.i]
+            help = f"write `{word} {listed}{' : …' if word == 'guarantee' else ''}`"
+            self.reporter.report("E120", self.span(), f"expected `{word}` before `{listed}`", help=help)
+            found.append(parse())
+
+    def _is_listed(self, word: str, at: int) -> bool:
+        """Whether a further assumption or guarantee begins here without its keyword."""
+        if self.kinds[at] != "name" or self.is_keyword(at):
+            return False
+        if word == "guarantee":
+            return self.kinds[at + 1] == ":"
+        return nearest(self.texts[at], _MODE_WORDS) is None
 
     def _mode_parameters(self, start: int, parameters: list[syntax.ParameterEntry]) -> frozenset[str]:
         if self.kinds[self.i] == "string":
