@@ -257,6 +257,18 @@ def test_a_missing_or_unusable_file(name: str, message: str, capsys: pytest.Capt
         assert err.startswith(f"midstride {words[0]}: ")
         assert err.count("\n") == 1
         assert message in err
+        assert err.count(str(file)) == 1 or name == ""
+
+
+def test_a_hidden_file_is_not_suggested(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`generate` keeps a list of what it wrote, in JSON."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / ".midstride-generated.json").write_text("{}")
+    (tmp_path / "robot.stride").write_text("system robot\n")
+    assert run(capsys, "check", ".")[2] == "midstride check: . is a folder; give a file in it: robot.stride\n"
+    assert run(capsys, "check", "a.json")[2] == "midstride check: there is no file a.json; known: robot.stride\n"
 
 
 def test_not_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -60,6 +60,7 @@ def test_a_plan_of_another_system_is_refused(run: Any, spoilt: Path) -> None:
     [
         ('{"outcome": "refused", "because": "no"}', "PLAN has no plan; it was refused: no"),
         ("[]", "PLAN is not a plan; `midstride plan … --json` prints one"),
+        ('{"strategies": {}}', "PLAN compares several plans; `midstride plan … --json` without --compare prints one"),
         ("{}", "/: a plan needs the key `start`"),
         ("{", "not JSON: Expecting property name"),
     ],

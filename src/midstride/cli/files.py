@@ -37,20 +37,18 @@ def read(path: Path) -> Specification:
         from midstride.lang.message_types import installed
 
         return load_stride(path, messages=installed()).require()
+    text = _text(path)
     try:
-        return decode_specification(parse_json(_text(path)))
+        return decode_specification(parse_json(text))
     except SpecificationError as error:
         raise in_file(path, error.problems) from None
 
 
 def read_json(path: Path) -> Any:
     """The value in a JSON file; ``-`` is standard input. Raises SpecificationError if it cannot be read."""
+    text = _standard_input() if str(path) == "-" else _text(path)
     try:
-        if str(path) == "-":
-            return parse_json(_bounded("standard input", sys.stdin.read(MAX_CHARACTERS + 1)).removeprefix("\ufeff"))
-        return parse_json(_text(path))
-    except UnicodeDecodeError as error:
-        raise SpecificationError(f"cannot read standard input: {error}") from None
+        return parse_json(text)
     except SpecificationError as error:
         raise in_file(path, error.problems) from None
 
@@ -134,6 +132,13 @@ def _text(path: Path, errors: str = "strict") -> str:
         raise SpecificationError(f"cannot read {path}: {error}") from None
 
 
+def _standard_input() -> str:
+    try:
+        return _bounded("standard input", sys.stdin.read(MAX_CHARACTERS + 1)).removeprefix("\ufeff")
+    except UnicodeDecodeError as error:
+        raise SpecificationError(f"cannot read standard input: {error}") from None
+
+
 def _bounded(name: str, text: str) -> str:
     if len(text) > MAX_CHARACTERS:
         raise SpecificationError(f"{name} has more than {MAX_CHARACTERS // 1_000_000} million characters: wrong file?")
@@ -141,7 +146,9 @@ def _bounded(name: str, text: str) -> str:
 
 
 def _candidates(folder: Path) -> list[Path]:
-    return sorted([*folder.glob("*.stride"), *folder.glob("*.json")])
+    """What in ``folder`` was probably meant: no hidden file, such as the list that `generate` keeps."""
+    found = [*folder.glob("*.stride"), *folder.glob("*.json")]
+    return sorted(path for path in found if not path.name.startswith("."))
 
 
 def in_file(path: Path, problems: Iterable[object]) -> SpecificationError:

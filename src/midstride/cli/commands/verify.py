@@ -96,6 +96,10 @@ def _plan(path: Path) -> dict[str, Any]:
     document = read_json(path)
     if not isinstance(document, dict):
         raise SpecificationError(f"{path} is not a plan; `midstride plan … --json` prints one")
+    if "strategies" in document:
+        raise SpecificationError(
+            f"{path} compares several plans; `midstride plan … --json` without --compare prints one"
+        )
     if document.get("outcome") == "refused":
         raise PlanRefused(f"{path} has no plan; it was refused: {document.get('because')}")
     return document
