@@ -93,6 +93,10 @@ def test_every_command_has_help(name: str, capsys: pytest.CaptureFixture[str]) -
     assert "--json" in out
 
 
+def test_the_list_of_subcommands_has_whole_sentences(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "..." not in run(capsys, "param", "--help")[1].partition("Commands:")[2]
+
+
 def test_the_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(capsys, "--version") == (0, f"midstride {package.__version__}\n", "")
 
@@ -125,6 +129,18 @@ def test_a_plan_without_steps_reports_nothing_to_do(capsys: pytest.CaptureFixtur
         (["plan", TALKER, "--replace", "=Talker"], "`=Talker` is not of the form NODE=COMPONENT"),
         (["plan", TALKER, "--add", "second"], "`second` is not of the form 'NODE COMPONENT PORT=TOPIC…'"),
         (["plan", TALKER, "--to", TALKER, "--remove", "talker"], "--to cannot be combined with --replace"),
+        (["simulate", "--seed", "3", "--seeds", "9"], "--seed runs this one only: leave --seeds out"),
+        (["simulate", "--seed", "3", "--jobs", "2"], "--seed runs this one only: leave --jobs out"),
+        (["export", TALKER, "--system", "talker"], "--system is for the running system: leave FILE out"),
+        (["export", TALKER, "--schema"], "--schema is that of every specification: leave FILE and --system out"),
+        (["diff", TALKER, TALKER, "--system", "talker"], "--system is for the running system: leave NEW out"),
+        (["diff", TALKER, TALKER, "--keep-code"], "--keep-code is for the running system: leave NEW out"),
+        (
+            ["logs", "talker", "-n", "few"],
+            "midstride logs: invalid value for '--lines' / '-n': 'few' is not a whole number",
+        ),
+        (["history", "-n", "0"], "0 is not in the range"),
+        (["verify", TALKER, "--limit", "long"], "'long' is not a number"),
         (
             ["plan", TALKER, "--remove", "talker", "--strategy", "fast"],
             "'fast' is not one of 'minimal', 'paper', 'quiesce'",

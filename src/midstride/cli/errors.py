@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from typing import Final
 
 import click
 
@@ -13,6 +14,12 @@ from midstride.errors import MidstrideError, SpecificationError
 
 # Commands whose JSON document is a plan or an outcome: where they fail, it is `refused` beside `error`.
 _CHANGES = ("plan", "replace", "restart", "add", "remove", "apply", "rollback", "demo")
+# Click calls what it expects by the name of its own type, such as `integer range`.
+_CLICKS_KINDS: Final = {
+    f"is not a valid {kind}{suffix}": f"is not a {number}"
+    for kind, number in (("integer", "whole number"), ("float", "number"))
+    for suffix in ("", " range")
+}
 
 
 def report(error: click.UsageError | MidstrideError | OSError, words: Sequence[str]) -> int:
@@ -23,6 +30,8 @@ def report(error: click.UsageError | MidstrideError | OSError, words: Sequence[s
     if isinstance(error, click.UsageError):
         path = error.ctx.command_path if error.ctx is not None else "midstride"
         message = error.format_message().rstrip(".")
+        for clicks, ours in _CLICKS_KINDS.items():
+            message = message.removesuffix(clicks) + ours if message.endswith(clicks) else message
         _report(f"{path}: {_lower_first(message)}\ntry `{path} --help`", "UsageError", message, words)
         return USAGE
     if isinstance(error, OSError):  # refused for a file, which the error names, or else for our output

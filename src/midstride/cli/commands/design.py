@@ -85,6 +85,9 @@ def diff_command(old: Path, new: Path | None, keep_code: bool, system: str | Non
     With one file: how it differs from what is running, with the nodes whose code has changed on disk.
     """
     if new is not None:
+        if system is not None or keep_code:
+            option = "--system" if system is not None else "--keep-code"
+            raise click.UsageError(f"{option} is for the running system: leave NEW out")
         found = differences(load(old), load(new))
     else:
         target, (client, _) = load(old), find(system)
@@ -107,6 +110,10 @@ def diff_command(old: Path, new: Path | None, keep_code: bool, system: str | Non
 @json_option
 def export_command(file: Path | None, schema: bool, system: str | None) -> int:
     """Print the specification in FILE, or that of the running system, as JSON."""
+    if schema and (file is not None or system is not None):
+        raise click.UsageError("--schema is that of every specification: leave FILE and --system out")
+    if file is not None and system is not None:
+        raise click.UsageError("--system is for the running system: leave FILE out")
     if schema:
         print_json(specification_schema())
     elif file is not None:

@@ -65,7 +65,11 @@ def get_command(node: str, name: str, system: str | None) -> int:
 
 
 # A negative number is no option.
-@param_command.command("set", context_settings={"ignore_unknown_options": True})
+@param_command.command(
+    "set",
+    short_help="Set a parameter of NODE, as `ros2 param set` does.",
+    context_settings={"ignore_unknown_options": True},
+)
 @_node
 @_name
 @click.argument("value")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from midstride.cli.files import load
 from midstride.cli.output import console, json_option, print_json, wants_json
@@ -45,6 +46,9 @@ def simulate_command(file: Path | None, seeds: int, first: int, seed: int | None
     """
     from midstride.simulation.campaign import Summary, simulate_many
 
+    for name in ("seeds", "first", "jobs") if seed is not None else ():
+        if click.get_current_context().get_parameter_source(name) is not ParameterSource.DEFAULT:
+            raise click.UsageError(f"--seed runs this one only: leave --{name} out")
     scenario = _scenario(file, change)
     if scenario is not None and not scenario.steps:
         return _show_nothing()
