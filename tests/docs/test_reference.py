@@ -6,9 +6,10 @@ import os
 import re
 from pathlib import Path
 
+import click
 import pytest
 
-from midstride.cli.app import COMMANDS
+from midstride.cli.app import COMMANDS, cli
 from midstride.lang import format_text, render
 from midstride.lang.catalogue import reference
 from midstride.lang.token_stream import RESERVED
@@ -43,6 +44,24 @@ def test_every_statement_is_in_the_language_page() -> None:
 def test_every_command_is_in_the_commands_page() -> None:
     text = (REFERENCE / "commands.md").read_text(encoding="utf-8")
     assert {name for name in COMMANDS if f"{name}" not in text} == set()
+
+
+# Given by editors, not by people.
+UNDOCUMENTED = {("lsp", "--stdio")}
+
+
+def test_every_option_is_somewhere_in_the_documentation() -> None:
+    text = "\n".join(page.read_text(encoding="utf-8") for page in DOCS.rglob("*.md"))
+    context = click.Context(cli)
+    missing = set()
+    for name in COMMANDS:
+        command = cli.get_command(context, name)
+        assert command is not None
+        parts = command.commands.values() if isinstance(command, click.Group) else [command]
+        for option in (each for part in parts for each in part.params if isinstance(each, click.Option)):
+            if not any(re.search(rf"(?<![\w-]){each}(?![\w-])", text) for each in option.opts):
+                missing.add((name, option.opts[0]))
+    assert missing == UNDOCUMENTED
 
 
 def test_the_figures_of_the_readme_are_those_of_the_measurements() -> None:
