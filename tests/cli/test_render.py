@@ -104,6 +104,24 @@ def test_a_plan_that_lowers_something_for_good_does_not_call_itself_free_of_disr
     assert f"functionality-seconds on the way (proved minimal), and afterwards {afterwards};" in lines[4]
 
 
+@pytest.mark.parametrize(
+    ("until", "unserved", "words"), [(1, None, "until step 1"), (None, 1, "throughout, unserved from step 1 on")]
+)
+def test_a_plan_does_not_claim_to_degrade_what_is_degraded_already(
+    until: int | None, unserved: int | None, words: str
+) -> None:
+    """Such as `apply` after a crash: it restores, and each of its lines began with "Degrades"."""
+    fall = {"functionality": "see.see", "from_step": 0, "to_step": until, "seconds": 0.053, "because": "already"}
+    step = {"action": "upgrade", "modes": {"see_2.see": {"from": "off", "to": "normal"}}}
+    better = [{"functionality": "see.see", "from": "off", "to": "normal", "levels": -1}]
+    document = plan(steps=[step], falls=[{**fall, "unserved_from_step": unserved}], afterwards=better)
+    lines = shown(render.plan(document, "apply robot.stride"))
+    assert lines[3:5] == [
+        f"Degraded already: see.see for about 53 ms more ({words})",
+        "Improves: see.see, from off to normal",
+    ]
+
+
 def report(**changed: Any) -> list[str]:
     """What is said between the headline of an outcome and the table."""
     lines = shown(render.outcome(done(**changed)))[1:]

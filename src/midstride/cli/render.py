@@ -136,7 +136,7 @@ def _runtime_values(document: Document) -> Iterable[Text]:
 
 def falls(document: Document) -> str:
     """What degrades on the way, how far, for how long and why; and what is lower or higher afterwards."""
-    lines = [f"[yellow]Degrades:[/yellow] {escape(_fall(document, fall))}" for fall in document["falls"]]
+    lines = [_marked_fall(document, fall) for fall in document["falls"]]
     lower = _lower_afterwards(document)
     higher = [shift for shift in document["afterwards"] if shift["levels"] <= 0]
     if not lines and not lower:
@@ -146,20 +146,39 @@ def falls(document: Document) -> str:
     return "\n".join(lines)
 
 
+def _marked_fall(document: Document, fall: Document) -> str:
+    if fall["from_step"] == 0:
+        return f"[yellow]Degraded already:[/yellow] {escape(_already(document, fall))}"
+    return f"[yellow]Degrades:[/yellow] {escape(_fall(document, fall))}"
+
+
 def _fall(document: Document, fall: Document) -> str:
     steps: list[Document] = document["steps"]
     name = fall["functionality"]
     since, until = fall["from_step"], fall["to_step"]
     where = f"steps {since} to {until}" if until is not None else f"from step {since} on"
-    mode = _mode_entered(steps[since - 1], fall["functionality"]) if since else None
+    mode = _mode_entered(steps[since - 1], name)
     depth = f" to {mode}" if mode else ""
     unserved = fall.get("unserved_from_step")
     if mode and unserved is not None:
         depth += f", unserved from step {unserved} on,"
-    head = f"{fall['functionality']}{depth} for about {seconds(fall['seconds'])} ({where})"
-    lines = [head, fall["because"], *fall.get("forced_by", ())]
-    lines += [_alternative(each) for each in document.get("alternatives") or () if each["functionality"] == name]
-    return "\n  ".join(lines)
+    head = f"{name}{depth} for about {seconds(fall['seconds'])} ({where})"
+    return "\n  ".join([head, fall["because"], *fall.get("forced_by", ()), *_alternatives(document, name)])
+
+
+def _already(document: Document, fall: Document) -> str:
+    """How long a functionality remains below that is below before the first step."""
+    until, unserved = fall["to_step"], fall.get("unserved_from_step")
+    where = "throughout" if until is None else f"until step {until}"
+    where += f", unserved from step {unserved} on" if unserved else ""
+    name = fall["functionality"]
+    head = f"{name} for about {seconds(fall['seconds'])} more ({where})"
+    return "\n  ".join([head, *fall.get("forced_by", ()), *_alternatives(document, name)])
+
+
+def _alternatives(document: Document, functionality: str) -> Iterable[str]:
+    found = document.get("alternatives") or ()
+    return (_alternative(each) for each in found if each["functionality"] == functionality)
 
 
 def _alternative(alternative: Document) -> str:

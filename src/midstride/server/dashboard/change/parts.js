@@ -36,7 +36,7 @@ export function summary(plan) {
     { class: "banner falls", "data-kind": nothing ? "good" : "warn" },
     nothing ? h("p", {}, `✓ ${words}`) : null,
     ...found.map((fall) =>
-      h("div", { class: "fall" }, h("p", {}, h("strong", {}, "↓ Degrades: "), fall.head), ...fall.because.map((each) => h("p", { class: "because" }, each))),
+      h("div", { class: "fall" }, h("p", {}, h("strong", {}, fall.already ? "Degraded already: " : "↓ Degrades: "), fall.head), ...fall.because.map((each) => h("p", { class: "because" }, each))),
     ),
     ...worse.map((each) => h("p", {}, h("strong", {}, "Afterwards: "), `${each}.`)),
     ...better.map((each) => h("p", {}, h("strong", {}, "Improves: "), each)),

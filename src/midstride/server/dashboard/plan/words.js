@@ -109,22 +109,42 @@ function modeEntered(step, functionality) {
  * What degrades on the way, how far, for how long and why.
  *
  * @param {any} plan
- * @returns {{functionality: string, head: string, because: string[]}[]}
+ * @returns {{functionality: string, head: string, because: string[], already: boolean}[]} `already`: before the first step
  */
 export function falls(plan) {
   return (plan.falls ?? []).map((/** @type {any} */ fall) => {
     const name = fall.functionality;
+    if (!fall.from_step) return already(plan, fall);
     const where = fall.to_step === null ? `from step ${fall.from_step} on` : `steps ${fall.from_step} to ${fall.to_step}`;
-    const mode = fall.from_step ? modeEntered(plan.steps[fall.from_step - 1], name) : null;
+    const mode = modeEntered(plan.steps[fall.from_step - 1], name);
     let depth = mode ? ` to ${mode}` : "";
     if (mode && fall.unserved_from_step !== null) depth += `, unserved from step ${fall.unserved_from_step} on,`;
-    const others = (plan.alternatives ?? []).filter((/** @type {any} */ each) => each.functionality === name);
     return {
       functionality: name,
       head: `${name}${depth} for about ${duration(fall.seconds)} (${where})`,
-      because: [fall.because, ...(fall.forced_by ?? []), ...others.map(alternative)],
+      because: [fall.because, ...(fall.forced_by ?? []), ...alternatives(plan, name)],
+      already: false,
     };
   });
+}
+
+/** How long a functionality remains below that is below before the first step. @param {any} plan @param {any} fall */
+function already(plan, fall) {
+  const name = fall.functionality;
+  const until = fall.to_step === null ? "throughout" : `until step ${fall.to_step}`;
+  const unserved = fall.unserved_from_step ? `, unserved from step ${fall.unserved_from_step} on` : "";
+  return {
+    functionality: name,
+    head: `${name} for about ${duration(fall.seconds)} more (${until}${unserved})`,
+    because: [...(fall.forced_by ?? []), ...alternatives(plan, name)],
+    already: true,
+  };
+}
+
+/** @param {any} plan @param {string} functionality */
+function alternatives(plan, functionality) {
+  const found = (plan.alternatives ?? []).filter((/** @type {any} */ each) => each.functionality === functionality);
+  return found.map(alternative);
 }
 
 /** What it would cost to keep a functionality. @param {any} each */
