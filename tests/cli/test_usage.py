@@ -267,7 +267,12 @@ def test_a_warning_counts_with_strict(tmp_path: Path, capsys: pytest.CaptureFixt
 )
 def test_a_missing_or_unusable_file(name: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
     file = EXAMPLES / "talker" / name
-    for words in (["up", str(file), "-d"], ["plan", str(file), "--remove", "x"], ["export", str(file)]):
+    for words in (
+        ["up", str(file), "-d"],
+        ["plan", str(file), "--remove", "x"],
+        ["export", str(file)],
+        ["dev", str(file)],
+    ):
         status, out, err = run(capsys, *words)
         assert (status, out) == (1, "")
         assert err.startswith(f"midstride {words[0]}: ")

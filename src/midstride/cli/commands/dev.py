@@ -16,6 +16,7 @@ from midstride.cli.dev.changes import Changes, worst
 from midstride.cli.dev.contents import saves
 from midstride.cli.dev.session import DevSession
 from midstride.cli.dev.specification import WatchedSpecification
+from midstride.cli.files import require_file
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.render import UNKNOWN, seconds, time_of_day
 from midstride.cli.shutdown import shut_down
@@ -41,6 +42,7 @@ def dev_command(
     Ctrl-C, or the end of the terminal, ends a system that this command has started; one that was running goes on.
     """
     arguments = manager_arguments(file, backend, use_sim_time, no_middleware_settings, no_diagnostics, spares)
+    require_file(file)
     specification = WatchedSpecification(file)
     workspace = Workspace.of(specification.wanted.name)
     client, screen = Client(workspace.socket), _Screen(console(stderr=wants_json()), wants_json())
