@@ -139,6 +139,7 @@ def test_a_plan_without_steps_reports_nothing_to_do(capsys: pytest.CaptureFixtur
             ["logs", "talker", "-n", "few"],
             "midstride logs: invalid value for '--lines' / '-n': 'few' is not a whole number",
         ),
+        (["check", "--include-path", "x", TALKER], "it comes before the command: `midstride --include-path DIR …`"),
         (["history", "-n", "0"], "0 is not in the range"),
         (["verify", TALKER, "--limit", "long"], "'long' is not a number"),
         (

@@ -30,6 +30,8 @@ def report(error: click.UsageError | MidstrideError | OSError, words: Sequence[s
     if isinstance(error, click.UsageError):
         path = error.ctx.command_path if error.ctx is not None else "midstride"
         message = error.format_message().rstrip(".")
+        if isinstance(error, click.NoSuchOption) and error.option_name == "--include-path":
+            message += "; it comes before the command: `midstride --include-path DIR …`"
         for clicks, ours in _CLICKS_KINDS.items():
             message = message.removesuffix(clicks) + ours if message.endswith(clicks) else message
         _report(f"{path}: {_lower_first(message)}\ntry `{path} --help`", "UsageError", message, words)

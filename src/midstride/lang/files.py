@@ -118,7 +118,8 @@ class Bounds:
         path = os.path.normpath((Path() if base is None else base.parent) / name.text)
         real = os.path.realpath(path)
         if not any(os.path.commonpath((folder, real)) == folder for folder in self.folders):
-            help = f"move it there, or name its folder with `--include-path` or in the variable {INCLUDE_PATH}"
+            named = f"`midstride --include-path DIR …`, or the variable {INCLUDE_PATH}"
+            help = f"move it there, or name its folder: {named}"
             raise Unreadable("E107", "it is not below the folder of the file that names the system", help)
         return path
 
