@@ -21,14 +21,17 @@ def launch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_the_specification_is_printed_and_the_findings_beside_it(
-    launch: Path, capsys: pytest.CaptureFixture[str]
+    launch: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     assert main(["import", str(launch), "who:=me"]) == 0
     printed = capsys.readouterr()
     assert printed.out.endswith("node me : A\n")
     assert printed.err.splitlines() == [
         "robot.launch.xml:3: package: package `nix` is not here",
         "1 node from 1 launch file; 1 finding (1 package)",
+        "Packages are looked up in AMENT_PREFIX_PATH, which is not set; source your workspace, or name its sources: "
+        "`midstride --include-path DIR import …`",
     ]
 
 

@@ -39,6 +39,10 @@ def import_command(file: Path, arguments: tuple[str, ...], output: Path | None, 
     for finding in imported.findings:
         click.echo(str(finding), err=True)
     click.echo(_summary(imported, output), err=True)
+    if "package" in imported.findings.counts():
+        unset = "" if os.environ.get("AMENT_PREFIX_PATH") else ", which is not set"
+        remedy = "source your workspace, or name its sources: `midstride --include-path DIR import …`"
+        click.echo(f"Packages are looked up in AMENT_PREFIX_PATH{unset}; {remedy}", err=True)
     return 0
 
 
