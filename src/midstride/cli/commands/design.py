@@ -56,7 +56,10 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
 @click.argument("nodes", nargs=-1, metavar="[NODE...]", shell_complete=completion.nodes)
 @json_option
 def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
-    """Show for each node of FILE what degrades, and how far, if it is removed or crashes; worst first."""
+    """Show for each node of FILE what degrades, and how far, if it is removed or crashes; worst first.
+
+    A node without which a functionality of another node is in its last mode is a single point of failure.
+    """
     found = impacts(load(file), nodes)
     if wants_json():
         print_json({"impacts": found})
