@@ -8,6 +8,7 @@ import re
 import select
 import signal
 import socket
+import subprocess
 import tempfile
 import threading
 import time
@@ -280,6 +281,45 @@ def test_two_changes_at_once_take_turns(talker: Midstride) -> None:
         thread.join()
     assert done == ["done", "done"]
     assert talker("remove", "left", "right", "--yes").status == 0
+
+
+GOES_ON = "The manager continues with the change; `midstride log` shows how it ends."
+
+
+def test_a_client_that_is_interrupted_says_that_the_change_goes_on(talker: Midstride) -> None:
+    changing = talker.start("restart", "talker", "--yes", "--json")
+    try:
+        await_change(talker, begun=True)
+        changing.send_signal(signal.SIGINT)
+        out, _ = changing.communicate(timeout=20)
+        assert (changing.returncode, GOES_ON in out) == (130, True)
+    finally:
+        changing.kill()
+        changing.communicate()
+    await_change(talker, begun=False)
+
+
+def test_a_client_whose_reader_goes_says_that_the_change_goes_on(talker: Midstride, tmp_path: Path) -> None:
+    errors = tmp_path / "errors"
+    with errors.open("w") as file:
+        command = talker.command("restart", "talker", "--yes")
+        changing = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=file, text=True, env=talker.environment)
+    with changing:
+        try:
+            assert changing.stdout is not None
+            assert changing.stdout.readline() == "restart talker\n"
+            changing.stdout.close()  # as `head -1` does
+            assert changing.wait(20) == 1
+            assert GOES_ON in errors.read_text()
+        finally:
+            changing.kill()
+    await_change(talker, begun=False)
+
+
+def await_change(system: Midstride, begun: bool) -> None:
+    end = time.monotonic() + 20
+    while (system("status", "--json").json["running"] is not None) is not begun:
+        assert time.monotonic() < end
 
 
 @pytest.mark.parametrize("command", [["watch"], ["log", "--follow"]])

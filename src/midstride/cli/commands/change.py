@@ -206,7 +206,11 @@ def change(
         expected = preview["revision"]
     document = {"request": request, "expected": expected, "verify": options.verify, "wait": options.wait, "file": file}
     document["by"] = asked_by(title)
-    outcome = _carry_out(client, document, title, show_plan=options.yes)
+    try:
+        outcome = _carry_out(client, document, title, show_plan=options.yes)
+    except (KeyboardInterrupt, BrokenPipeError, SystemExit):  # rich exits where the reader of its output has gone
+        click.echo("\nThe manager continues with the change; `midstride log` shows how it ends.", err=True)
+        raise
     if wants_json():
         print_json(outcome)
     unexpected = outcome["silences"] or any(not each["planned"] for each in outcome["lowered"])
@@ -240,15 +244,11 @@ def _carry_out(client: Client, change: Document, title: str, *, show_plan: bool)
         id=id,
     )
     out = console()
-    try:
-        with Progress(out) as progress:
-            for event in followed:
-                if event["kind"] == "plan" and show_plan:
-                    out.print(render.plan(event["plan"], title))
-                progress.show(event)
-    except KeyboardInterrupt:
-        click.echo("\nThe manager continues with the change; `midstride log` shows how it ends.", err=True)
-        raise
+    with Progress(out) as progress:
+        for event in followed:
+            if event["kind"] == "plan" and show_plan:
+                out.print(render.plan(event["plan"], title))
+            progress.show(event)
     outcome = followed.answer()
     out.print(render.outcome(outcome))
     return outcome
