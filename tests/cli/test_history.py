@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
+from pathlib import Path
 
 import pytest
 
+from midstride.runtime.disk import DISK
+from midstride.runtime.journal_records import SCHEMA
+from midstride.runtime.workspace import Workspace
 from tests.cli.conftest import EXAMPLES, Midstride
 
 TALKER = str(EXAMPLES / "talker" / "talker.json")
@@ -57,7 +61,8 @@ def test_a_change_is_shown_and_rolled_back(midstride: Midstride) -> None:
 def test_the_next_manager_has_the_history_of_the_one_that_was_killed(midstride: Midstride) -> None:
     up(midstride)
     os.kill(midstride.manager("talker"), signal.SIGKILL)
-    assert "exited" in midstride("history").err
+    shown = midstride("history")
+    assert shown.status == 0 and "the manager of talker has exited" in shown.err and " done " in shown.out
     up(midstride)  # the components of the simulator end with their manager
     document = midstride("history", "--json").json
     assert [change["command"] for change in document["changes"]] == ["up", "up"]
@@ -76,3 +81,59 @@ def test_a_damaged_history_is_kept_aside(midstride: Midstride) -> None:
         assert f"the journal {journal} was damaged (file is not a database)" in out
         assert f"it is kept as {journal.with_name('journal.damaged.db')}" in out
     assert status.status == 0
+
+
+@pytest.mark.full
+def test_a_system_that_is_down_shows_what_it_has_left(midstride: Midstride, tmp_path: Path) -> None:
+    up(midstride)
+    assert midstride("replace", "talker", "NewTalker", "--yes").status == 0
+    while_up = midstride("history", "--json").json
+    file = tmp_path / "change.html"
+    assert midstride("report", "-o", str(file), "--json").json == midstride("report", "--change", "2", "--json").json
+    assert midstride("down").status == 0
+
+    shown = midstride("history", "--json")
+    assert shown.status == 0 and shown.err == "(talker is down: this is what it has left)\n"
+    assert shown.json["changes"] == while_up["changes"]
+    assert [each["kind"] for each in shown.json["incidents"]][-1] == "down"
+    assert "replace talker with NewTalker" in midstride("history").out
+    assert midstride("report", "--json").json["change"] == while_up["changes"][-1]
+    assert midstride("report", "-o", str(file)).status == 0 and "NewTalker" in file.read_text()
+    unknown = midstride("report", "--change", "7")
+    assert unknown.status == 1 and "the history has no change 7" in unknown.err
+    assert "I heard" in midstride("logs", "listener").out
+    assert midstride("status").status == 1, "it is down all the same"
+
+
+def left(midstride: Midstride, system: str, *, begun: bool = False) -> Workspace:
+    """The files of a system that is down, with one change in its journal; ``begun``: without an outcome."""
+    folder = midstride.runtime / "midstride" / system
+    folder.mkdir(parents=True)
+    journal = DISK.open(folder / "journal.db", SCHEMA)
+    outcome = None if begun else "done"
+    row = "INSERT INTO changes (at, command, total, before, after, outcome) VALUES (1e9, ?, 3, 1, 1, ?)"
+    journal.write([(row, (f"up {system}", outcome))])
+    journal.close()
+    return Workspace(folder)
+
+
+def test_of_several_systems_that_are_down_one_is_named(midstride: Midstride) -> None:
+    left(midstride, "arm")
+    assert "up arm" in midstride("history").out
+    left(midstride, "base")
+    refused = midstride("history")
+    assert refused.status == 2
+    assert "no system is running; of those that are down (arm, base) choose one with --system NAME" in refused.err
+    assert "up base" in midstride("history", "--system", "base").out
+    assert midstride("history", "--system", "bse").err == (
+        "midstride history: no system bse is running; did you mean `base`?\n"
+    )
+
+
+def test_a_change_that_no_manager_goes_on_with_was_interrupted(midstride: Midstride) -> None:
+    space = left(midstride, "arm", begun=True)
+    assert "interrupted" in midstride("history").out
+    space.journal.write_bytes(b"\xff" * 9000)
+    refused = midstride("history")
+    assert refused.status == 1
+    assert f"cannot read the journal {space.journal}: file is not a database" in refused.err

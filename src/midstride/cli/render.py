@@ -344,8 +344,8 @@ def time_of_day(at: float) -> str:
     return f"{time.strftime('%H:%M:%S', time.localtime(whole))}.{millis:03d}"
 
 
-def history(document: Document) -> RenderableType:
-    """The changes and the incidents, oldest first."""
+def history(document: Document, *, in_progress: bool = True) -> RenderableType:
+    """The changes and the incidents, oldest first. ``in_progress``: a manager goes on with what has no outcome yet."""
     left, right = ("", "when", "what", "outcome", "version"), ("steps", "missed", "gap", "took")
     rows = table(left, right)
     entries = [*document["changes"], *document["incidents"]]
@@ -355,7 +355,7 @@ def history(document: Document) -> RenderableType:
             rows.add_row("", when, Text(each["words"].splitlines()[0], style="dim"), *[""] * 6)
             continue
         done = sum(step["outcome"] == "done" for step in each["steps"])
-        outcome = (each["outcome"] or "in progress").replace("_", " ")
+        outcome = (each["outcome"] or ("in progress" if in_progress else "interrupted")).replace("_", " ")
         figures: list[RenderableType] = [_count(each["missed"]), seconds(each["gap"]), seconds(each["seconds"])]
         what = each["by"] or each["command"]
         style = "green" if each["outcome"] == "done" else "yellow"

@@ -37,10 +37,10 @@ def find(system: str | None) -> tuple[Client, Workspace]:
     known = {workspace.name: workspace for workspace in Workspace.all()}
     if system is not None:
         workspace = _named(system, known)
-        return _answering(workspace), workspace
+        return answering(workspace), workspace
     if len(known) == 1:
         (only,) = known.values()
-        return _answering(only), only
+        return answering(only), only
     running = [workspace for workspace in known.values() if Client(workspace.socket).service() is not None]
     if len(running) > 1:
         names = ", ".join(workspace.name for workspace in running)
@@ -56,11 +56,26 @@ def find(system: str | None) -> tuple[Client, Workspace]:
 
 
 def find_workspace(system: str | None) -> Workspace:
-    """As :func:`find`, for what needs no manager: it may have exited."""
-    known = {workspace.name: workspace for workspace in Workspace.all()}
+    """As :func:`find`, for what needs no manager: it may have exited, and the system may be down.
+
+    What a system that is down has left is meant where none is up, or where it is named; people are told so.
+    """
+    up = {workspace.name: workspace for workspace in Workspace.all()}
+    down = {workspace.name: workspace for workspace in Workspace.down()}
     if system is not None:
-        return _named(system, known)
-    return next(iter(known.values())) if len(known) == 1 else find(None)[1]
+        found = _named(system, {**down, **up})
+    elif len(up) == 1:
+        (found,) = up.values()
+    elif up or not down:
+        return find(None)[1]
+    elif len(down) > 1:
+        names = ", ".join(down)
+        raise click.UsageError(f"no system is running; of those that are down ({names}) choose one with --system NAME")
+    else:
+        (found,) = down.values()
+    if found.name in down:
+        click.echo(f"({found.name} is down: this is what it has left)", err=True)
+    return found
 
 
 def _named(system: str, known: Mapping[str, Workspace]) -> Workspace:
@@ -70,7 +85,8 @@ def _named(system: str, known: Mapping[str, Workspace]) -> Workspace:
     return known[system]
 
 
-def _answering(workspace: Workspace) -> Client:
+def answering(workspace: Workspace) -> Client:
+    """The manager of ``workspace``. Raises NoManager where it has exited, ManagerError where it does not answer."""
     client = Client(workspace.socket)
     end = time.monotonic() + ANSWER_TIMEOUT
     while client.service(max(POLL, end - time.monotonic())) is None:

@@ -77,6 +77,14 @@ def read_report(database: Database, number: int | None) -> ChangeReport | None:
     )
 
 
+def existing(found: ChangeReport | None, number: int | None) -> ChangeReport:
+    """What :func:`read_report` has found. Raises ManagerError where that is nothing."""
+    if found is None:
+        which = "no change yet" if number is None else f"no change {number}"
+        raise ManagerError(f"the history has {which}; `midstride history` lists them")
+    return found
+
+
 def _specification(database: Database, version: int) -> SpecificationForm | None:
     found = database.read("SELECT form FROM specifications WHERE version = ?", version)
     return _decode(found[0][0], SpecificationForm, None) if found else None

@@ -24,7 +24,7 @@ from midstride.errors import ManagerError, MidstrideError, Superseded
 from midstride.model.specification import Specification
 from midstride.plan.estimate import Estimate
 from midstride.runtime import journal_records
-from midstride.runtime.change_report import ChangeReport, ChangeTimeline, read_report, recorded
+from midstride.runtime.change_report import ChangeReport, ChangeTimeline, existing, read_report, recorded
 from midstride.runtime.disk import DISK, Database, Disk, Lease, Statement, refused
 from midstride.runtime.history import History, SpecificationVersion, read_history, read_specification
 from midstride.runtime.journal_records import Interrupted, NewChange
@@ -182,11 +182,7 @@ class Journal:
         """Change ``number``, by default the latest. Raises ManagerError if there is none, or it cannot be read."""
         with suppress(Superseded):
             await self.write()
-        found = await self._beside(lambda database: read_report(database, number))
-        if found is None:
-            which = "no change yet" if number is None else f"no change {number}"
-            raise ManagerError(f"the history has {which}; `midstride history` lists them")
-        return found
+        return existing(await self._beside(lambda database: read_report(database, number)), number)
 
     async def specification(self, version: int | None = None) -> SpecificationVersion:
         """A version of the specification, by default the one before the latest change of it.
@@ -239,8 +235,7 @@ class Journal:
         found = database.read("PRAGMA quick_check(1)")[0][0]
         if found != "ok":
             raise sqlite3.DatabaseError(found)
-        if database.read("SELECT value FROM about WHERE key = 'version'") != [(journal_records.VERSION,)]:
-            raise sqlite3.DatabaseError("another version of Midstride wrote it")
+        journal_records.check_version(database)
 
     def _disconnect(self) -> None:
         if self._database is not None:

@@ -7,6 +7,7 @@ of the changes is removed when the next one begins.
 from __future__ import annotations
 
 import hashlib
+import sqlite3
 import time
 from dataclasses import dataclass
 from typing import Final
@@ -83,6 +84,12 @@ class Interrupted:
             return "the manager ended before the first step"
         several = f"s {self.since} to {self.step}" if self.since not in (None, self.step) else f" {self.step}"
         return f"the manager ended during step{several} of {self.steps}"
+
+
+def check_version(database: Database) -> None:
+    """Raises sqlite3.DatabaseError for a journal of another version, or a file that is none."""
+    if database.read("SELECT value FROM about WHERE key = 'version'") != [(VERSION,)]:
+        raise sqlite3.DatabaseError("another version of Midstride wrote it")
 
 
 def beginning(database: Database, change: NewChange) -> tuple[int, list[Statement]]:

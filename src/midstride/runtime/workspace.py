@@ -45,11 +45,20 @@ class Workspace:
 
         A system whose manager runs is included even if its state has been deleted.
         """
+        return [space for space in cls._known() if space._is_up()]
+
+    @classmethod
+    def down(cls) -> list[Workspace]:
+        """The workspaces of the others that have left their journal: of systems that are down."""
+        return [space for space in cls._known() if space.journal.exists() and not space._is_up()]
+
+    @classmethod
+    def _known(cls) -> list[Workspace]:
         root = workspace_root()
-        if not root.is_dir():
-            return []
-        found = [cls(folder) for folder in sorted(root.iterdir())]
-        return [space for space in found if space.state.exists() or space.manager() is not None]
+        return [cls(folder) for folder in sorted(root.iterdir())] if root.is_dir() else []
+
+    def _is_up(self) -> bool:
+        return self.state.exists() or self.manager() is not None
 
     @property
     def name(self) -> str:

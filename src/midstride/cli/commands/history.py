@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from midstride.cli import change_options
+from midstride.cli import change_options, records
 from midstride.cli.commands.change import RequestOptions, change, request_options
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.systems import find, system_option
@@ -20,16 +20,15 @@ LATEST = 20
 def history_command(latest: int, system: str | None) -> int:
     """Show the latest N changes: when, by whom, how they ended, what they cost; and crashes between them.
 
-    Also the changes of earlier managers, and before the last `down`.
+    Also the changes of earlier managers, and before the last `down`. A system that is down shows what it has left.
     """
-    client, _ = find(system)
-    document = client.get("/history", latest=latest)
+    document, in_progress = records.history(system, latest)
     if wants_json():
         print_json(document)
     else:
         from midstride.cli import render
 
-        console().print(render.history(document))
+        console().print(render.history(document, in_progress=in_progress))
     return 0
 
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import click
 
-from midstride.cli.client import READ_TIMEOUT
+from midstride.cli import records
 from midstride.cli.files import write
 from midstride.cli.output import console, json_option, print_json, wants_json
-from midstride.cli.systems import find, system_option
+from midstride.cli.systems import system_option
 
 
 @click.command("report")
@@ -27,11 +27,9 @@ def report_command(output: Path, number: int | None, system: str | None) -> int:
     It has the graph before and after, the plan, what happened when, and the figures of each subscriber, and needs
     neither the manager nor a network. With --json, prints the same as data, and writes no file.
     """
-    client, _ = find(system)
-    which = {} if number is None else {"number": number}
     if wants_json():
-        print_json(client.get("/change", **which))
+        print_json(records.change(system, number))
         return 0
-    write(output, client.text("/report", timeout=3 * READ_TIMEOUT, **which))
+    write(output, records.report(system, number))
     console().print(f"The report is in {output}.", markup=False, soft_wrap=True)
     return 0

@@ -37,12 +37,12 @@ class ReportDocument(Report, frozen=True, kw_only=True):
     after: Annotated[SystemView | None, Meta(description="and when all its steps are done")]
 
 
-def change_file(found: ChangeReport, system: str, backend: str) -> str:
-    """The file of a change of the history."""
+def change_file(found: ChangeReport, system: str, backend: str = "") -> str:
+    """The file of a change of the history. ``backend``: "" where it is not known (any more)."""
     change = encode(found)
     whole = None if found.plan is None else {**change["plan"], "start": change["before"], "target": change["after"]}
     views = _views(whole, system, backend, found.change.at)
-    return _file(system, found.change.by or found.change.command, views, backend=backend, change=change)
+    return _file(system, found.change.by or found.change.command, views, backend=backend or None, change=change)
 
 
 def plan_file(plans: Mapping[str, dict[str, Any]], system: str, title: str) -> str:

@@ -61,7 +61,7 @@ function head(data, plan) {
   const line = found
     ? [`change ${found.change.number} of ${data.system}`, date(found.change.at), `strategy ${plan?.strategy ?? "unknown"}`, data.backend]
     : [`plan for ${data.system}`, "nothing was changed", date(data.written)];
-  const ended = found && !outcome ? (found.change.outcome ?? "in progress").replace("_", " ") : null;
+  const ended = found && !outcome ? (found.change.outcome ?? "no outcome recorded").replace("_", " ") : null;
   return h(
     "header",
     { class: "report-head" },

@@ -1,0 +1,63 @@
+"""What a system has recorded: asked of its manager, or read from its files where it has none."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import click
+
+from midstride.cli.client import READ_TIMEOUT, Client, Document
+from midstride.cli.systems import answering, find_workspace
+from midstride.codec.form import encode
+from midstride.errors import NoManager
+from midstride.runtime.workspace import Workspace
+
+
+def history(system: str | None, latest: int) -> tuple[Document, bool]:
+    """The ``latest`` changes and incidents, and whether a manager goes on with them. Raises as :func:`change` does."""
+    workspace = find_workspace(system)
+    if (manager := _manager(workspace)) is not None:
+        return manager.get("/history", latest=latest), True
+    from midstride.runtime.closed_journal import closed_history
+
+    return encode(closed_history(workspace.journal, latest)), False
+
+
+def change(system: str | None, number: int | None) -> Document:
+    """Change ``number`` of the history, by default the latest, with all that was recorded of it.
+
+    Raises NoManager where no system is or was there, ManagerError where there is no such change or it cannot be read.
+    """
+    workspace = find_workspace(system)
+    if (manager := _manager(workspace)) is not None:
+        document: Document = manager.get("/change", **_which(number))
+        return document
+    from midstride.runtime.closed_journal import closed_report
+
+    return encode(closed_report(workspace.journal, number))
+
+
+def report(system: str | None, number: int | None) -> str:
+    """The same as an HTML file."""
+    workspace = find_workspace(system)
+    if (manager := _manager(workspace)) is not None:
+        return manager.text("/report", timeout=3 * READ_TIMEOUT, **_which(number))
+    from midstride.runtime.closed_journal import closed_report
+    from midstride.server.report.documents import change_file
+
+    return change_file(closed_report(workspace.journal, number), workspace.name)
+
+
+def _manager(workspace: Workspace) -> Client | None:
+    """None where it has exited; people are told so unless the system is down."""
+    if workspace.manager() is not None:
+        with suppress(NoManager):
+            return answering(workspace)
+    if workspace.state.exists():
+        words = f"the manager of {workspace.name} has exited: this is what it had recorded"
+        click.echo(f"({words}; `midstride up FILE` reattaches to its components)", err=True)
+    return None
+
+
+def _which(number: int | None) -> dict[str, int]:
+    return {} if number is None else {"number": number}
