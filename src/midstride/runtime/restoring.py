@@ -244,6 +244,8 @@ class Restorer:
             return f"it will not be restored again: {record.left}"
         if (due := record.due()) is not None:
             return f"restoring in {max(0.0, due - self.clock.steady()):.1f} s ({record.number} of {POLICY.limit})"
+        if (latest.state.functionalities[ref.functionality].busy or 0.0) > HANGS:  # it takes no input meanwhile either
+            return "restored when its call has returned"
         missing = ", ".join(dict.fromkeys(lacking(self.system.configuration, ref, 0, latest.state)))
         return f"restored when {f'input {missing} is' if missing else 'what it relies on is'} back"
 
