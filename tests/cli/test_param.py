@@ -90,7 +90,7 @@ def test_parameters_are_shown_set_and_kept(tuned: Midstride, folder: Path) -> No
         document = tuned("why", asked, "--json").json
         assert (document["functionality"], document["instance"]) == ("talker.talk", "talker_2")
     unknown = tuned("why", "talker.talc").err
-    assert "there is no functionality talker.talc; there are talker.talk\n" in unknown
+    assert "there is no functionality talker.talc; did you mean `talker.talk`?\n" in unknown
 
     kept = tuned("plan", "--restart", "talker_2")
     assert (kept.status, "talker: gain = -2.5, set at run time: kept\n" in kept.out) == (0, True)

@@ -117,7 +117,9 @@ def test_why_and_log(talker: Midstride) -> None:
     assert talker("why", "listener.listen", "--json").json["functionality"] == "listener.listen"
     refused = talker("why", "listener.lissen")
     assert refused.status == 1
-    assert "there is no functionality listener.lissen" in refused.err
+    assert "there is no functionality listener.lissen; did you mean `listener.listen`?" in refused.err
+    node = talker("why", "listener")
+    assert node.status == 1 and "there is no functionality listener; did you mean `listener.listen`?" in node.err
     events = talker("log", "--json").json
     assert [event["n"] for event in events] == list(range(1, len(events) + 1))
     assert talker("log", "--since", str(len(events) - 1), "--json").json == events[-1:]

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from midstride.errors import PlanRefused
 from midstride.model.component import ComponentSpec, FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
+from midstride.model.diagnostics import suggestion
 from midstride.model.rules import Evaluator, violations
 from midstride.runtime import reports
 from midstride.runtime.backend import Backend
@@ -217,9 +218,10 @@ def why(configuration: Configuration, client: ComponentClient, functionality: st
         if ref.functionality == asked.functionality and configuration.instances[ref.instance].role == asked.instance
     ]
     if not matching:
-        named = {str(_of_role(configuration, ref)) for ref in every}
-        known = ", ".join(sorted(named)[:12]) or "none"
-        raise PlanRefused(f"there is no functionality {functionality}; there are {known}")
+        named = [_of_role(configuration, ref) for ref in every]
+        of_node = [ref for ref in named if ref.instance in (functionality, asked.instance)]
+        hint = suggestion(functionality, map(str, of_node or named)) or "nothing runs"
+        raise PlanRefused(f"there is no functionality {functionality}; {hint}")
     ref = sorted(matching)[0]
     state = client.responsive(ref.instance)
     reported = _functionality(configuration, ref, None if state is None else state.functionalities[ref.functionality])
