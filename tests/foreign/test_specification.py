@@ -134,6 +134,17 @@ def test_what_the_program_is_started_with(tmp_path: Path) -> None:
     ]
 
 
+def test_an_integer_is_stated_as_the_float_that_its_parameter_is(tmp_path: Path) -> None:
+    text = TEXT.partition("component Other")[0].replace(
+        "parameters {", "parameters { gain = 0.5, gains = [0.5], n = 1,"
+    )
+    specification = parsed(text, tmp_path)
+    stated = {"gain": 2, "gains": [1, 2.5], "n": 3}
+    launch = replace(launched("Talker", specification, "robot1"), parameters=stated, set_parameters={})
+    arguments = ros_arguments(launch, specification.components["Talker"], "/robot1/talker")
+    assert arguments[-6:] == ["-p", "gain:=2.0", "-p", "gains:=[1.0, 2.5]", "-p", "n:=3"]
+
+
 def test_texts_beyond_ascii_are_escaped_as_yaml_has_it(tmp_path: Path) -> None:
     specification = parsed(TEXT.partition("component Other")[0], tmp_path)
     launch = launched("Talker", specification, "robot1")

@@ -43,18 +43,31 @@ async def set_parameters(
         return
     what = ", ".join(f"{name} = {value!r}" for name, value in values.items())
     try:
-        refused = await services.set_parameters(_typed(component, values, known or {}), SET_TIMEOUT)
+        refused = await services.set_parameters(typed(component, values, known or {}), SET_TIMEOUT)
     except NoAnswer as error:
         raise CommandRefused(f"{instance} has not set {what}: {error}") from None
     if refused is not None:
         raise CommandRefused(f"{instance} refuses {what}: {refused or 'it gives no reason'}")
 
 
-def _typed(component: ComponentSpec, values: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
-    """An integer as a float where that is the parameter's type: a specification may state `1` for `1.0`."""
+def typed(component: ComponentSpec, values: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
+    """An integer as a float where that is the parameter's type: a specification may state `1` for `1.0`.
+
+    ``known``: the parameters of the node, where it has said them.
+    """
     declared = component.parameters
 
-    def real(name: str) -> bool:
-        return isinstance(known.get(name, declared[name].value if name in declared else None), float)
+    def like(name: str) -> Any:
+        return known.get(name, declared[name].value if name in declared else None)
 
-    return {name: float(value) if type(value) is int and real(name) else value for name, value in values.items()}
+    return {name: _as_float(value) if _is_float(like(name)) else value for name, value in values.items()}
+
+
+def _is_float(value: Any) -> bool:
+    return isinstance(value[0] if isinstance(value, list) and value else value, float)
+
+
+def _as_float(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_as_float(member) for member in value]
+    return float(value) if type(value) is int else value

@@ -25,6 +25,7 @@ from midstride.foreign.agent import ForeignAgent
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.lifecycle_cuts import LifecyclePeers
+from midstride.foreign.mode_parameters import typed
 from midstride.foreign.page import PAGE, Page
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.relayed_program import RelayOrder, order_file, private_topics
@@ -218,7 +219,7 @@ def ros_arguments(launch: Launch, component: ComponentSpec, node: str) -> list[s
         for port, topic in launch.topics.items()
         if component.topic_of(port) != topic
     ]
-    values = {**launch.parameters, **launch.set_parameters}
+    values = typed(component, {**launch.parameters, **launch.set_parameters}, {})
     arguments = [part for remap in remaps for part in ("-r", remap)]
     arguments += [part for key, value in values.items() for part in ("-p", f"{key}:={_in_yaml(value)}")]
     return ["--ros-args", *arguments]
