@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from midstride.cli.systems import find_records, find_workspace
+from midstride.errors import NoManager
 from midstride.runtime.disk import DISK
 from midstride.runtime.journal_records import SCHEMA
 from midstride.runtime.workspace import Workspace
@@ -128,6 +130,17 @@ def test_of_several_systems_that_are_down_one_is_named(midstride: Midstride) -> 
     assert midstride("history", "--system", "bse").err == (
         "midstride history: no system bse is running; did you mean `base`?\n"
     )
+
+
+def test_what_acts_on_a_running_system_does_not_take_one_that_is_down(
+    midstride: Midstride, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left(midstride, "arm")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(midstride.runtime))
+    assert find_records(None).name == "arm"
+    for system in (None, "arm"):  # as for `capture --probe`
+        with pytest.raises(NoManager, match="no system"):
+            find_workspace(system)
 
 
 def test_a_change_that_no_manager_goes_on_with_was_interrupted(midstride: Midstride) -> None:

@@ -7,7 +7,7 @@ from contextlib import suppress
 import click
 
 from midstride.cli.client import READ_TIMEOUT, Client, Document
-from midstride.cli.systems import answering, find_workspace
+from midstride.cli.systems import answering, find_records
 from midstride.codec.form import encode
 from midstride.errors import NoManager
 from midstride.runtime.workspace import Workspace
@@ -15,7 +15,7 @@ from midstride.runtime.workspace import Workspace
 
 def history(system: str | None, latest: int) -> tuple[Document, bool]:
     """The ``latest`` changes and incidents, and whether a manager goes on with them. Raises as :func:`change` does."""
-    workspace = find_workspace(system)
+    workspace = find_records(system)
     if (manager := _manager(workspace)) is not None:
         return manager.get("/history", latest=latest), True
     from midstride.runtime.closed_journal import closed_history
@@ -28,7 +28,7 @@ def change(system: str | None, number: int | None) -> Document:
 
     Raises NoManager where no system is or was there, ManagerError where there is no such change or it cannot be read.
     """
-    workspace = find_workspace(system)
+    workspace = find_records(system)
     if (manager := _manager(workspace)) is not None:
         document: Document = manager.get("/change", **_which(number))
         return document
@@ -39,7 +39,7 @@ def change(system: str | None, number: int | None) -> Document:
 
 def report(system: str | None, number: int | None) -> str:
     """The same as an HTML file."""
-    workspace = find_workspace(system)
+    workspace = find_records(system)
     if (manager := _manager(workspace)) is not None:
         return manager.text("/report", timeout=3 * READ_TIMEOUT, **_which(number))
     from midstride.runtime.closed_journal import closed_report
@@ -49,7 +49,7 @@ def report(system: str | None, number: int | None) -> str:
 
 
 def _manager(workspace: Workspace) -> Client | None:
-    """None where it has exited; people are told so unless the system is down."""
+    """None where it has exited, with a note on standard error unless the system is down."""
     if workspace.manager() is not None:
         with suppress(NoManager):
             return answering(workspace)

@@ -56,25 +56,29 @@ def find(system: str | None) -> tuple[Client, Workspace]:
 
 
 def find_workspace(system: str | None) -> Workspace:
-    """As :func:`find`, for what needs no manager: it may have exited, and the system may be down.
+    """As :func:`find`, for what needs no manager: it may have exited."""
+    known = {workspace.name: workspace for workspace in Workspace.all()}
+    if system is not None:
+        return _named(system, known)
+    return next(iter(known.values())) if len(known) == 1 else find(None)[1]
 
-    What a system that is down has left is meant where none is up, or where it is named; people are told so.
+
+def find_records(system: str | None) -> Workspace:
+    """As :func:`find_workspace`, for what a system has recorded: one that is down counts if it is named, or none is up.
+
+    A note on standard error says that it is down.
     """
     up = {workspace.name: workspace for workspace in Workspace.all()}
+    if system in up or (system is None and up):
+        return find_workspace(system)
     down = {workspace.name: workspace for workspace in Workspace.down()}
-    if system is not None:
-        found = _named(system, {**down, **up})
-    elif len(up) == 1:
-        (found,) = up.values()
-    elif up or not down:
-        return find(None)[1]
-    elif len(down) > 1:
+    if not down:
+        return find_workspace(system)
+    if system is None and len(down) > 1:
         names = ", ".join(down)
         raise click.UsageError(f"no system is running; of those that are down ({names}) choose one with --system NAME")
-    else:
-        (found,) = down.values()
-    if found.name in down:
-        click.echo(f"({found.name} is down: this is what it has left)", err=True)
+    found = next(iter(down.values())) if system is None else _named(system, {**up, **down})
+    click.echo(f"({found.name} is down: this is what it has left)", err=True)
     return found
 
 

@@ -12,7 +12,7 @@ from midstride.cli import completion
 from midstride.cli.client import Client
 from midstride.cli.logs import Appended, known_nodes, last_lines, log_files
 from midstride.cli.output import json_option, print_json, wants_json
-from midstride.cli.systems import find_workspace, system_option
+from midstride.cli.systems import find_records, system_option
 from midstride.errors import ManagerError, MidstrideError
 from midstride.model.diagnostics import suggestion
 from midstride.runtime.workspace import Workspace
@@ -34,7 +34,7 @@ def logs_command(node: str, follow: bool, lines: int | None, system: str | None)
     With --follow, it begins with the last 10 lines, and Ctrl-C ends it. With --json: a JSON document on each line, with
     the instance and what it has written.
     """
-    workspace = find_workspace(system)
+    workspace = find_records(system)
     client = Client(workspace.socket)
     status = _status(client)
     paths = log_files(workspace, node, status)
