@@ -81,23 +81,26 @@ def require_new(path: Path | None) -> None:
 
 def write(path: Path, text: str) -> None:
     """Write a text file. Raises MidstrideError if that fails; a file that was there is then as before."""
-    if path.exists() and not path.is_file():  # as /dev/stdout
-        with written(path):
-            path.write_text(text, encoding="utf-8")
-        return
     with written(path):
-        target = path.resolve()  # a link stays one
-        try:
-            with tempfile.TemporaryDirectory(prefix=".midstride-", dir=target.parent) as folder:
-                new = Path(folder, target.name)
-                new.write_text(text, encoding="utf-8")
-                if target.exists():
-                    shutil.copymode(target, new)
-                new.replace(target)
-        except OSError as error:
-            if error.errno not in _IN_PLACE:
-                raise
-            path.write_text(text, encoding="utf-8")
+        if not path.exists() or path.is_file():
+            try:
+                write_whole(path, text)
+                return
+            except OSError as error:
+                if error.errno not in _IN_PLACE:
+                    raise
+        path.write_text(text, encoding="utf-8")  # also to /dev/stdout
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Replace a text file in one step, through links, and keep its mode. Raises OSError; the file is then as before."""
+    target = path.resolve()
+    with tempfile.TemporaryDirectory(prefix=".midstride-", dir=target.parent) as folder:
+        new = Path(folder, target.name)
+        new.write_text(text, encoding="utf-8")
+        if target.exists():
+            shutil.copymode(target, new)
+        new.replace(target)
 
 
 @contextmanager

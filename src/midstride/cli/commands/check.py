@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from pathlib import Path
 
 import click
 
 from midstride.cli import completion
-from midstride.cli.files import require_file
+from midstride.cli.files import require_file, write_whole
 from midstride.cli.output import json_option, print_json, wants_json
 from midstride.lang import format_text, load, render
 from midstride.lang.catalogue import CATALOGUE, explain
@@ -67,7 +65,7 @@ def fmt_command(files: tuple[Path, ...], check: bool) -> int:
         if formatted.text is not None and formatted.text.encode() != file.read_bytes():
             changed.append(file)
             if not check:
-                _replace(file, formatted.text)
+                write_whole(file, formatted.text)
     bad = bool(found) or (check and bool(changed))
     if wants_json():
         diagnostics = [diagnostic.to_json() for diagnostic in found]
@@ -78,20 +76,6 @@ def fmt_command(files: tuple[Path, ...], check: bool) -> int:
     for file in changed:
         click.echo(f"{file}: {'not formatted' if check else 'formatted'}")
     return int(bad)
-
-
-def _replace(file: Path, text: str) -> None:
-    """Write the file atomically, through links, and keep its mode."""
-    file = file.resolve()
-    descriptor, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
-    try:
-        with os.fdopen(descriptor, "w", encoding="utf-8", newline="\n") as stream:
-            stream.write(text)
-        os.chmod(name, file.stat().st_mode)
-        os.replace(name, file)
-    except BaseException:
-        os.unlink(name)
-        raise
 
 
 @click.command("explain")
