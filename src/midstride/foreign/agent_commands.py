@@ -203,7 +203,7 @@ class ForeignCommands:
             left = await self._node.comes_true(self._lifecycle.left, command.timeout, every=WATCH)
             return replies.RateVerdict(reached=left == (command.until == "broken"), rate=0.0, pause=0.0)
         entry, deadline = self._node.require_gates().entry(command.port), time.monotonic() + command.timeout
-        if command.known_clock and self._node.record.stated.get("use_sim_time"):  # the page has no times on `/clock`
+        if command.known_clock and self._node.record.simulated_time:
             return replies.RateVerdict(reached=command.until == "met", rate=command.rate, pause=0.0)
         begun = entry.passed + entry.gated
         watch = RateWatch(command.rate, command.window, time.monotonic_ns())

@@ -185,9 +185,9 @@ class ForeignNode:
     def _measured(self, port: str) -> Measured | None:
         """From the counts at each report, so less exact than a component's own figures; there is no jitter.
 
-        None in simulated time: the page has no times on `/clock`, which its contracts are meant on.
+        None in simulated time.
         """
-        if self.record.stated.get("use_sim_time"):
+        if self.record.simulated_time:
             return None
         gates, now = self.require_gates(), time.monotonic()
         entry, window = gates.entry(port), window_of(self.component.stated_rate(port, self.record.modes))

@@ -44,6 +44,11 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     welcomed: bool = False
     revision: int = 0
 
+    @property
+    def simulated_time(self) -> bool:
+        """Whether contracts are meant on `/clock`, of which the page of the gates has no times."""
+        return bool(self.stated.get("use_sim_time"))
+
     def write(self, folder: Path) -> None:
         """Replace the file of this instance. Raises BackendError."""
         path = _path(folder, self.instance)

@@ -16,7 +16,7 @@ from midstride.node.shortfall import LONG_FLOOR, tolerated_periods
 
 def broken_assumptions(node: ForeignNode) -> dict[str, tuple[str, str]]:
     """By functionality whose mode assumes what has fallen silent: the best mode below that does not, and why."""
-    if node.gates is None or node.record.stated.get("use_sim_time"):  # the page has no times on `/clock`
+    if node.gates is None or node.record.simulated_time:
         return {}
     found = {}
     for functionality in node.component:
