@@ -8,6 +8,7 @@ from typing import Any, Final
 from midstride.errors import CommandRefused
 from midstride.foreign.services import NoAnswer, ParameterSetter
 from midstride.model.component import ComponentSpec, ParameterValue
+from midstride.node.parameters import fitted_to
 
 # How long the node may take to set its parameters (s).
 SET_TIMEOUT: Final = 4.0
@@ -57,17 +58,8 @@ def typed(component: ComponentSpec, values: Mapping[str, Any], known: Mapping[st
     """
     declared = component.parameters
 
-    def like(name: str) -> Any:
-        return known.get(name, declared[name].value if name in declared else None)
+    def as_declared(name: str, value: Any) -> Any:
+        fitted = fitted_to(value, known.get(name, declared[name].value if name in declared else None))
+        return value if fitted is None else fitted
 
-    return {name: _as_float(value) if _is_float(like(name)) else value for name, value in values.items()}
-
-
-def _is_float(value: Any) -> bool:
-    return isinstance(value[0] if isinstance(value, list) and value else value, float)
-
-
-def _as_float(value: Any) -> Any:
-    if isinstance(value, list):
-        return [_as_float(member) for member in value]
-    return float(value) if type(value) is int else value
+    return {name: as_declared(name, value) for name, value in values.items()}

@@ -70,7 +70,7 @@ class Parameter:
 
     def fitted(self, value: Any) -> Any:
         """``value`` as a value of this parameter: of the default's type, and finite; an integer also fits a float."""
-        fitted = _fitted(value, self.default)
+        fitted = fitted_to(value, self.default)
         if fitted is None:
             kind = type(self.default).__name__
             raise NodeError(f"parameter {self.name} takes a value like {self.default!r} ({kind}), not {value!r}")
@@ -94,11 +94,12 @@ def check_parameter(name: object, value: object) -> None:
         raise NodeError(f"parameter {name}: {value!r} is not finite")
 
 
-def _fitted(value: Any, like: Any) -> Any:
+def fitted_to(value: Any, like: Any) -> Any:
+    """``value`` as a parameter's value of the type of ``like``: an integer as a float, say; None if it does not fit."""
     if isinstance(like, list):
         if not isinstance(value, (list, tuple, array)):  # rclpy has numbers in an array
             return None
-        members = [_fitted(member, like[0]) if like else member for member in value]
+        members = [fitted_to(member, like[0]) if like else member for member in value]
         return None if any(member is None for member in members) else members
     if isinstance(like, float) and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
