@@ -250,7 +250,7 @@ def test_what_the_middleware_cannot_tell_is_null_and_never_zero(
 
 @pytest.mark.parametrize("by", [86400 * 365 * 50, 5, -5, -86400], ids="{} s".format)
 def test_slots_mean_nothing_where_the_clock_of_the_publishers_was_set(by: int) -> None:
-    """As on a robot without a clock of its own that finds a time server: not so many million messages were missed."""
+    """A robot that boots in 1970 and then reaches a time server: the years in between are not missed messages."""
     recorder = Recorder()
     for slot in range(80):
         recorder.write("old" if slot < 40 else "new", slot)

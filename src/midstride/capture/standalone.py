@@ -37,9 +37,10 @@ def draft(name: str, graph: ObservedGraph, rates: bool = False, findings: Depend
         lines += [f"component {component} {{", *component_text(found, heard, rates, own_topics=False), "}", ""]
         namespace, _, own = node.rpartition("/")
         name = own if own not in RESERVED else _free(own, {*RESERVED, *owns}, "_")
+        statements = nodes.setdefault(namespace.strip("/"), [])
         if name != own:
-            nodes.setdefault(namespace.strip("/"), []).append(f"# `{own}` is a word of the language")
-        nodes.setdefault(namespace.strip("/"), []).append(f"node {name} : {component} {node_block(found)}")
+            statements.append(f"# `{own}` is a word of the language")
+        statements.append(f"node {name} : {component} {node_block(found)}")
     for namespace, statements in sorted(nodes.items()):
         word = "/" if namespace in RESERVED else ""  # as a path, it is a name
         lines += [f"namespace {word}{namespace} {{", *statements, "}", ""] if namespace else [*statements, ""]

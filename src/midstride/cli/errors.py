@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
 from typing import Final
@@ -14,12 +15,9 @@ from midstride.errors import MidstrideError, SpecificationError
 
 # Commands whose JSON document is a plan or an outcome: where they fail, it is `refused` beside `error`.
 _CHANGES = ("plan", "replace", "restart", "add", "remove", "apply", "rollback", "demo")
-# Click calls what it expects by the name of its own type, such as `integer range`.
-_CLICKS_KINDS: Final = {
-    f"is not a valid {kind}{suffix}": f"is not a {number}"
-    for kind, number in (("integer", "whole number"), ("float", "number"))
-    for suffix in ("", " range")
-}
+# Click's messages name its own types, such as `integer range`.
+_CLICK_TYPE: Final = re.compile(r"is not a valid (integer|float)( range)?$")
+_NUMBERS: Final = {"integer": "whole number", "float": "number"}
 
 
 def report(error: click.UsageError | MidstrideError | OSError, words: Sequence[str]) -> int:
@@ -32,8 +30,7 @@ def report(error: click.UsageError | MidstrideError | OSError, words: Sequence[s
         message = error.format_message().rstrip(".")
         if isinstance(error, click.NoSuchOption) and error.option_name == "--include-path":
             message += "; it comes before the command: `midstride --include-path DIR …`"
-        for clicks, ours in _CLICKS_KINDS.items():
-            message = message.removesuffix(clicks) + ours if message.endswith(clicks) else message
+        message = _CLICK_TYPE.sub(lambda found: f"is not a {_NUMBERS[found[1]]}", message)
         _report(f"{path}: {_lower_first(message)}\ntry `{path} --help`", "UsageError", message, words)
         return USAGE
     if isinstance(error, OSError):  # refused for a file, which the error names, or else for our output

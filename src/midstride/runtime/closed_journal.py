@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from midstride.errors import ManagerError, MidstrideError
+from midstride.errors import ManagerError
 from midstride.runtime import journal_records
 from midstride.runtime.change_report import ChangeReport, existing, read_report
 from midstride.runtime.disk import DISK, Database
@@ -36,5 +35,5 @@ def _read(path: Path, use: Callable[[Database], T]) -> T:
             return use(database)
         finally:
             database.close()
-    except (sqlite3.Error, OSError, MidstrideError, ValueError, TypeError, RecursionError) as error:
+    except journal_records.FAILURES as error:
         raise ManagerError(f"cannot read the journal {path}: {error}") from error

@@ -212,7 +212,7 @@ class Journal:
             return use(self._open())
         except Superseded:
             raise
-        except (sqlite3.Error, OSError, MidstrideError, ValueError, TypeError, RecursionError) as error:
+        except journal_records.FAILURES as error:
             self.unwritten = f"cannot use the journal {self.path}: {error}"
             if _is_damage(error):
                 self.unwritten = self._keep_aside(error)

@@ -15,11 +15,14 @@ from typing import Final
 import msgspec
 
 from midstride.codec.specification import SpecificationForm, decode_saved_specification
+from midstride.errors import MidstrideError
 from midstride.model.specification import Specification
 from midstride.plan.estimate import Estimate
 from midstride.plan.forms import PlanPreview
 from midstride.runtime.disk import Database, Statement
 
+# What is raised where the journal cannot be used: by the disk, and by what is in the file.
+FAILURES: Final = (sqlite3.Error, OSError, MidstrideError, ValueError, TypeError, RecursionError)
 VERSION: Final = "1"
 CHANGES: Final = 200
 INCIDENTS: Final = 2_000
