@@ -197,10 +197,10 @@ def test_closing_the_generator_ends_the_processes(tmp_path: Path) -> None:
 @pytest.fixture
 def little(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the proofs one goal, of the specification one module."""
-    from midstride.verify.prove import GOALS, NAMES
+    from midstride.verify.prove import GOALS
 
     goals = [goal for goal in GOALS if (goal.kind, goal.name) == ("fit", "attach input")]
-    monkeypatch.setattr("midstride.verify.prove.run.prove.__defaults__", (NAMES, goals, 20.0))
+    monkeypatch.setattr("midstride.verify.prove.run.GOALS", goals)
     monkeypatch.setattr(library, "MODULES", ("system",))
 
 
