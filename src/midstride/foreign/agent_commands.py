@@ -15,6 +15,7 @@ from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.node import TICK, ForeignNode
 from midstride.foreign.parameters import ForeignParameters
 from midstride.foreign.services import NoAnswer
+from midstride.node.attachments import SETTLE, not_matched
 from midstride.node.baton import BatonStep
 from midstride.node.rate_watch import RateWatch
 from midstride.wire import commands, replies
@@ -24,8 +25,6 @@ from midstride.wire.state import WireValue
 
 # How often an agent looks whether a baton has moved, or a lifecycle node has left its state (s).
 WATCH: Final = 0.05
-# A best-effort message right after the match is often lost, one a moment later is not (s).
-SETTLE: Final = 0.05
 # An output with a rate hangs if it has been silent for so many periods, and at least so long (s).
 HANGS_PERIODS: Final = 10
 HANGS: Final = 1.0
@@ -137,10 +136,7 @@ class ForeignCommands:
             return replies.Attached(matched=0)
         matched = await self._node.matched(port, command.peers, command.timeout)
         if matched < command.peers:
-            raise CommandRefused(
-                f"only {matched} of {command.peers} endpoints on {topic} were found within {command.timeout:g} s; "
-                "the others are missing, or have another type or incompatible QoS"
-            )
+            raise not_matched(matched, command)
         matched = await self._node.matched(port, command.everyone, command.patience)
         if command.peers or command.everyone:
             await asyncio.sleep(SETTLE)

@@ -25,8 +25,17 @@ from midstride.wire import commands, replies
 
 # A best-effort message right after the match is often lost, one a moment later is not (s).
 SETTLE: Final = 0.05
+
 # How often an endpoint is asked how many peers it has (s).
 TICK: Final = 0.005
+
+
+def not_matched(matched: int, command: commands.AttachCommand) -> CommandRefused:
+    """The refusal of an attach that has found only ``matched`` of the endpoints that it must find."""
+    return CommandRefused(
+        f"only {matched} of {command.peers} endpoints on {command.topic} were found within {command.timeout:g} s; "
+        "the others are missing, have another type or incompatible QoS, or discovery does not reach them"
+    )
 
 
 @dataclass
@@ -83,10 +92,7 @@ class Attachments:
             handed_over = command.gate == "closed"
             matched = await self._match(link, command.peers, timeout, handed_over=handed_over)
             if matched < command.peers:
-                raise CommandRefused(
-                    f"only {max(matched, 0)} of {command.peers} endpoints on {topic} were found within {timeout:g} s; "
-                    "the others are missing, or have another type or incompatible QoS"
-                )
+                raise not_matched(max(matched, 0), command)
             matched = await self._match(link, command.everyone, command.patience, command.reader_ids, handed_over)
             settling = SETTLE if command.peers or command.everyone else 0.0
             if settling and (command.settle or isinstance(link, OutputLink)):
