@@ -25,7 +25,6 @@ from midstride.wire import commands, replies
 
 # A best-effort message right after the match is often lost, one a moment later is not (s).
 SETTLE: Final = 0.05
-
 # How often an endpoint is asked how many peers it has (s).
 TICK: Final = 0.005
 
