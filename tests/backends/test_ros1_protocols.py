@@ -144,13 +144,6 @@ def test_a_grant_depends_on_what_is_offered() -> None:
     )
 
 
-def test_names_of_nodes() -> None:
-    assert names.split("talker") == ("talker", "/")
-    assert names.split("front/camera") == ("camera", "/front")
-    assert names.split("camera", "front") == ("camera", "/front")
-    assert names.full("front/camera") == "/front/camera"
-
-
 def test_no_process_of_ros_1_sees_ros_2(tmp_path: Path) -> None:
     (tmp_path / "two" / "rclpy").mkdir(parents=True)
     (tmp_path / "own").mkdir()

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from midstride.backends import processes
-from midstride.backends.ros2 import launching, names
+from midstride.backends.ros2 import launching
 from midstride.backends.ros2.dds_profiles import PROFILES, RANGE, TRANSPORTS, DdsSettings, choose
 from midstride.errors import StartFailed
 from midstride.runtime.backend import Launch
@@ -137,27 +137,3 @@ def test_the_settings_of_the_middleware_go_along_and_suit_the_interpreter(tmp_pa
     defaults = environment(launch(), str(tmp_path / "bin" / "python3"), DEFAULTS, base)
     assert defaults[RANGE] == "LOCALHOST"
     assert TRANSPORTS not in defaults
-
-
-@pytest.mark.parametrize(
-    ("instance", "namespace", "full"),
-    [
-        ("camera", "", "/camera"),
-        ("camera", "/", "/camera"),
-        ("camera", "front", "/front/camera"),
-        ("camera", "/front", "/front/camera"),
-        ("front/camera", "front", "/front/camera"),
-        ("front/camera", "", "/front/camera"),
-        ("/a/b/camera_2", "ignored", "/a/b/camera_2"),
-    ],
-)
-def test_names(instance: str, namespace: str, full: str) -> None:
-    assert names.full(instance, namespace) == full
-    name, inside = names.split(instance, namespace)
-    assert names.full(name, inside) == full
-    for node, system in ((name, ""), (name, names.system_tag("a token")), ("other", names.system_tag("a token"))):
-        control = names.full(names.control(name, node, system), inside)
-        assert names.is_hidden(control)
-        assert names.controlled(control) == (full, names.full(node, inside), system)
-    assert names.controlled(full) is None
-    assert not names.is_hidden(full)

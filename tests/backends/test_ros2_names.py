@@ -1,16 +1,17 @@
-"""Names of nodes: which of them are the instances of a role."""
+"""Names of control nodes: whose they are, and which nodes are the instances of a role."""
 
 from __future__ import annotations
 
 import pytest
 
 from midstride.backends.ros2 import names
+from midstride.model.instance_names import full_name, split_name
 
 HERE, ELSEWHERE = names.system_tag("the token of this system"), names.system_tag("that of another")
 
 
 def control(instance: str, system: str = HERE) -> str:
-    return names.full(names.control(instance, "counter", system), "/front")
+    return full_name(names.control(instance, "counter", system), "/front")
 
 
 @pytest.mark.parametrize(
@@ -26,3 +27,14 @@ def control(instance: str, system: str = HERE) -> str:
 )
 def test_how_many_instances_a_role_has(in_graph: list[str], system: str, instances: int) -> None:
     assert names.instances_of("/front/counter", ["/front/counter", *in_graph], system) == instances
+
+
+@pytest.mark.parametrize("instance", ["/camera", "/front/camera", "/a/b/camera_2"])
+def test_a_control_node_says_whose_it_is(instance: str) -> None:
+    name, inside = split_name(instance)
+    for node, system in ((name, ""), (name, HERE), ("other", HERE)):
+        control = full_name(names.control(name, node, system), inside)
+        assert names.is_hidden(control)
+        assert names.controlled(control) == (instance, full_name(node, inside), system)
+    assert names.controlled(instance) is None
+    assert not names.is_hidden(instance)

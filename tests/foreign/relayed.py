@@ -14,7 +14,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar, TypeVar
 
-from midstride.backends.naming import full
 from midstride.backends.ros2.foreign_nodes import ForeignNodes
 from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.clock import SimulatedTimer
@@ -23,6 +22,7 @@ from midstride.foreign.relay import RelayComponent, RelayPlatform
 from midstride.foreign.relayed_program import RelayOrder
 from midstride.lang.load import load
 from midstride.model.contract import QoS
+from midstride.model.instance_names import full_name
 from midstride.node.host import Host
 from midstride.node.process_context import ProcessContext, find
 from midstride.runtime.backend import Handle, Launch
@@ -91,7 +91,7 @@ class SimulatedRelays(Simulator):
         self._foreign = ForeignNodes(folder, transport, lambda _: None)
 
     async def start(self, launch: Launch) -> Handle:
-        component, node = launch.foreign, full(launch.instance, launch.namespace)
+        component, node = launch.foreign, full_name(launch.instance, launch.namespace)
         assert component is not None and component.gate == "relay"
         order = self._foreign.prepare_relay(launch, component, node, ["program"], {})
         command = ("python3", "-m", "tests.foreign.relayed", str(order))

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from midstride.backends.naming import full
 from midstride.backends.ros2.foreign_nodes import ForeignNodes
 from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.control import SimulatedControl
 from midstride.foreign.lifecycle import ACTIVE, FINALIZED, INACTIVE, UNCONFIGURED
 from midstride.foreign.services import NoAnswer
 from midstride.lang.load import load
+from midstride.model.instance_names import full_name
 from midstride.runtime.backend import Exited, Handle, Launch
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
@@ -135,7 +135,9 @@ class SimulatedRos(Simulator):
         node.values = {"own": 1.5, **node.values, **launch.parameters, **launch.set_parameters}
         handle = Handle(launch.instance, None, self.time.steady())
         try:
-            _, record = await self._foreign.prepare(launch, launch.foreign, full(launch.instance, launch.namespace), {})
+            _, record = await self._foreign.prepare(
+                launch, launch.foreign, full_name(launch.instance, launch.namespace), {}
+            )
             await self._foreign.started(record, handle)
         except BaseException:
             self._gone(launch.instance)

@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 from immutables import Map
 
-from midstride.backends.naming import full
 from midstride.backends.ros2.foreign_nodes import ForeignNodes, ros_arguments
 from midstride.codec.specification import decode_specification, encode_specification
 from midstride.errors import StepFailed
@@ -24,6 +23,7 @@ from midstride.lang.yaml_tree import read_tree
 from midstride.model.action import Swap
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
+from midstride.model.instance_names import full_name
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.specification_diff import differences
@@ -126,7 +126,7 @@ def test_what_the_program_is_started_with(tmp_path: Path) -> None:
     specification = parsed(TEXT.partition("component Other")[0], tmp_path)
     launch = launched("Talker", specification, "robot1")
     component = specification.components["Talker"]
-    node = full(launch.instance, launch.namespace)
+    node = full_name(launch.instance, launch.namespace)
     assert ros_arguments(launch, component, node) == [
         "--ros-args",
         *("-r", "__node:=talker", "-r", "__ns:=/robot1", "-r", "chatter:=/chat"),

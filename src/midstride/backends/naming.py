@@ -1,4 +1,4 @@
-"""Names of nodes and topics, the same on either ROS."""
+"""Names of topics, the same on either ROS. Those of nodes are in :mod:`midstride.model.instance_names`."""
 
 from __future__ import annotations
 
@@ -10,19 +10,6 @@ from midstride.model.graph_names import resolved
 
 # Where ROS's tools expect diagnostics.
 DIAGNOSTICS: Final = "/diagnostics"
-
-
-def split(instance: str, namespace: str = "") -> tuple[str, str]:
-    """The name and the namespace of an instance's node; ``namespace`` counts where ``instance`` states none."""
-    own, _, name = instance.strip("/").rpartition("/")
-    inside = (own or namespace).strip("/")
-    return name, f"/{inside}" if inside else "/"
-
-
-def full(instance: str, namespace: str = "") -> str:
-    """The full name of an instance's node: ``/front/camera``."""
-    name, inside = split(instance, namespace)
-    return f"{inside.rstrip('/')}/{name}"
 
 
 def topics_of(component: ComponentSpec, node: str, attached: Mapping[str, str]) -> dict[str, str]:

@@ -16,6 +16,7 @@ from typing import Final
 from midstride.backends import heap
 from midstride.backends.spares import Spares, fits
 from midstride.errors import BackendError, StartFailed, Unreachable
+from midstride.model.instance_names import log_file_name
 from midstride.runtime.backend import Handle, Launch
 from midstride.runtime.clock import Clock, SystemClock
 from midstride.runtime.process import Process, end_orphans, find, spawn
@@ -138,7 +139,7 @@ class ProcessBackend(abc.ABC):
 
     async def _spawn(self, launch: Launch, node: str, command: Sequence[str], environment: Mapping[str, str]) -> Handle:
         """Start the process of the node that has the full name ``node``. Raises StartFailed."""
-        log = self._log_folder(launch.token) / f"{node.strip('/').replace('/', '.')}.log"
+        log = self._log_folder(launch.token) / log_file_name(node)
         spares = None if launch.foreign is not None else self._spares  # it is loaded with its gate
         process = None if spares is None else await spares.run(command, launch.directory, environment, log)
         if process is None:

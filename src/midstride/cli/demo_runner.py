@@ -20,6 +20,7 @@ from midstride.cli.example import Demo, DemoStep
 from midstride.cli.log_excerpt import LogFollower, excerpt
 from midstride.cli.progress import Progress
 from midstride.codec.form import Document, encode
+from midstride.model.instance_names import log_file_name
 from midstride.plan.forms import encode_plan
 
 # How often the latest log line of the subscriber is shown (s).
@@ -104,7 +105,7 @@ def _reader(environment: DemoEnvironment, instance: str) -> Callable[[], str]:
     backend = environment.backend
     if isinstance(backend, Simulator):
         return lambda: backend.log(instance) if instance in backend.processes else ""
-    file = environment.workspace.logs / f"{instance}.log"
+    file = environment.workspace.logs / log_file_name(instance)
     return lambda: file.read_text(encoding="utf-8", errors="replace") if file.exists() else ""
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from midstride.model.instance_names import dotted_name, is_named_after, log_file_name
 from midstride.runtime.workspace import Workspace
 
 # How much of the end of a file is read for its last lines, and how much at once of what is appended to it (bytes).
@@ -21,10 +22,10 @@ def log_files(workspace: Workspace, node: str, status: dict[str, Any] | None) ->
     """
     if status is not None:
         live = [each["name"] for each in status["components"] if node in (each["role"], each["name"])]
-        crashed = [each["name"] for each in status["crashed"] if _is_of(each["name"], node)]
+        crashed = [each["name"] for each in status["crashed"] if is_named_after(each["name"], node)]
         names = [*(name for name in crashed if name not in live), *live]
-        return [path for name in names if (path := _path(workspace, name)).exists()]
-    found = [path for path in workspace.logs.glob("*.log") if _is_of(path.stem, _stem(node))]
+        return [path for name in names if (path := workspace.logs / log_file_name(name)).exists()]
+    found = [path for path in workspace.logs.glob("*.log") if is_named_after(path.stem, dotted_name(node))]
     return sorted((path for path in found if path != workspace.manager_log), key=lambda path: path.stat().st_mtime)
 
 
@@ -33,19 +34,6 @@ def known_nodes(workspace: Workspace, status: dict[str, Any] | None) -> list[str
     if status is None:
         return sorted(path.stem for path in workspace.logs.glob("*.log") if path != workspace.manager_log)
     return sorted({name for each in status["components"] for name in (each["role"], each["name"])})
-
-
-def _is_of(instance: str, node: str) -> bool:
-    """Whether ``instance`` is ``node``, or an instance of that role, by its name: ``talker``, ``talker_2``."""
-    return instance == node or (instance.startswith(f"{node}_") and instance[len(node) + 1 :].isdecimal())
-
-
-def _stem(name: str) -> str:
-    return name.strip("/").replace("/", ".")
-
-
-def _path(workspace: Workspace, instance: str) -> Path:
-    return workspace.logs / f"{_stem(instance)}.log"
 
 
 def last_lines(path: Path, count: int | None) -> tuple[list[str], int]:

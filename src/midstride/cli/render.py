@@ -13,6 +13,7 @@ from rich.text import Text
 
 from midstride.cli.console import PrintableTable
 from midstride.model import wording
+from midstride.model.instance_names import is_named_after
 
 Document = Mapping[str, Any]
 
@@ -196,7 +197,7 @@ def _mode_entered(step: Document, functionality: str) -> str | None:
     role, _, name = functionality.rpartition(".")
     for ref, modes in step.get("modes", {}).items():
         instance, _, functionality_name = ref.rpartition(".")
-        if functionality_name == name and (instance == role or instance.removeprefix(f"{role}_").isdecimal()):
+        if functionality_name == name and is_named_after(instance, role):
             return str(modes["to"])
     return None
 

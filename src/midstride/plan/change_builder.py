@@ -17,6 +17,7 @@ from midstride.model.action import contract_reasons
 from midstride.model.best import best, rebalanced
 from midstride.model.component import Connector, FunctionalityRef, ParameterValue, PortRef
 from midstride.model.configuration import Configuration, Instance, SystemContext
+from midstride.model.instance_names import fresh_name
 from midstride.model.name_checks import node_names
 from midstride.model.rules import Violation, cap_violation, capacity_violation, violations
 from midstride.model.specification import Specification
@@ -179,9 +180,7 @@ class ChangeBuilder:
         """The name of a new instance (docs/semantics.md section 6). Only a first instance gets the role's own."""
         if bare and role not in self.start.instances and role not in self.coming:
             return role
-        known = (self.start.instances, self.coming, self.specification.nodes, self.target.nodes)
-        names = (f"{role}_{number}" for number in count(2))
-        return next(name for name in names if not any(name in some for some in known))
+        return fresh_name(role, self.start.instances, self.coming, self.specification.nodes, self.target.nodes)
 
     # -- all roles together ----------------------------------------------------------------------------
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import count
 from typing import Final
 
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
+from midstride.model.instance_names import fresh_name
 from midstride.model.rules import attachment_shortfall
 from midstride.model.specification import Constraint
 from midstride.plan.change import Attachment, Change, Detour
@@ -89,8 +89,7 @@ def _with_stand_in(change: Change, role: str, component: str) -> Change:
 
 def _fresh(change: Change, role: str) -> str:
     known = {*(each.name for each in change.coming), *change.specification.nodes, *change.target.nodes}
-    names = (f"{role}_{number}" for number in count(2))
-    return next(name for name in names if name not in known and name not in change.start.instances)
+    return fresh_name(role, known, change.start.instances)
 
 
 def _attachments(change: Change, pairs: Iterable[Attachment]) -> list[Attachment]:

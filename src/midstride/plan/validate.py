@@ -16,6 +16,7 @@ from midstride.model.action import Action, Create, Remove
 from midstride.model.best import best
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
+from midstride.model.instance_names import is_named_after
 from midstride.model.rules import violations
 from midstride.model.specification import Keep, Limit, Order, Specification, initial
 from midstride.plan.bound_check import BoundCheck, check_bound
@@ -105,7 +106,7 @@ def _misfits(plan: Plan, configuration: Configuration, action: Action) -> Iterat
     if new.name == new.role:
         if configuration.instances_of(new.role):
             yield f"{new.name} has the name of its role, but is not its first instance"
-    elif not new.name.startswith(f"{new.role}_") or new.name in nodes:
+    elif not is_named_after(new.name, new.role) or new.name in nodes:
         yield f"{new.name} is not a valid name for an instance of {new.role}"
 
 

@@ -23,6 +23,7 @@ from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.relayed_program import RelayOrder, order_file, private_topics
 from midstride.model.component import ComponentSpec
+from midstride.model.instance_names import full_name, split_name
 from midstride.runtime.backend import RELAY_SUFFIX, Endpoints, Exited, Handle, Launch, Middleware
 from midstride.runtime.process import Process
 from midstride.runtime.reaper import Reaper
@@ -79,7 +80,7 @@ class Ros1Backend(processes.ProcessBackend):
 
     async def start(self, launch: Launch) -> Handle:
         master = self._opened()
-        node = names.full(launch.instance, launch.namespace)
+        node = full_name(launch.instance, launch.namespace)
         command = processes.command(launch.arguments, launch.directory, os.environ, self._python)
         if await master.is_running(node):
             raise StartFailed(
@@ -100,7 +101,7 @@ class Ros1Backend(processes.ProcessBackend):
         """The command of the relay of a program, whose node is ``node``."""
         topics = naming.topics_of(component, node, launch.topics) | private_topics(component, launch.instance)
         arguments = [f"{component.topic_of(port)}:={topic}" for port, topic in topics.items()]
-        arguments += [f"__name:={names.split(node)[0]}"]
+        arguments += [f"__name:={split_name(node)[0]}"]
         order = RelayOrder(
             command=[*command, *arguments],
             node=node,
@@ -119,7 +120,7 @@ class Ros1Backend(processes.ProcessBackend):
         return {
             **launching.environment(os.environ, self._opened().uri),
             **processes.identity(launch, self.name, self._control),
-            launching.NAMESPACE: names.split(launch.instance, launch.namespace)[1],
+            launching.NAMESPACE: split_name(launch.instance, launch.namespace)[1],
         }
 
     def _python(self) -> str:
@@ -138,7 +139,7 @@ class Ros1Backend(processes.ProcessBackend):
             await self._died(instance)
             return False
         master, here = launching.master_of(handle.pid), self._opened()
-        if master != here.uri and await here.address_of(names.full(instance)) is None:
+        if master != here.uri and await here.address_of(full_name(instance)) is None:
             raise Unreachable(
                 f"{instance} runs (process {handle.pid}) with {launching.MASTER_URI}={master}, and this manager has "
                 f"{here.uri}: set {launching.MASTER_URI}={master}, or end the component"
@@ -169,7 +170,7 @@ class Ros1Backend(processes.ProcessBackend):
 
     async def _died(self, instance: str) -> None:
         """Take back what a component that has ended may have left with the master, in bounded time."""
-        ended, given = [names.full(instance)], list[str]()
+        ended, given = [full_name(instance)], list[str]()
         if (path := self._order_file(instance)).exists():  # that was the node of its program
             ended.append(f"{ended[0]}{RELAY_SUFFIX}")
             with contextlib.suppress(BackendError):

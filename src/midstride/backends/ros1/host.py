@@ -32,6 +32,7 @@ from midstride.backends.ros1.subscribing import FramedTopic, PortSubscription
 from midstride.backends.ros1.timers import Ros1GridTimer, RosClock
 from midstride.errors import BackendError, NodeError
 from midstride.model.contract import QoS
+from midstride.model.instance_names import full_name, split_name
 from midstride.node.clock_history import ClockHistory
 from midstride.node.diagnostics import DiagnosticEntry
 from midstride.node.host import MessageInfo
@@ -63,7 +64,7 @@ class Ros1Host:
 
     def __init__(self, name: str, namespace: str, node: str = "") -> None:
         managed = bool(os.environ.get(ENV_TOKEN))
-        node_name, inside = names.split(node or name, namespace or rospy.names.get_namespace())
+        node_name, inside = split_name(node or name, namespace or rospy.names.get_namespace())
         given = [] if managed else [argument for argument in sys.argv[1:] if argument.startswith("__")]
         uri = launching.master_uri(os.environ)
         if launching.is_local(uri) and not os.environ.get("ROS_HOSTNAME"):
@@ -72,10 +73,10 @@ class Ros1Host:
         # A launch file may give another name to a component that no manager started.
         renamed = (argument.partition(":=")[2] for argument in given if argument.startswith("__name:="))
         self._node_name = next(renamed, node_name)
-        self._node = names.full(self._node_name, inside)
-        self.instance = (names.full(name, inside) if node else self._node).lstrip("/")
+        self._node = full_name(self._node_name, inside)
+        self.instance = (full_name(name, inside) if node else self._node).lstrip("/")
         # All instances of a role share the name of their diagnostics.
-        self._role = names.full(find().node or self.instance, inside).lstrip("/")
+        self._role = full_name(find().node or self.instance, inside).lstrip("/")
         self._diagnostics: PortPublisher | None = None
         transport, self.reachable = common.control_transport(os.environ, sys.argv[1:])
         self.transport: Transport | None = transport

@@ -1,11 +1,8 @@
-"""Names of nodes and topics on ROS 1."""
+"""Names on ROS 1 that are Midstride's own."""
 
 from __future__ import annotations
 
 from typing import Final
-
-from midstride.backends.naming import full as full
-from midstride.backends.naming import split as split
 
 # Every component's state, for people and tools to read: JSON in a std_msgs/String.
 STATE: Final = "/midstride/state"

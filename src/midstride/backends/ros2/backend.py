@@ -37,6 +37,7 @@ from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.relayed_program import differing
 from midstride.model.component import ComponentSpec
+from midstride.model.instance_names import full_name
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middleware
 from midstride.runtime.process import Process
 from midstride.runtime.reaper import Reaper
@@ -114,8 +115,8 @@ class Ros2Backend(ProcessBackend):
             log.error("ROS 2 has not let the manager's node go within %g s; it is left behind", _LEAVE)
 
     async def start(self, launch: Launch) -> Handle:
-        full_name = names.full(launch.instance, launch.namespace)
-        node = names.full(launch.node or launch.instance, launch.namespace)
+        own_name = full_name(launch.instance, launch.namespace)
+        node = full_name(launch.node or launch.instance, launch.namespace)
         program, *rest = launch.arguments
         if launch.package is None:
             command = processes.command(launch.arguments, launch.directory, os.environ, self._python)
@@ -126,22 +127,22 @@ class Ros2Backend(ProcessBackend):
         if (
             launch.instance in self._processes
             or await processes.listens(self.transport, launch.instance)
-            or graph.has(full_name)
+            or graph.has(own_name)
             or await self._foreign(node, names.system_tag(launch.token))
         ):
             raise StartFailed(f"{launch.instance}: a node {node} is running already; end it, or use another name")
-        graph.starts(full_name)
+        graph.starts(own_name)
         environment = launching.environment(launch, self._control, command[0], self.settings, os.environ)
         if launch.foreign is None:
             if node in self._foreign_nodes.names:
                 environment[ENV_SHARED_NAME] = "1"
-            return await self._spawn(launch, full_name, command, environment)
+            return await self._spawn(launch, own_name, command, environment)
         if launch.foreign.gate == "relay":
-            return await self._start_relay(launch, launch.foreign, full_name, command, environment)
-        environment, record = await self._foreign_nodes.prepare(launch, launch.foreign, full_name, environment)
+            return await self._start_relay(launch, launch.foreign, own_name, command, environment)
+        environment, record = await self._foreign_nodes.prepare(launch, launch.foreign, own_name, environment)
         try:
-            command = (*command, *ros_arguments(launch, launch.foreign, full_name))
-            handle = await self._spawn(launch, full_name, command, environment)
+            command = (*command, *ros_arguments(launch, launch.foreign, own_name))
+            handle = await self._spawn(launch, own_name, command, environment)
             await self._foreign_nodes.started(record, handle)
         except BaseException as error:  # a process without an agent must not keep running
             await super().end(launch.instance, 0.0)
@@ -210,11 +211,11 @@ class Ros2Backend(ProcessBackend):
 
     def _forget_node(self, instance: str) -> None:
         if self._context is not None:
-            self._graph.died(names.full(instance))
+            self._graph.died(full_name(instance))
 
     def disconnected(self, instance: str) -> None:
         if self._context is not None:
-            self._graph.forget(names.full(instance))
+            self._graph.forget(full_name(instance))
 
     def reported(self, state: ComponentState) -> None:
         self._foreign_nodes.reported.note(state)

@@ -17,7 +17,7 @@ from typing import Final
 
 from msgspec.structs import replace
 
-from midstride.backends.naming import split, topics_of
+from midstride.backends.naming import topics_of
 from midstride.codec.component import NamedComponentForm
 from midstride.errors import BackendError, CommandRefused
 from midstride.foreign import build
@@ -32,6 +32,7 @@ from midstride.foreign.relayed_program import RelayOrder, order_file, private_to
 from midstride.foreign.reported_writes import ReportedWrites
 from midstride.foreign.services import NodeServices
 from midstride.model.component import ComponentSpec
+from midstride.model.instance_names import split_name
 from midstride.runtime.backend import Handle, Launch
 from midstride.wire.transport import Transport
 
@@ -212,7 +213,7 @@ class ForeignNodes:
 
 def ros_arguments(launch: Launch, component: ComponentSpec, node: str) -> list[str]:
     """What follows the command: the node's name, the topics of its ports, and its parameters."""
-    name, namespace = split(node)
+    name, namespace = split_name(node)
     remaps = [f"__node:={name}", f"__ns:={namespace}"]
     remaps += [
         f"{component.topic_of(port)}:={topic}"

@@ -17,10 +17,10 @@ from typing import Any, Final, TypeAlias
 
 from rclpy.node import NodeNameNonExistentError
 
-from midstride.backends.naming import split
 from midstride.backends.ros2 import endpoints, names
 from midstride.backends.ros2.names import InstanceNode
 from midstride.foreign.graph_check import GraphEndpoint
+from midstride.model.instance_names import full_name, split_name
 from midstride.runtime.backend import Endpoints
 
 # For how long a dead process may stay in the graph (s): the lease of the middleware, and some time to notice.
@@ -125,12 +125,12 @@ class Graph:
 
     def _node_names(self) -> list[str]:
         """The full names of all nodes. One that has ended stays for a while, without endpoints."""
-        return [names.full(name, inside) for name, inside in self._node.get_node_names_and_namespaces()]
+        return [full_name(name, inside) for name, inside in self._node.get_node_names_and_namespaces()]
 
     def _topics_of(self, node: str, output: bool) -> list[str]:
         by_node = self._node.get_publisher_names_and_types_by_node
         try:
-            listed = (by_node if output else self._node.get_subscriber_names_and_types_by_node)(*split(node))
+            listed = (by_node if output else self._node.get_subscriber_names_and_types_by_node)(*split_name(node))
         except NodeNameNonExistentError:
             return []
         return [topic for topic, _ in listed]
@@ -169,7 +169,7 @@ class Graph:
 
 
 def _node(info: Any) -> str:
-    return names.full(info.node_name, info.node_namespace)
+    return full_name(info.node_name, info.node_namespace)
 
 
 def _name(info: Any, instances: _Instances) -> str:

@@ -27,6 +27,7 @@ from midstride.backends.ros2.nodes import ComponentNodes
 from midstride.backends.ros2.parameter_services import parameters_of
 from midstride.backends.ros2.timers import Ros2GridTimer, SetBackWatch
 from midstride.model.contract import QoS
+from midstride.model.instance_names import dotted_name, full_name, split_name
 from midstride.node import process_context
 from midstride.node.clock_history import ClockHistory
 from midstride.node.diagnostics import DiagnosticEntry
@@ -50,11 +51,11 @@ class Ros2Host:
     def __init__(self, name: str, namespace: str) -> None:
         self.instance = name
         context = process_context.find()
-        self._instance, self._namespace = names.split(name, namespace)
-        self._name, _ = names.split(context.node or name, namespace)
+        self._instance, self._namespace = split_name(name, namespace)
+        self._name, _ = split_name(context.node or name, namespace)
         transport, self.reachable = control_transport(os.environ, sys.argv[1:])
         self.transport: Transport | None = transport
-        self.logger: Any = get_logger(self.node_name.strip("/").replace("/", "."))
+        self.logger: Any = get_logger(dotted_name(self.node_name))
         self._context = context
         self._nodes: ComponentNodes | None = None
         self._ports: set[int] = set()
@@ -73,7 +74,7 @@ class Ros2Host:
 
     @property
     def node_name(self) -> str:
-        return names.full(self._name, self._namespace)
+        return full_name(self._name, self._namespace)
 
     # -- time ----------------------------------------------------------------------------------------
 

@@ -7,9 +7,6 @@ import re
 from collections.abc import Iterable
 from typing import Any, Final, NamedTuple
 
-from midstride.backends.naming import full as full
-from midstride.backends.naming import split as split
-
 PARAMETER_EVENTS: Final = "/parameter_events"
 # Topics that every node has, and that belong to no port.
 OF_EVERY_NODE: Final = frozenset({PARAMETER_EVENTS, "/rosout"})

@@ -14,8 +14,9 @@ from rclpy.exceptions import (
 from rclpy.parameter import Parameter
 
 from midstride.backends.ros2.data_node import NodeParameter
-from midstride.backends.ros2.names import PARAMETER_EVENTS, full, participant
+from midstride.backends.ros2.names import PARAMETER_EVENTS, participant
 from midstride.errors import CommandRefused, NodeError
+from midstride.model.instance_names import full_name
 from midstride.node.legible import legible
 from midstride.wire.state import Endpoint
 
@@ -133,7 +134,7 @@ def _actions(node: Any, control: str) -> Iterator[tuple[str, bool]]:
     own = {
         participant(info)
         for info in node.get_publishers_info_by_topic(PARAMETER_EVENTS)
-        if full(info.node_name, info.node_namespace) == control
+        if full_name(info.node_name, info.node_namespace) == control
     }
     for topic in status_topics:
         servers, clients = node.get_publishers_info_by_topic(topic), node.get_subscriptions_info_by_topic(topic)

@@ -24,6 +24,7 @@ from midstride.backends.ros2.diagnostics import DiagnosticsPublisher
 from midstride.backends.ros2.gated_node import GatedNode
 from midstride.backends.ros2.parameter_services import ParameterServices
 from midstride.errors import NodeError
+from midstride.model.instance_names import full_name, split_name
 from midstride.node.functionality_runner import CAUGHT
 from midstride.node.legible import legible
 from midstride.node.service_gate import ServiceGate
@@ -128,7 +129,7 @@ class ComponentNodes:
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
         early_join.leave()
-        self._full_name = names.full(name, namespace)
+        self._full_name = full_name(name, namespace)
         self._system = system
         self._shares_name = shares_name
         try:
@@ -160,7 +161,7 @@ class ComponentNodes:
             self._control, self._control_thread.executor, self.data, self.data_executor
         )
         self.diagnostics = DiagnosticsPublisher(
-            self._control, self._control_thread.executor, self._full_name, names.full(instance, namespace)
+            self._control, self._control_thread.executor, self._full_name, full_name(instance, namespace)
         )
         self._data_thread.start()
         self._control_thread.start()
@@ -190,16 +191,16 @@ class ComponentNodes:
     def _is_foreign_in_graph(self) -> bool:
         """Whether there are more nodes of its name than its role has instances."""
         in_graph = self._control.get_node_names_and_namespaces()  # once, since others may come and go meanwhile
-        nodes: int = in_graph.count(names.split(self._full_name)) - self._shares_name
+        nodes: int = in_graph.count(split_name(self._full_name)) - self._shares_name
         if nodes <= 1:
             return False
-        full_names = [names.full(name, inside) for name, inside in in_graph]
+        full_names = [full_name(name, inside) for name, inside in in_graph]
         return nodes > max(1, names.instances_of(self._full_name, full_names, self._system))
 
     def _check_free(self) -> None:
         """Raises NodeError where a node of our name appears soon, before ours has joined."""
         deadline = time.monotonic() + LOOK_BEFORE
-        while names.split(self._full_name) not in self._control.get_node_names_and_namespaces():
+        while split_name(self._full_name) not in self._control.get_node_names_and_namespaces():
             if time.monotonic() >= deadline:
                 return
             time.sleep(0.02)

@@ -14,10 +14,10 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from midstride.backends.common_messages import message_class
-from midstride.backends.ros2 import names
 from midstride.backends.ros2.endpoints import for_rclpy, qos_of, read_info, seconds_of
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
 from midstride.errors import NodeError
+from midstride.model.instance_names import full_name
 
 # How often the graph is read (s): nodes and topics appear one after another.
 EVERY: Final = 0.5
@@ -106,7 +106,7 @@ def _identity(hexadecimal: str) -> str:
 def _endpoint(info: Any, topic: str, output: bool) -> ObservedEndpoint:
     profile = info.qos_profile
     return ObservedEndpoint(
-        node=names.full(info.node_name, info.node_namespace),
+        node=full_name(info.node_name, info.node_namespace),
         topic=topic,
         type=info.topic_type,
         output=output,

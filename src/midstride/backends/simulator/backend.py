@@ -8,7 +8,6 @@ from contextlib import ExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from midstride.backends import naming
 from midstride.backends.simulator import loop as virtual
 from midstride.backends.simulator import messages
 from midstride.backends.simulator.clock import SimulatedClock
@@ -19,6 +18,7 @@ from midstride.backends.simulator.host import SimulatedHost
 from midstride.backends.simulator.network import Network
 from midstride.backends.simulator.process import SimulatedProcess
 from midstride.errors import BackendError, StartFailed
+from midstride.model.instance_names import full_name, log_file_name
 from midstride.node.diagnostics import DiagnosticEntry
 from midstride.node.host import Host
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middleware
@@ -113,8 +113,8 @@ class Simulator:
         if launch.instance in self.processes:
             raise StartFailed(f"a component named {launch.instance} is running already")
         self._pids += 1
-        name = naming.full(launch.instance, launch.namespace).strip("/").replace("/", ".")
-        log = None if self._logs is None else self._logs / f"{name}.log"
+        name = full_name(launch.instance, launch.namespace)
+        log = None if self._logs is None else self._logs / log_file_name(name)
         process = self._process(launch, log)
         self.processes[launch.instance] = process
         self.time.loop.call_later(self.starting, process.resume)

@@ -10,11 +10,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
-from midstride.backends import naming
 from midstride.backends.simulator.clock import SimulatedClock
 from midstride.backends.simulator.cooperative_thread import CooperativeThread, Sleeps, Yielded
 from midstride.backends.simulator.program import ProcessOutput, SimulatedProgram
 from midstride.errors import BackendError
+from midstride.model.instance_names import full_name
 from midstride.node import process_context
 from midstride.node.diagnostics import DiagnosticEntry
 from midstride.node.host import Host
@@ -56,7 +56,7 @@ class SimulatedProcess:
         self.exit_expected = False
         self.status: int | None = None
         # Its full name in the graph: ``front/camera`` is node ``camera`` in ``/front``, whatever the namespace.
-        self.node = naming.full(launch.instance, launch.namespace)
+        self.node = full_name(launch.instance, launch.namespace)
         # Components of two machines share no lock, so their claims of a cut do not exclude each other.
         self.machine = MEMORY
         self._on_exit = on_exit
