@@ -397,7 +397,7 @@ class ReconcilingBench(Bench):
             self.launcher,
             self.events,
             self.store,
-            lambda: self.executor,
+            lambda: self.driver,
             lambda: self.turn,
             lambda: self.busy,
         )

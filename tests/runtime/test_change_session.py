@@ -73,7 +73,7 @@ class SessionBench(ReconcilingBench):
             self.store,
             self.reconciler,
             self.verifier,
-            lambda: self.executor,
+            lambda: self.driver,
             self.journal,
         )
         target = self.specification.with_node(changed(self.specification.nodes["talker"], component="NewTalker"))

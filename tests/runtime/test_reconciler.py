@@ -383,11 +383,11 @@ def test_an_error_while_it_works_alone_is_reported_and_the_next_crash_is_handled
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     async def body(r: ReconcilingBench) -> None:
-        executor, r.executor = r.executor, None  # type: ignore[assignment]
+        driver, r.driver = r.driver, None  # type: ignore[assignment]
         r.exits(TALKER_EXITED)
         await moment()
         assert "reconciling failed: internal error: AttributeError" in r.words("note")[0]
-        r.executor = executor
+        r.driver = driver
         r.exits(Exited("listener", 1))
         await moment()
         assert list(r.system.configuration.instances) == []

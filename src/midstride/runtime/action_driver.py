@@ -226,8 +226,20 @@ class ActionDriver:
                 values = {name: reply.before[name] for name in reply.declared}
                 self.parameters.set_in_place(self.configuration.instances[instance], values)
 
-    def move_states_of(self, plan: Plan) -> None:
-        """From now on, move the states of the replacements in ``plan`` that have no outputs to hand over."""
+    def prepare(
+        self,
+        plan: Plan,
+        timing: Mapping[str, float],
+        parameters: ParameterTransfer,
+        before_handover: Callable[[Configuration, Handover], Awaitable[None]],
+        wait: float,
+    ) -> None:
+        """From now on, perform the actions of ``plan``, and move the states of replacements that hand over no output.
+
+        ``timing``: of the target. ``wait``: after how long a component that hangs, and is to go, is fenced (s).
+        """
+        self.timing, self.parameters, self.before_handover = timing, parameters, before_handover
+        self.fences.wait = wait
         change = self.change = plan.change
         self._keeping.update(name for name in change.replaced if keeps_state(self.client, name))
         self.moves = StateMoves(self.client, self._move_state, self._keeps_own_state, without_outputs(change))

@@ -32,6 +32,7 @@ from midstride.plan.request import PlanRequest
 from midstride.plan.restore import restore
 from midstride.plan.runtime_values import Values, of_change
 from midstride.plan.sensitivity import sensitivity
+from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.change_report import ChangeTimeline
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
@@ -68,7 +69,7 @@ LONGEST_FIRST_CALLS: Final = 1.0
 
 @dataclass
 class ChangeSession:
-    """Carries out one change at a time; the caller holds the manager's lock. ``executor`` makes an executor.
+    """Carries out one change at a time; the caller holds the manager's lock. ``driver`` makes one for its actions.
 
     ``measuring`` is true once all steps are done and only the measurement is left. ``another_waits`` is set while the
     next command waits.
@@ -82,7 +83,7 @@ class ChangeSession:
     store: StateStore
     reconciler: Reconciler
     verifier: Verifier
-    executor: Callable[[], Executor]
+    driver: Callable[[], ActionDriver]
     journal: Journal
     measuring: bool = False
     another_waits: asyncio.Event = field(default_factory=asyncio.Event)
@@ -198,7 +199,6 @@ class ChangeSession:
             outcome = await work
         finally:
             self.modes = None
-            self.reconciler.on_failure = lambda _: None
             await recording.stop(self.system.configuration.instances)
         outcome = structs.replace(outcome, verdict=verdict)
         roles = {role for step in plan.steps for role in step.roles}
@@ -245,55 +245,54 @@ class ChangeSession:
         await recording.begin(system.configuration, actions)
         timer = DegradationTimer(plan.change, self.clock.steady, self._with_failures)
         started, before, missing = self.clock.steady(), system.configuration, dict(system.missing)
-        self.reconciler.degraded.clear()
         system.configuration = plan.change.start
-        executor = self.executor()
-        executor.on_moved = timer.moved
-        executor.entry = entry
-        self.reconciler.on_failure = lambda instance: timer.moved(system.configuration, (instance,))
-        executor.driver.parameters, executor.driver.fences.wait = transfer, wait
-        executor.driver.move_states_of(plan)
-        executor.driver.timing = target.timing
-        executor.driver.before_handover = recording.record_driving_inputs
-        executor.after_step = None if verifier is None else verifier.look
-        response = CrashResponse(executor, self.reconciler, actions)
-        executor.on_performed = response.performed
-        self.reconciler.on_crash_during_change = response.crashed
+        driver = self.driver()
+        driver.prepare(plan, target.timing, transfer, recording.record_driving_inputs, wait)
+        response = CrashResponse(driver, self.reconciler, actions)
+        executor = Executor(
+            driver,
+            self.store,
+            entry,
+            on_moved=timer.moved,
+            after_step=None if verifier is None else verifier.look,
+            on_performed=response.performed,
+            commanding=response.commanding,
+        )
         outcome: OutcomeKind = "done"
         because = None
-        try:
-            # Alloy judges the configurations of the sequence: a change that is verified takes one step after another.
-            found = await asyncio.to_thread(overlap, plan) if verifier is None else None
-            self._executing = asyncio.ensure_future(executor.run(actions, preview.steps, found))
-            if recording.broken_off.is_set():
-                self._executing.cancel()
-            await self._executing
-            if target != system.specification:
-                self.store.write_specification(target)
-            system.specification = target
-            system.configuration = plan.change.settled(system.configuration)
-            system.forget_filled_roles()
-        except StepFailed as error:
-            outcome, because = cast("OutcomeKind", error.outcome), str(error)
-            system.missing = {**missing, **system.missing}  # those that it has tried to restore
-            system.forget_filled_roles()
-            if outcome == "rolled_back":
-                system.configuration = before
-        except asyncio.CancelledError:
-            undone = system.configuration == plan.change.start
-            if undone:
-                system.configuration = before
-            await entry.end("rolled_back" if undone else "failed", "the manager was terminated", None)
-            raise
-        finally:
-            self._executing = None
-            self.reconciler.on_crash_during_change = None
-            await response.close()
+        with self.reconciler.during_change(lambda name: timer.moved(system.configuration, (name,)), response.crashed):
+            try:
+                # Alloy judges the configurations of the sequence: what is verified takes one step after another.
+                found = await asyncio.to_thread(overlap, plan) if verifier is None else None
+                self._executing = asyncio.ensure_future(executor.run(actions, preview.steps, found))
+                if recording.broken_off.is_set():
+                    self._executing.cancel()
+                await self._executing
+                if target != system.specification:
+                    self.store.write_specification(target)
+                system.specification = target
+                system.configuration = plan.change.settled(system.configuration)
+                system.forget_filled_roles()
+            except StepFailed as error:
+                outcome, because = cast("OutcomeKind", error.outcome), str(error)
+                system.missing = {**missing, **system.missing}  # those that it has tried to restore
+                system.forget_filled_roles()
+                if outcome == "rolled_back":
+                    system.configuration = before
+            except asyncio.CancelledError:
+                undone = system.configuration == plan.change.start
+                if undone:
+                    system.configuration = before
+                await entry.end("rolled_back" if undone else "failed", "the manager was terminated", None)
+                raise
+            finally:
+                self._executing = None
+                await response.close()
         system.values.forget_ended(system.configuration)
         self.reconciler.save_values()
         ended = self.clock.steady()
         seconds, degraded_seconds = ended - started, timer.stop()
-        fenced = executor.driver.fences.fenced
+        fenced = driver.fences.fenced
         exited = {name for name in system.crashed if name in before.instances and name not in fenced}
         await self.reconciler.reconcile_crashes()  # before measuring: dependent functionalities must not wait for it
         await entry.end(outcome, because, round(seconds, 6))
@@ -301,7 +300,7 @@ class ChangeSession:
             self.events.add("measuring", "watching the subscribers for 20 periods more")
         self.measuring = True
         try:
-            swaps = await recording.finish(executor.driver.last_numbers, resumed=outcome != "done", hung=fenced)
+            swaps = await recording.finish(driver.last_numbers, resumed=outcome != "done", hung=fenced)
             if outcome == "done":
                 await recording.wait(ended + self._first_calls(actions) - self.clock.steady())
         finally:
@@ -322,14 +321,12 @@ class ChangeSession:
             plan=PlanForm.of(plan, preview),
             seconds=round(seconds, 6),
             steps=executor.times,
-            skews=executor.driver.modes.skews,
+            skews=driver.modes.skews,
             fallen=degraded_seconds,
             swaps=swaps,
-            late=executor.driver.late,
+            late=driver.late,
             own_state={
-                name: words
-                for name, words in executor.driver.own_state.items()
-                if name in system.configuration.instances
+                name: words for name, words in driver.own_state.items() if name in system.configuration.instances
             },
             fenced=[fenced[name] for name in sorted(fenced)],
             because=because,

@@ -8,6 +8,7 @@ or swaps are the change's: it completes or is rolled back, and what is then miss
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -16,43 +17,47 @@ from immutables import Map
 from midstride.errors import MidstrideError
 from midstride.model.action import Action, Create, Degrade, Handover, Remove
 from midstride.model.component import FunctionalityRef
-from midstride.runtime.executor import Executor
+from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.mode_changes import by_instance
 from midstride.runtime.reconciler import Reconciler, respond
 
 
 @dataclass(slots=True)
 class CrashResponse:
-    """The response to crashes during one change, whose ``executor`` carries out ``actions``."""
+    """The response to crashes during one change, for which ``driver`` performs ``actions``.
 
-    executor: Executor
+    ``commanding`` is held while it sends commands, and by the executor of the change while that does.
+    """
+
+    driver: ActionDriver
     reconciler: Reconciler
     actions: Iterable[Action]
+    commanding: asyncio.Lock = field(default_factory=asyncio.Lock)
     _lowered: dict[FunctionalityRef, int] = field(default_factory=dict)
     _closed: bool = False
 
     async def close(self) -> None:
         """The steps have ended, and the reconciler takes over."""
         self._closed = True
-        async with self.executor.commanding:
+        async with self.commanding:
             pass  # what is being degraded is
 
     async def crashed(self) -> None:
         """A component has crashed: degrade what relies on it, as soon as no step commands the same components."""
-        async with self.executor.commanding:
+        async with self.commanding:
             if not self._closed:
                 await self._lower()
 
     async def performed(self, action: Action) -> None:
         """An action of the change has been performed, or undone: it may have raised what a crash had lowered."""
-        if not self.executor.system.crashed:
+        if not self.driver.system.crashed:
             return
         for ref in getattr(action, "modes", ()):
             self._lowered.pop(ref, None)
         await self.crashed()
 
     async def _lower(self) -> None:
-        system, driver = self.executor.system, self.executor.driver
+        system, driver = self.driver.system, self.driver
         configuration = system.configuration
         own = {
             name

@@ -15,8 +15,8 @@ from midstride.runtime.reports import Event
 class EventLog:
     """The latest events of one manager. ``on_event`` is called with each, and so are ``listeners``."""
 
-    def __init__(self) -> None:
-        self.on_event: Callable[[Event], object] = lambda _: None
+    def __init__(self, on_event: Callable[[Event], object] = lambda _: None) -> None:
+        self.on_event = on_event
         self.listeners: list[Callable[[Event], object]] = []
         self._events: deque[Event] = deque(maxlen=10_000)
         self._count = 0

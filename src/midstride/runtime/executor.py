@@ -76,9 +76,9 @@ class _Run:
 class Executor:
     """Carries out actions on the running system.
 
-    ``on_moved`` is called with the configuration after each step and the instances that the step changed.
-    ``after_step`` checks the configuration after each step of a plan: if it raises, the step has failed. ``entry``
-    records the steps in the journal. ``on_performed`` is called after each action of a plan and of its roll-back;
+    ``entry`` records the steps in the journal. ``on_moved`` is called with the configuration after each step and the
+    instances that the step changed. ``after_step`` checks the configuration after each step of a plan: if it raises,
+    the step has failed. ``on_performed`` is called after each action of a plan and of its roll-back;
     ``commanding`` is held while an action sends commands to components that run already, and to which the response to a
     crash may send some: a component refuses the second of two changes at one revision. It sends none to those that the
     plan creates, removes or hands over from or to (:mod:`.crash_during_change`).
@@ -86,9 +86,9 @@ class Executor:
 
     driver: ActionDriver
     store: StateStore
+    entry: JournalEntry | None = None
     on_moved: Callable[[Configuration, Collection[str]], None] = lambda *_: None
     after_step: Callable[[Configuration], Awaitable[None]] | None = None
-    entry: JournalEntry | None = None
     on_performed: Callable[[Action], Awaitable[None]] | None = None
     commanding: asyncio.Lock = field(default_factory=asyncio.Lock)
     # The steps of the plan that were done, as measured.

@@ -36,7 +36,6 @@ from midstride.runtime.component_client import ComponentClient, ComponentEvent
 from midstride.runtime.discovery_watch import DiscoveryWatch
 from midstride.runtime.disk import DISK, Disk
 from midstride.runtime.events import EventLog
-from midstride.runtime.executor import Executor
 from midstride.runtime.fencing import DEFAULT_WAIT
 from midstride.runtime.history import History, SpecificationVersion
 from midstride.runtime.journal import Journal
@@ -85,7 +84,6 @@ class Manager:
     ) -> None:
         """``file`` is the one that ``specification`` was read from, and ``directory`` where programs are started."""
         self.system = RunningSystem(specification, Configuration(context=specification.context))
-        self.events = EventLog()
         self._backend = backend
         self._workspace = workspace
         self._file = None if file is None else str(file)
@@ -93,39 +91,29 @@ class Manager:
         self._current: str | None = None  # the command in progress
         self._waiting = 0  # how many commands wait for it
         self._since = 0.0  # when it started (steady s)
-        self._store = StateStore(workspace.state, lambda words: self.events.add("note", words), disk)
-        self._journal = Journal(workspace.journal, backend.name, disk)
-        self.events.on_event = self._journal.note
-        self._client = ComponentClient(backend.transport, backend.clock, secrets.token_hex(16))
-        self._client.superseded = lambda: self._journal.superseded or self._store.superseded
         self._options = options
         self._spares = options.spares
-        self._launcher = Launcher(backend, self._client, directory, options)
-        self._monitor = SilenceMonitor(self._client, backend.clock, self.events, self._launcher.ending)
-        self._reconciler = Reconciler(
-            self.system,
-            self._client,
-            self._monitor,
-            self._launcher,
-            self.events,
-            self._store,
-            self._executor,
-            self._reconciler_lock,
-            self._is_busy,
-        )
-        self._programs = Programs(self._client, directory)
-        self._client.on_event = self._on_component_event
-        self._session = ChangeSession(
-            self.system,
-            self._client,
-            self._monitor,
+        self._journal = Journal(workspace.journal, backend.name, disk)
+        self.events = EventLog(self._journal.note)
+        self._store = StateStore(workspace.state, lambda words: self.events.add("note", words), disk)
+        self._client = ComponentClient(
+            backend.transport,
             backend.clock,
+            secrets.token_hex(16),
+            on_event=self._on_component_event,
+            superseded=lambda: self._journal.superseded or self._store.superseded,
+        )
+        self._launcher = Launcher(backend, self._client, directory, options)
+        self._programs = Programs(self._client, directory)
+        self._watch = DiscoveryWatch(
+            backend,
+            self._client,
             self.events,
-            self._store,
-            self._reconciler,
-            verifier or Verifier(),
-            self._executor,
-            self._journal,
+            lambda: self.configuration.instances.keys(),
+            lambda: self._current is not None,
+        )
+        self._monitor = SilenceMonitor(
+            self._client, backend.clock, self.events, self._launcher.ending, self._watch.stopped
         )
         self._respawner = Respawner(
             self.system, backend.clock, self.events, self._command, partial(self._recover, by="the restart policy")
@@ -139,16 +127,31 @@ class Manager:
             partial(self._recover, by=None),
             enabled=not options.keep_degraded,
         )
-        self._reconciler.on_reconciled = self._on_reconciled
-        self._reconciler.on_degraded = self._restorer.degraded
-        self._watch = DiscoveryWatch(
-            backend,
+        self._reconciler = Reconciler(
+            self.system,
             self._client,
+            self._monitor,
+            self._launcher,
             self.events,
-            lambda: self.configuration.instances.keys(),
-            lambda: self._current is not None,
+            self._store,
+            self._driver,
+            self._reconciler_lock,
+            self._is_busy,
+            self._on_reconciled,
+            self._restorer.degraded,
         )
-        self._monitor.undiscovering = self._watch.stopped
+        self._session = ChangeSession(
+            self.system,
+            self._client,
+            self._monitor,
+            backend.clock,
+            self.events,
+            self._store,
+            self._reconciler,
+            verifier or Verifier(),
+            self._driver,
+            self._journal,
+        )
         self.watched = WatchedSystem(
             self.system,
             self._client,
@@ -179,9 +182,8 @@ class Manager:
             self._restorer.on_report(event)
         self.watched.on_report(event)
 
-    def _executor(self) -> Executor:
-        driver = ActionDriver(self._client, self._launcher, self._backend, self.system, self.events)
-        return Executor(driver, self._store)
+    def _driver(self) -> ActionDriver:
+        return ActionDriver(self._client, self._launcher, self._backend, self.system, self.events)
 
     @property
     def specification(self) -> Specification:

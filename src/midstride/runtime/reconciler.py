@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator, Callable, Container, Coroutine, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Container, Coroutine, Iterable, Iterator, Mapping
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -19,6 +19,7 @@ from midstride.errors import CommandRefused, MidstrideError
 from midstride.model.best import lowered
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
+from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.backend import Exited
 from midstride.runtime.component_client import ComponentClient, ComponentEvent, Disconnected
 from midstride.runtime.events import EventLog
@@ -49,11 +50,9 @@ class Reconciler:
     """Handles the events of a back end and of components.
 
     While a command is in progress (``busy``), the command reconciles at its start and its end; otherwise the reconciler
-    does so in the background, holding ``lock``. ``executor`` makes the executor that degrades functionalities.
-    ``degraded`` are those that degraded unexpectedly since the last change began. ``on_failure`` is called with a live
-    instance as soon as it has exited, or reports a worse mode than the model has; ``on_crash_during_change`` at an exit
-    during the steps of a change; ``on_reconciled`` when the model is up to date, with no command in progress;
-    ``on_degraded`` for each functionality that has degraded unexpectedly, with its mode.
+    does so in the background, holding ``lock``. ``driver`` makes what degrades functionalities. ``on_reconciled`` is
+    called when the model is up to date, with no command in progress; ``on_degraded`` for each functionality that has
+    degraded unexpectedly, with its mode. ``degraded`` are those that did so since the last change began.
     """
 
     system: RunningSystem
@@ -62,15 +61,15 @@ class Reconciler:
     launcher: Launcher
     events: EventLog
     store: StateStore
-    executor: Callable[[], Executor]
+    driver: Callable[[], ActionDriver]
     lock: Callable[[], AbstractAsyncContextManager[Any]]
     busy: Callable[[], bool]
-    degraded: set[FunctionalityRef] = field(default_factory=set)
-    on_failure: Callable[[str], object] = lambda _: None
-    pending: dict[FunctionalityRef, MidstrideError | None] = field(default_factory=dict)  # could not be degraded yet
     on_reconciled: Callable[[], None] = lambda: None
     on_degraded: Callable[[FunctionalityRef, int], None] = lambda ref, index: None
-    on_crash_during_change: Callable[[], Coroutine[Any, Any, None]] | None = None
+    degraded: set[FunctionalityRef] = field(default_factory=set)
+    pending: dict[FunctionalityRef, MidstrideError | None] = field(default_factory=dict)  # could not be degraded yet
+    _on_failure: Callable[[str], None] | None = None  # both during a change: see `during_change`
+    _on_crash: Callable[[], Coroutine[Any, Any, None]] | None = None
     _why_pending: str = _LOST_BEFORE
     _unanswered: set[str] = field(default_factory=set)  # instances of these that did not answer
     _reconciled_at: float = 0.0  # when a functionality was last degraded, or refused to be (steady s)
@@ -81,6 +80,22 @@ class Reconciler:
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    @contextlib.contextmanager
+    def during_change(
+        self, on_failure: Callable[[str], None], on_crash: Callable[[], Coroutine[Any, Any, None]]
+    ) -> Iterator[None]:
+        """While the steps of a change are carried out.
+
+        ``on_failure`` is called with a live instance as soon as it has exited, or reports a worse mode than the model
+        has; ``on_crash`` responds to an exit.
+        """
+        self.degraded.clear()
+        self._on_failure, self._on_crash = on_failure, on_crash
+        try:
+            yield
+        finally:
+            self._on_failure = self._on_crash = None
 
     def on_exit(self, event: Exited) -> None:
         """A process has exited without being asked to."""
@@ -108,8 +123,8 @@ class Reconciler:
                 self._unanswered.discard(state.instance)
                 configuration = self.system.configuration
                 degraded = own_degradations_in(configuration, state)
-                if degraded:
-                    self.on_failure(state.instance)
+                if degraded and self._on_failure is not None:
+                    self._on_failure(state.instance)
                 wrong = differs(configuration, state) or bool(unsupported_modes(configuration, state))
                 if answers_again or degraded or wrong or self._can_retry(state):
                     self._reconcile_soon()
@@ -132,10 +147,10 @@ class Reconciler:
         self.system.crashed[event.instance] = event
         status = "" if event.status is None else f" (status {event.status})"
         self.events.add("exited", f"{event.instance} exited unexpectedly{status}", log=event.log_tail)
-        if event.instance in self.system.configuration.instances:
-            self.on_failure(event.instance)
-        if self.busy() and self.on_crash_during_change is not None:
-            self._in_background(self.on_crash_during_change())
+        if event.instance in self.system.configuration.instances and self._on_failure is not None:
+            self._on_failure(event.instance)
+        if self.busy() and self._on_crash is not None:
+            self._in_background(self._on_crash())
         else:
             self._reconcile_soon()
 
@@ -226,7 +241,8 @@ class Reconciler:
                 because.append(words)
             after, to_lower = respond(configuration, crashed, degraded, [*self.pending, *touched])
             self.system.moved(after)
-            failed = await self.executor().lower(to_lower, "; ".join(because) or self._why_pending)
+            executor = Executor(self.driver(), self.store)
+            failed = await executor.lower(to_lower, "; ".join(because) or self._why_pending)
             self.pending, self._reconciled_at = dict(failed), self.monitor.clock.steady()
             self._unanswered = {ref.instance for ref, error in failed.items() if not isinstance(error, CommandRefused)}
 
