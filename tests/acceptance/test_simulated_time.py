@@ -15,8 +15,8 @@ from midstride.runtime import recording
 from midstride.runtime.manager import Manager
 from midstride.runtime.measure import Observation, SwapReport
 from midstride.runtime.options import SystemOptions
-from midstride.runtime.reports import Status
 from midstride.runtime.simulated_time import report_on_ros_clock
+from midstride.runtime.status_forms import Status
 from midstride.wire.replies import ClockMoment, Receipt
 from tests.acceptance.support import (
     PERIOD,

@@ -18,7 +18,8 @@ import uvicorn
 from fastapi import FastAPI, Response
 from fastapi.responses import StreamingResponse
 
-from midstride.runtime.reports import Event, ParameterStatus
+from midstride.runtime.reports import Event
+from midstride.runtime.status_forms import ParameterStatus
 from midstride.server.static import dashboard
 from midstride.server.view.forms import (
     ComponentView,

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec import structs
 
 from midstride.cli.client import Document
 from midstride.cli.dev.contents import FileContents, saves
@@ -18,6 +19,7 @@ from midstride.cli.dev.session import DevSession
 from midstride.cli.dev.specification import WatchedSpecification
 from midstride.codec.specification import decode_specification, encode_specification
 from midstride.errors import SpecificationError
+from midstride.runtime.status_forms import ProgramStatus
 from tests.cli.conftest import EXAMPLES, Midstride, alive
 from tests.cli.terminal import Terminal
 
@@ -59,22 +61,23 @@ class Robot:
         return {path: Path(path).read_text() for path in self._files(role) if Path(path).exists()}
 
     def get(self, path: str) -> Any:
-        if path == "/specification":
-            return encode_specification(self.runs)
-        assert path == "/programs"
+        assert path == "/specification"
+        return encode_specification(self.runs)
+
+    def programs(self) -> list[ProgramStatus]:
         programs = [
-            {
-                "name": role,
-                "role": role,
-                "files": self._files(role),
-                "changed": [path for path, text in self._texts(role).items() if self.code[role].get(path) != text],
-                "unknown": None,
-                "startable": True,
-            }
+            ProgramStatus(
+                name=role,
+                role=role,
+                files=self._files(role),
+                changed=[path for path, text in self._texts(role).items() if self.code[role].get(path) != text],
+                unknown=None,
+                startable=True,
+            )
             for role in self.code
         ]
         if self.rolling_back:
-            programs.append({**programs[0], "name": "talker_2", "changed": []})
+            programs.append(structs.replace(programs[0], name="talker_2", changed=[]))
         return programs
 
     def carry_out(self, request: Document, finished: Callable[[Document], None]) -> str | None:

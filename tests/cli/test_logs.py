@@ -12,6 +12,7 @@ from typing import Any
 from midstride.cli.logs import LONGEST_TAIL, Appended, last_lines, log_files
 from midstride.runtime.workspace import Workspace
 from tests.cli.conftest import Midstride
+from tests.cli.statuses import component, crash, status
 
 
 def test_a_nodes_log_is_printed(talker: Midstride) -> None:
@@ -47,11 +48,9 @@ def test_after_a_crash_the_log_of_the_instance_that_crashed_is_shown_too(tmp_pat
     space = workspace(tmp_path, talker="of the first", talker_2="of the second", talker_3="of the third")
 
     def found(live: dict[str, str], crashed: list[str], node: str) -> list[str]:
-        status: dict[str, Any] = {
-            "components": [{"name": name, "role": role} for name, role in live.items()],
-            "crashed": [{"name": name} for name in crashed],
-        }
-        return [path.stem for path in log_files(space, node, status)]
+        components = [component(name, role=role) for name, role in live.items()]
+        found = status(*components, crashed=[crash(name) for name in crashed])
+        return [path.stem for path in log_files(space, node, found)]
 
     assert found({"talker_3": "talker"}, [], "talker") == ["talker_3"]
     assert found({"talker_3": "talker"}, [], "talker_3") == ["talker_3"]

@@ -11,6 +11,8 @@ from rich.console import Console, RenderableType
 
 from midstride.cli import render, render_status
 from midstride.cli.files import as_typed_here
+from midstride.runtime.status_forms import Status
+from tests.cli.statuses import component, crash, functionality, status
 
 
 def shown(rendered: RenderableType) -> list[str]:
@@ -164,36 +166,21 @@ def test_what_is_lower_unexpectedly_is_said_with_its_reason_on_one_line() -> Non
     assert render.fallen_line(done(lowered=[raised])) == "slam.f permanently"
 
 
-QUIET: dict[str, Any] = {"waiting": None, "ending": False}
-
-
 def test_the_mode_of_an_unresponsive_component_is_unknown() -> None:
-    row = {"name": "talker.talk", "mode": "normal", "normal": True, "because": None, "busy": None}
-    component = {"name": "talker", "component": "Talker", "pid": 7, "reachable": True, "functionalities": [row]} | QUIET
-    state = {
-        "system": "talker",
-        "backend": "sim",
-        "valid": True,
-        "components": [component],
-        "topics": [],
-        "silences": [],
-    }
-    live = shown(render_status.status({**state, "violations": []}))
+    talker = component("talker", functionalities=[functionality("talker.talk")])
+    live = shown(render_status.status(status(talker)))
     assert live[2].split() == ["talker", "Talker", "7", "talk", "normal"]
-    silent = {**component, "reachable": False}
-    lines = shown(render_status.status({**state, "valid": False, "violations": [], "components": [silent]}))
+    lines = shown(render_status.status(status({**talker, "reachable": False}, valid=False)))
     assert " ".join(lines[2].split()) == "talker Talker 7, not responding talk unknown last known mode: normal"
+
+
+def test_a_component_without_functionalities_has_a_line_too() -> None:
+    assert shown(render_status.status(status(component("talker"))))[2].split() == ["talker", "Talker", "7", "none"]
 
 
 def test_nodes_of_whose_code_the_same_is_not_known_share_a_line() -> None:
     rows = [("a", "no API"), ("b", "no API"), ("c", "too many files")]
-    components = [
-        {"name": name, "component": "C", "pid": 7, "reachable": True, "functionalities": [], "unknown_files": reason}
-        | QUIET
-        for name, reason in rows
-    ]
-    document = {"system": "s", "backend": "sim", "valid": True, "components": components, "topics": []}
-    lines = shown(render_status.status({**document, "silences": [], "violations": []}))
+    lines = shown(render_status.status(status(*(component(name, unknown_files=reason) for name, reason in rows))))
     assert lines[-2:] == [
         "a, b (each): whether its code has changed is not fully known: no API",
         "c: whether its code has changed is not fully known: too many files",
@@ -209,14 +196,8 @@ def test_a_file_below_the_current_folder_is_shown_as_it_is_typed_there(
 
 
 def test_after_a_crash_the_remedy_is_named() -> None:
-    crash = {"name": "talker", "status": -9, "log": "", "remedy": "`midstride restart talker` restores it"}
-    document = {"system": "s", "backend": "sim", "valid": True, "components": [], "topics": [], "violations": []}
-    document |= {
-        "silences": [],
-        "crashed": [crash, {**crash, "status": None, "remedy": None}],
-        "file": "/r/robot.stride",
-    }
-    lines = shown(render_status.status(document))
+    crashed = [crash("talker", remedy="`midstride restart talker` restores it"), crash("talker", None)]
+    lines = shown(render_status.status(status(crashed=crashed, file="/r/robot.stride")))
     assert lines[:2] == ["s on sim, valid", "brought up from /r/robot.stride"]
     assert lines[-2:] == [
         "talker exited unexpectedly (status -9); `midstride restart talker` restores it",
@@ -228,49 +209,32 @@ def test_the_reason_for_a_mode_is_the_error_and_not_the_end_of_its_traceback() -
     because = (
         'mode normal raised: ValueError: no map\n  File "slam.py", line 3, in normal\n    load(path)\n    ^^^^^^^^^^'
     )
-    row = {"name": "slam.f", "mode": "off", "normal": False, "because": because, "busy": None}
-    component = {"name": "slam", "component": "Slam", "pid": 5, "reachable": True, "functionalities": [row]} | QUIET
-    document = {
-        "system": "s",
-        "backend": "sim",
-        "valid": True,
-        "components": [component],
-        "topics": [],
-        "violations": [],
-        "silences": [],
-    }
-    text = "\n".join(shown(render_status.status(document)))
+    row = functionality("slam.f", "off", normal=False, because=because)
+    text = "\n".join(shown(render_status.status(status(component("slam", functionalities=[row])))))
     assert "mode normal raised: ValueError: no map" in text
     assert "^^^" not in text
 
 
 def test_silence_and_waiting_are_shown() -> None:
-    row = {"name": "talker.talk", "mode": "normal", "normal": True, "because": None, "busy": None}
-    component = {"name": "talker", "component": "Talker", "pid": 5, "reachable": True, "functionalities": [row]} | QUIET
-    fault = {"kind": "not_receiving", "words": "sink.in receives nothing of what is published on /t", "seconds": 4.5}
-    document = {"system": "s", "backend": "sim", "valid": False, "topics": [], "violations": [], "silences": [fault]}
-    lines = shown(render_status.status({**document, "components": [{**component, "waiting": "no /clock"}]}))
+    fault = {"kind": "not_receiving", "instance": "sink", "seconds": 4.5}
+    fault["words"] = "sink.in receives nothing of what is published on /t"
+    waiting = component("talker", functionalities=[functionality("talker.talk")], waiting="no /clock")
+    lines = shown(render_status.status(status(waiting, valid=False, silences=[fault])))
     assert "waiting: no /clock" in lines[2]
     assert lines[-1] == "sink.in receives nothing of what is published on /t (for 4.50 s)"
-    row |= {
-        "mode": "off",
-        "normal": False,
-        "because": "input in is silent",
-        "restoring": "restored when input in is back",
-    }
-    lines = shown(render_status.status({**document, "components": [component]}))
+    why = {"because": "input in is silent", "restoring": "restored when input in is back"}
+    row = functionality("talker.talk", "off", normal=False, **why)
+    lines = shown(render_status.status(status(component("talker", functionalities=[row]))))
     assert "input in is silent; restored when input in is back" in lines[2]
     assert shown(render.outcome(done(silences=[{**fault, "seconds": None}])))[1:] == [fault["words"]]
 
 
-def with_attachment(gate: str | None = None, fields: Any = (), **figures: Any) -> dict[str, Any]:
+def with_attachment(gate: str | None = None, fields: Any = (), **figures: Any) -> Status:
     """A status with one attachment, whose rate is declared as 50 Hz."""
     known = {"declared": 50.0, "rate": 50.0, "met": True, "window": 1.0, "age": 0.019, "jitter": 0.0004}
     measured = {**known, "longest": 0.021, "fields": list(fields), **figures}
     attachment = {"port": "talker.out", "connector": "/chatter", "gate": gate, "measured": measured}
-    component = {"name": "talker", "component": "Talker", "pid": 5, "reachable": True, "functionalities": []} | QUIET
-    document = {"system": "s", "backend": "sim", "valid": True, "topics": [], "violations": [], "silences": []}
-    return {**document, "components": [{**component, "attachments": [attachment]}]}
+    return status(component("talker", attachments=[attachment]))
 
 
 def test_what_is_measured_is_shown_where_it_differs_from_what_is_declared() -> None:
@@ -313,8 +277,6 @@ def test_a_first_slot_that_was_late_is_in_the_report() -> None:
 
 
 def test_verbose_status_lists_the_topics_that_are_no_ports() -> None:
-    component = {"name": "talker_2", "simulated_time": False, "run": "talker", "node": "/talker", "log_file": None}
-    component |= {"undeclared": ["publishes on /debug (std_msgs/msg/String)"]}
-    middleware = {"name": "rmw", "set": {}, "kept": {}, "notes": []}
-    lines = shown(render_status.platform({"components": [component], "middleware": middleware, "spares": {"kept": 0}}))
+    talker = component("talker_2", run="talker", undeclared=["publishes on /debug (std_msgs/msg/String)"])
+    lines = shown(render_status.platform(status(talker)))
     assert lines[-1].startswith("talker_2 publishes on /debug (std_msgs/msg/String): no port states that")

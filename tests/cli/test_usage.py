@@ -25,6 +25,7 @@ from midstride.cli.output import console
 from midstride.errors import MidstrideError
 from midstride.model.specification import Specification
 from midstride.runtime.state_store import StateStore
+from tests.cli import statuses
 from tests.cli.conftest import EXAMPLES, Midstride
 
 TALKER = str(EXAMPLES / "talker" / "talker.json")
@@ -459,9 +460,7 @@ def test_a_topic_that_the_environment_satisfies_has_a_publisher(capsys: pytest.C
         {"name": name, "satisfied": satisfied, "publishers": [], "subscribers": ["amcl.odom"]}
         for name, satisfied in (("/odom", True), ("/map", False))
     ]
-    document = {"system": "s", "backend": "sim", "valid": True, "components": [], "topics": topics}
-    document |= {"violations": [], "silences": []}
-    console().print(render_status.status(document))
+    console().print(render_status.status(statuses.status(topics=topics)))
     shown = capsys.readouterr().out
     assert "/odom: the environment → amcl.odom" in shown
     assert "/map: no publisher → amcl.odom  (not satisfied)" in shown

@@ -22,7 +22,7 @@ from midstride.model.component import ComponentSpec
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import Specification
 from midstride.runtime.action_driver import ActionDriver
-from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middleware
+from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient, LatestState
 from midstride.runtime.events import EventLog
@@ -33,6 +33,7 @@ from midstride.runtime.reconciler import Reconciler
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.silence import SilenceMonitor
 from midstride.runtime.state_store import StateStore
+from midstride.runtime.status_forms import Middleware
 from midstride.testing.clock import run
 from midstride.wire.commands import (
     AnswerCommand,

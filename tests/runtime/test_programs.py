@@ -20,7 +20,7 @@ from midstride.node import program as node_program
 from midstride.node.program import ProgramFiles, process_started
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import ProgramStatus
+from midstride.runtime.status_forms import ProgramStatus
 from midstride.runtime.workspace import Workspace
 from midstride.wire import program as wire_program
 from midstride.wire.program import FileFingerprint, files_named

@@ -1,6 +1,7 @@
 """The client of a manager's HTTP API over its Unix socket.
 
-It uses the standard library alone: importing an HTTP library takes longer than most commands do.
+It uses the standard library alone: importing an HTTP library takes longer than most commands do. What the manager says
+of the running system comes as forms, whose classes are imported when they are needed; the rest as plain documents.
 """
 
 from __future__ import annotations
@@ -8,13 +9,17 @@ from __future__ import annotations
 import http.client
 import json
 import socket
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import urlencode
 
 from midstride import errors
 
+if TYPE_CHECKING:
+    from midstride.runtime.status_forms import ParametersReport, ProgramStatus, Service, Status, Why
+
+F = TypeVar("F")
 Document = dict[str, Any]
 Event = dict[str, Any]
 
@@ -56,13 +61,48 @@ class Client:
         """The answer, however long it takes: to a change, until it has been measured."""
         return self._request("POST", path, document, None)
 
-    def service(self, timeout: float = 2.0) -> Document | None:
-        """The manager's description of itself; None if no manager answers in time."""
+    def answers(self, timeout: float = 2.0) -> bool:
+        """Whether a manager answers in time."""
         try:
-            found: Document = self.get("", timeout=timeout)
-            return found
+            self.get("", timeout=timeout)
+        except errors.ManagerError:
+            return False
+        return True
+
+    def service(self, timeout: float = 2.0) -> Service | None:
+        """The manager's description of itself; None if no manager answers in time."""
+        from midstride.runtime.status_forms import Service
+
+        try:
+            return self._form(Service, "GET", "", timeout=timeout)
         except errors.ManagerError:
             return None
+
+    def status(self) -> Status:
+        """The running system."""
+        from midstride.runtime.status_forms import Status
+
+        return self._form(Status, "GET", "/status")
+
+    def programs(self) -> list[ProgramStatus]:
+        """The files of the programs that run, and which of them have changed on disk since."""
+        from midstride.runtime.status_forms import ProgramStatus
+
+        return self._form(list[ProgramStatus], "GET", "/programs")
+
+    def why(self, functionality: str) -> Why:
+        """Why a functionality is in its mode. Raises PlanRefused for an unknown one."""
+        from midstride.runtime.status_forms import Why
+
+        return self._form(Why, "GET", f"/why?{urlencode({'functionality': functionality})}")
+
+    def set_parameters(self, node: str, values: Mapping[str, Any]) -> ParametersReport:
+        """Set parameters of a role or an instance, once the commands before are done; all of them or none."""
+        from midstride.runtime.status_forms import ParametersReport
+
+        return self._form(
+            ParametersReport, "POST", "/parameters", {"node": node, "parameters": dict(values)}, timeout=None
+        )
 
     def events(self, since: int = 0) -> Iterator[Event]:
         """The events after number ``since`` and each new one, until the manager closes the stream or exits."""
@@ -81,6 +121,27 @@ class Client:
         try:
             return json.loads(self._answer(method, path, document, timeout))
         except ValueError as error:
+            raise self._unanswered(error) from None
+
+    def _form(
+        self,
+        form: type[F],
+        method: str,
+        path: str,
+        document: Document | None = None,
+        timeout: float | None = READ_TIMEOUT,
+    ) -> F:
+        """The answer, which has that form. Raises ManagerError where it has another one, as of another version."""
+        import msgspec
+
+        answer = self._answer(method, path, document, timeout)
+        try:
+            return msgspec.json.decode(answer, type=form)
+        except msgspec.ValidationError as error:
+            raise errors.ManagerError(
+                f"cannot read the manager's answer: {error}; if another version of Midstride started it, use that one"
+            ) from None
+        except msgspec.DecodeError as error:
             raise self._unanswered(error) from None
 
     def _unanswered(self, error: Exception) -> errors.ManagerError:

@@ -5,35 +5,38 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Final
 
 from midstride.model.instance_names import dotted_name, is_named_after, log_file_name
 from midstride.runtime.workspace import Workspace
+
+if TYPE_CHECKING:
+    from midstride.runtime.status_forms import Status
 
 # How much of the end of a file is read for its last lines, and how much at once of what is appended to it (bytes).
 LONGEST_TAIL: Final = 4 * 1024 * 1024
 LONGEST_PIECE: Final = 1024 * 1024
 
 
-def log_files(workspace: Workspace, node: str, status: dict[str, Any] | None) -> list[Path]:
+def log_files(workspace: Workspace, node: str, status: Status | None) -> list[Path]:
     """The logs of ``node``, a role or an instance: those of instances that crashed first, the live one's last.
 
     Without the manager's ``status``, those of every instance that has had its name, the newest last.
     """
     if status is not None:
-        live = [each["name"] for each in status["components"] if node in (each["role"], each["name"])]
-        crashed = [each["name"] for each in status["crashed"] if is_named_after(each["name"], node)]
+        live = [each.name for each in status.components if node in (each.role, each.name)]
+        crashed = [each.name for each in status.crashed if is_named_after(each.name, node)]
         names = [*(name for name in crashed if name not in live), *live]
         return [path for name in names if (path := workspace.logs / log_file_name(name)).exists()]
     found = [path for path in workspace.logs.glob("*.log") if is_named_after(path.stem, dotted_name(node))]
     return sorted((path for path in found if path != workspace.manager_log), key=lambda path: path.stat().st_mtime)
 
 
-def known_nodes(workspace: Workspace, status: dict[str, Any] | None) -> list[str]:
+def known_nodes(workspace: Workspace, status: Status | None) -> list[str]:
     """What ``logs`` can be asked for."""
     if status is None:
         return sorted(path.stem for path in workspace.logs.glob("*.log") if path != workspace.manager_log)
-    return sorted({name for each in status["components"] for name in (each["role"], each["name"])})
+    return sorted({name for each in status.components for name in (each.role, each.name)})
 
 
 def last_lines(path: Path, count: int | None) -> tuple[list[str], int]:

@@ -11,9 +11,9 @@ from midstride.cli.files import as_typed_here
 def changed_code(client: Client, roles: Collection[str]) -> dict[str, list[str]]:
     """The changed files of each of ``roles``; those of nodes that the manager cannot start are left out."""
     return {
-        program["role"]: program["changed"]
-        for program in client.get("/programs")
-        if program["changed"] and program["startable"] and program["role"] in roles
+        program.role: program.changed
+        for program in client.programs()
+        if program.changed and program.startable and program.role in roles
     }
 
 

@@ -63,10 +63,9 @@ def hertz(rate: float | None) -> str:
     return UNKNOWN if rate is None else f"{rate:.3g} Hz"
 
 
-def silence(fault: Document) -> str:
-    """One component that is silent, and for how long."""
-    since = "" if fault["seconds"] is None else f" (for {seconds(fault['seconds'])})"
-    return f"{fault['words']}{since}"
+def silence(words: str, since: float | None) -> str:
+    """What is silent, and for how long (s)."""
+    return words if since is None else f"{words} (for {seconds(since)})"
 
 
 def step_text(step: Document) -> str:
@@ -297,7 +296,7 @@ def _fallen_lines(document: Document) -> list[str]:
     if degraded := document.get("degraded"):
         lines.append(f"Degraded unexpectedly meanwhile: {', '.join(degraded)}; see `midstride why {degraded[0]}`.")
     lines += [f"Fenced: {each['words']}." for each in document.get("fenced") or ()]
-    lines += map(silence, document.get("silences") or ())
+    lines += [silence(each["words"], each["seconds"]) for each in document.get("silences") or ()]
     swaps = document.get("swaps") or ()
     lines += [line for swap in swaps if (line := _faults(swap))]
     if lines:

@@ -32,8 +32,8 @@ def shut_down(system: str | None) -> str:
         with left[0].lock():
             _stop_left_components(left[0])
         return left[0].name
-    if (running := client.get("/status")["running"]) is not None:
-        click.echo(f"{workspace.name} is carrying out `{running['command']}` and will stop afterwards …", err=True)
+    if (running := client.status().running) is not None:
+        click.echo(f"{workspace.name} is carrying out `{running.command}` and will stop afterwards …", err=True)
     client.post("/down")
     wait_for_manager_exit(workspace)
     return workspace.name

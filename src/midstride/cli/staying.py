@@ -43,7 +43,7 @@ def stay(client: Client, system: str) -> int:
     try:
         while os.getppid() == parent:
             time.sleep(POLL)
-            if client.service() is not None:
+            if client.answers():
                 answered = time.monotonic()
             elif time.monotonic() - answered > SILENCE:
                 click.echo(f"{system}: its manager has ended", err=True)

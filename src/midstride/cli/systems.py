@@ -41,7 +41,7 @@ def find(system: str | None) -> tuple[Client, Workspace]:
     if len(known) == 1:
         (only,) = known.values()
         return answering(only), only
-    running = [workspace for workspace in known.values() if Client(workspace.socket).service() is not None]
+    running = [workspace for workspace in known.values() if Client(workspace.socket).answers()]
     if len(running) > 1:
         names = ", ".join(workspace.name for workspace in running)
         raise click.UsageError(f"several systems are running ({names}); choose one with --system NAME")
@@ -93,7 +93,7 @@ def answering(workspace: Workspace) -> Client:
     """The manager of ``workspace``. Raises NoManager where it has exited, ManagerError where it does not answer."""
     client = Client(workspace.socket)
     end = time.monotonic() + ANSWER_TIMEOUT
-    while client.service(max(POLL, end - time.monotonic())) is None:
+    while not client.answers(max(POLL, end - time.monotonic())):
         if (manager := workspace.manager()) is None:
             raise NoManager(
                 f"the manager of {workspace.name} has exited; its components may still be running: "

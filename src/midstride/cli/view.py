@@ -69,7 +69,7 @@ def _live(client: Client, out: Console, shown: deque[Event], since: int) -> None
     with Live(console=out, auto_refresh=False, transient=False) as live:
         while not over.is_set():
             try:
-                status = render_status.status(client.get("/status"))
+                status = render_status.status(client.status())
             except MidstrideError:
                 break
             hint = Text("Ctrl-C leaves the view; the system keeps running.", style="dim")

@@ -27,6 +27,10 @@ class Form(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_default
     what: ClassVar[str] = "an object"
 
 
+class Report(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
+    """An answer of the manager: every field is written, null where nothing is known, and unknown ones are ignored."""
+
+
 class Shape(NamedTuple):
     """One of the sets of keys that an object may have."""
 

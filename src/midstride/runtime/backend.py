@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Protocol
 
-from midstride.codec.form import Form
 from midstride.model.component import ComponentSpec
 from midstride.runtime.clock import Clock
+from midstride.runtime.status_forms import Middleware
 from midstride.wire.state import ComponentState
 from midstride.wire.transport import Transport
 
@@ -77,15 +77,6 @@ class Endpoints:
     nodes: frozenset[str] = frozenset()
     publishers: tuple[tuple[str, str], ...] = ()
     subscribers: tuple[tuple[str, str], ...] = ()
-
-
-class Middleware(Form, frozen=True, kw_only=True, omit_defaults=False, forbid_unknown_fields=False):
-    """What a back end sets in the environment of the processes that it starts, and what it leaves as set."""
-
-    name: str
-    set: dict[str, str] = {}
-    kept: dict[str, str] = {}
-    notes: list[str] = []
 
 
 class Backend(Protocol):

@@ -7,13 +7,14 @@ from typing import Annotated, TypeVar
 import msgspec
 from msgspec import Meta
 
+from midstride.codec.form import Report
 from midstride.codec.specification import SpecificationForm
 from midstride.errors import ManagerError
 from midstride.plan.forms import PlanPreview
 from midstride.runtime.disk import Database, Statement
 from midstride.runtime.history import ChangeRecord, Incident, read_change, read_incidents
 from midstride.runtime.mode_recorder import ModeInterval
-from midstride.runtime.reports import Event, Outcome, Report
+from midstride.runtime.reports import Event, Outcome
 
 F = TypeVar("F")
 

@@ -7,11 +7,12 @@ from typing import Annotated, Any, Final
 import msgspec
 from msgspec import Meta
 
+from midstride.codec.form import Report
 from midstride.codec.specification import SpecificationForm, decode_specification
 from midstride.runtime.disk import Database
 from midstride.runtime.journal_records import IN_FORCE
 from midstride.runtime.measure import SwapReport
-from midstride.runtime.reports import OutcomeKind, Report
+from midstride.runtime.reports import OutcomeKind
 
 _COLUMNS: Final = f"number, at, command, by, total, {IN_FORCE} AS version, outcome, because, seconds, swaps"
 _CHANGES: Final = f"SELECT {_COLUMNS} FROM changes ORDER BY number DESC LIMIT ?"

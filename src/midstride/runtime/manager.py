@@ -45,23 +45,14 @@ from midstride.runtime.observed_configuration import observe
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.programs import Programs
 from midstride.runtime.reconciler import Reconciler
-from midstride.runtime.reports import (
-    Event,
-    LiveConfiguration,
-    Outcome,
-    ParametersReport,
-    ProgramStatus,
-    RunningCommand,
-    Status,
-    UpReport,
-    Why,
-)
+from midstride.runtime.reports import Event, LiveConfiguration, Outcome, UpReport
 from midstride.runtime.respawn import Respawner
 from midstride.runtime.restoring import Restorer
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.runtime_verification import Verifier
 from midstride.runtime.silence import SilenceMonitor
 from midstride.runtime.state_store import StateStore
+from midstride.runtime.status_forms import ParametersReport, ProgramStatus, RunningCommand, Status, Why
 from midstride.runtime.watched import WatchedSystem
 from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import SetParametersCommand

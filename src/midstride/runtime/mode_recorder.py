@@ -8,9 +8,9 @@ from typing import Annotated, Final
 
 from msgspec import Meta, structs
 
+from midstride.codec.form import Report
 from midstride.model.configuration import Configuration, Instance
 from midstride.runtime.component_client import ComponentEvent
-from midstride.runtime.reports import Report
 from midstride.wire.state import ComponentState, FunctionalityState
 
 # By how much (s) the beginning of a mode may seem to move between two reports, which travel for different times.

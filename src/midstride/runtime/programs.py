@@ -15,7 +15,7 @@ from typing import Final
 from midstride.errors import BackendError
 from midstride.model.configuration import Configuration, Instance
 from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.reports import ProgramStatus
+from midstride.runtime.status_forms import ProgramStatus
 from midstride.wire.commands import ProgramCommand
 from midstride.wire.program import FileFingerprint, Program, files_named
 from midstride.wire.state import ComponentState

@@ -16,9 +16,9 @@ from midstride.model.contract import Predicate
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.measure import WINDOW_PERIODS, Observation, SwapReport, report, unknown_report
-from midstride.runtime.reports import SilenceFault
 from midstride.runtime.silence import UNRECEIVED, not_receiving
 from midstride.runtime.simulated_time import report_on_ros_clock, stretch_of
+from midstride.runtime.status_forms import SilenceFault
 from midstride.wire.commands import GridCommand, RecordCommand, RecordsCommand
 from midstride.wire.replies import Grid, Records
 

@@ -6,10 +6,9 @@ from typing import Annotated, TypeAlias
 
 from msgspec import Meta
 
-from midstride.codec.form import Form
+from midstride.codec.form import Form, Report
 from midstride.codec.specification import SpecificationForm
 from midstride.plan.request_form import ChangeRequest
-from midstride.runtime.reports import Report
 
 
 class RehearsalOrder(Form, frozen=True, kw_only=True):

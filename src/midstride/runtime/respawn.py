@@ -20,8 +20,9 @@ from midstride.runtime.attempts import Attempts
 from midstride.runtime.backend import Exited
 from midstride.runtime.clock import Clock
 from midstride.runtime.events import EventLog
-from midstride.runtime.reports import Outcome, RespawnStatus
+from midstride.runtime.reports import Outcome
 from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.status_forms import RespawnStatus
 
 log = logging.getLogger(__name__)
 

@@ -16,8 +16,8 @@ from midstride.model.configuration import Configuration
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import SILENCE, ComponentClient
 from midstride.runtime.events import EventLog
-from midstride.runtime.reports import SilenceFault, SilenceKind
 from midstride.runtime.simulated_time import stretch
+from midstride.runtime.status_forms import SilenceFault, SilenceKind
 from midstride.wire.state import ComponentState, LinkState
 
 # How long a port may be silent before that is a fault (s); for an output, also how many of its periods.

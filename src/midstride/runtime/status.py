@@ -9,7 +9,7 @@ from midstride.model.component import ComponentSpec, FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.diagnostics import suggestion
 from midstride.model.rules import Evaluator, violations
-from midstride.runtime import reports
+from midstride.runtime import status_forms
 from midstride.runtime.backend import Backend
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.launcher import Launcher
@@ -26,15 +26,15 @@ def status(
     monitor: SilenceMonitor,
     launcher: Launcher,
     backend: Backend,
-    programs: Iterable[reports.ProgramStatus],
-    running: reports.RunningCommand | None,
+    programs: Iterable[status_forms.ProgramStatus],
+    running: status_forms.RunningCommand | None,
     unwritten: str | None,
     damaged: str | None,
     file: str | None,
     spares: int,
     respawner: Respawner,
     restorer: Restorer,
-) -> reports.Status:
+) -> status_forms.Status:
     """The answer to ``midstride status``."""
     configuration, evaluator = system.configuration, Evaluator(system.configuration)
     found, silences = violations(configuration), monitor.faults(configuration)
@@ -43,7 +43,7 @@ def status(
         _component(configuration, instance, client.responsive(name), launcher, program_of.get(name), restorer)
         for name, instance in sorted(configuration.instances.items())
     ]
-    return reports.Status(
+    return status_forms.Status(
         # A component that waits for the clock of a simulation does not do what its modes guarantee.
         valid=not found
         and not silences
@@ -53,7 +53,7 @@ def status(
         crashed=crashed(system, respawner),
         silences=silences,
         topics=[
-            reports.TopicStatus(
+            status_forms.TopicStatus(
                 name=name,
                 satisfied=evaluator.connector_satisfied(name),
                 publishers=[str(port) for port in sorted(configuration.publishers_on(name))],
@@ -69,7 +69,7 @@ def status(
         damaged=damaged,
         middleware=backend.middleware(),
         file=file,
-        spares=reports.SpareStatus(
+        spares=status_forms.SpareStatus(
             kept=spares,
             ready=backend.spares(),
             unused_by=[name for name, each in sorted(configuration.instances.items()) if not launcher.takes_spare(each)]
@@ -79,10 +79,10 @@ def status(
     )
 
 
-def crashed(system: RunningSystem, respawner: Respawner) -> list[reports.CrashedInstance]:
+def crashed(system: RunningSystem, respawner: Respawner) -> list[status_forms.CrashedInstance]:
     """The instances that have exited unexpectedly, and what to do about each."""
     return [
-        reports.CrashedInstance(
+        status_forms.CrashedInstance(
             name,
             exited.status,
             exited.log_tail,
@@ -108,9 +108,9 @@ def _component(
     instance: Instance,
     state: ComponentState | None,
     launcher: Launcher,
-    program: reports.ProgramStatus | None,
+    program: status_forms.ProgramStatus | None,
     restorer: Restorer,
-) -> reports.ComponentStatus:
+) -> status_forms.ComponentStatus:
     handle = launcher.handles.get(instance.name)
     process = state or handle
     reported = {} if state is None else state.functionalities
@@ -118,7 +118,7 @@ def _component(
         _functionality(configuration, ref, reported.get(ref.functionality), restorer.status(ref))
         for ref in instance.functionality_refs()
     ]
-    return reports.ComponentStatus(
+    return status_forms.ComponentStatus(
         name=instance.name,
         role=instance.role,
         component=instance.component.name,
@@ -145,31 +145,31 @@ def _component(
     )
 
 
-def parameters(state: ComponentState) -> list[reports.ParameterStatus]:
+def parameters(state: ComponentState) -> list[status_forms.ParameterStatus]:
     """The parameters of a component, by name."""
     return [
-        reports.ParameterStatus(name, value, state.declared.get(name, value), name in state.declared)
+        status_forms.ParameterStatus(name, value, state.declared.get(name, value), name in state.declared)
         for name, value in sorted(state.parameters.items())
     ]
 
 
 def _attachment(
     component: ComponentSpec, state: ComponentState | None, port: PortRef, connector: str, topic: str
-) -> reports.AttachmentStatus:
+) -> status_forms.AttachmentStatus:
     link = None if state is None else state.ports.get(port.port, {}).get(topic)
     if state is None or link is None:
-        return reports.AttachmentStatus(str(port), connector, None)
+        return status_forms.AttachmentStatus(str(port), connector, None)
     modes = {name: each.mode for name, each in state.functionalities.items()}
-    return reports.AttachmentStatus(
+    return status_forms.AttachmentStatus(
         str(port), connector, link.gate, _measured(link, component.stated_rate(port.port, modes))
     )
 
 
-def _measured(link: LinkState, declared: float | None) -> reports.MeasuredStatus | None:
+def _measured(link: LinkState, declared: float | None) -> status_forms.MeasuredStatus | None:
     measured = link.measured
     if measured is None:
         return None
-    return reports.MeasuredStatus(
+    return status_forms.MeasuredStatus(
         declared=declared,
         rate=measured.rate,
         met=None if declared is None else measured.meets(declared),
@@ -178,7 +178,7 @@ def _measured(link: LinkState, declared: float | None) -> reports.MeasuredStatus
         jitter=measured.jitter,
         longest=measured.longest,
         fields=[
-            reports.FieldStatus(
+            status_forms.FieldStatus(
                 field=name,
                 constraint=each.constraint,
                 checked=each.checked,
@@ -193,10 +193,10 @@ def _measured(link: LinkState, declared: float | None) -> reports.MeasuredStatus
 
 def _functionality(
     configuration: Configuration, ref: FunctionalityRef, state: FunctionalityState | None, restoring: str | None = None
-) -> reports.FunctionalityStatus:
+) -> status_forms.FunctionalityStatus:
     modelled = configuration.mode(ref).name
     mode = modelled if state is None else state.mode
-    return reports.FunctionalityStatus(
+    return status_forms.FunctionalityStatus(
         name=str(ref),
         mode=mode,
         modelled=modelled,
@@ -208,7 +208,7 @@ def _functionality(
     )
 
 
-def why(configuration: Configuration, client: ComponentClient, functionality: str) -> reports.Why:
+def why(configuration: Configuration, client: ComponentClient, functionality: str) -> status_forms.Why:
     """Why ``functionality`` (of a role or an instance) is in its mode. Raises PlanRefused for an unknown one."""
     asked = FunctionalityRef.parse(functionality)
     every = [ref for instance in configuration.instances.values() for ref in instance.functionality_refs()]
@@ -227,7 +227,7 @@ def why(configuration: Configuration, client: ComponentClient, functionality: st
     reported = _functionality(configuration, ref, None if state is None else state.functionalities[ref.functionality])
     evaluator = Evaluator(configuration)
     inputs = [PortRef(ref.instance, name) for name in configuration.functionality(ref).inputs]
-    return reports.Why(
+    return status_forms.Why(
         functionality=str(_of_role(configuration, ref)),
         instance=ref.instance,
         mode=reported.mode,

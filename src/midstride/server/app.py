@@ -25,19 +25,8 @@ from midstride.plan.request_form import ChangeRequest
 from midstride.runtime.change_report import ChangeReport
 from midstride.runtime.history import History, SpecificationVersion
 from midstride.runtime.rehearsal_forms import Rehearsal
-from midstride.runtime.reports import (
-    DownReport,
-    Event,
-    LiveConfiguration,
-    Outcome,
-    ParametersReport,
-    PlannedChange,
-    ProgramStatus,
-    Service,
-    Status,
-    UpReport,
-    Why,
-)
+from midstride.runtime.reports import DownReport, Event, LiveConfiguration, Outcome, PlannedChange, UpReport
+from midstride.runtime.status_forms import ParametersReport, ProgramStatus, Service, Status, Why
 from midstride.server import stream
 from midstride.server.checked_text import CheckedText, checked
 from midstride.server.errors import Failure, answer, in_one_line, status_of

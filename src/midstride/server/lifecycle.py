@@ -15,7 +15,8 @@ from typing import Any, Final, TypeVar
 
 from midstride.errors import ManagerError, MidstrideError
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Event, Phase, UpReport
+from midstride.runtime.reports import Event, UpReport
+from midstride.runtime.status_forms import Phase
 from midstride.runtime.timeouts import within
 
 log = logging.getLogger(__name__)

@@ -10,7 +10,7 @@ from fastapi import FastAPI
 from midstride.codec.schema import Schema, schemas
 from midstride.codec.specification import SpecificationForm
 from midstride.plan.request_form import ChangeRequest
-from midstride.runtime import reports
+from midstride.runtime import reports, status_forms
 from midstride.runtime.change_report import ChangeReport
 from midstride.runtime.history import History, SpecificationVersion
 from midstride.runtime.rehearsal_forms import Rehearsal
@@ -38,13 +38,13 @@ FORMS: Final = (
     reports.Event,
     reports.LiveConfiguration,
     reports.Outcome,
-    reports.ParametersReport,
+    status_forms.ParametersReport,
     reports.PlannedChange,
-    reports.ProgramStatus,
-    reports.Service,
-    reports.Status,
+    status_forms.ProgramStatus,
+    status_forms.Service,
+    status_forms.Status,
     reports.UpReport,
-    reports.Why,
+    status_forms.Why,
     forms.Patch,
     forms.Timeline,
     forms.SystemView,

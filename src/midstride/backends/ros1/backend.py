@@ -24,9 +24,10 @@ from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.relayed_program import RelayOrder, order_file, private_topics
 from midstride.model.component import ComponentSpec
 from midstride.model.instance_names import full_name, split_name
-from midstride.runtime.backend import RELAY_SUFFIX, Endpoints, Exited, Handle, Launch, Middleware
+from midstride.runtime.backend import RELAY_SUFFIX, Endpoints, Exited, Handle, Launch
 from midstride.runtime.process import Process
 from midstride.runtime.reaper import Reaper
+from midstride.runtime.status_forms import Middleware
 from midstride.runtime.timeouts import within
 from midstride.wire.state import ComponentState
 

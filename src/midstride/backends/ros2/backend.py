@@ -38,9 +38,10 @@ from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.relayed_program import differing
 from midstride.model.component import ComponentSpec
 from midstride.model.instance_names import full_name
-from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middleware
+from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.process import Process
 from midstride.runtime.reaper import Reaper
+from midstride.runtime.status_forms import Middleware
 from midstride.runtime.timeouts import within
 from midstride.wire.environment import ENV_SHARED_NAME
 from midstride.wire.state import ComponentState

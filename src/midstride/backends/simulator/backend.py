@@ -21,8 +21,9 @@ from midstride.errors import BackendError, StartFailed
 from midstride.model.instance_names import full_name, log_file_name
 from midstride.node.diagnostics import DiagnosticEntry
 from midstride.node.host import Host
-from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middleware
+from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.clock import Clock
+from midstride.runtime.status_forms import Middleware
 from midstride.wire.state import ComponentState
 from midstride.wire.transport import Transport
 

@@ -46,7 +46,7 @@ def dev_command(
     specification = WatchedSpecification(file)
     workspace = Workspace.of(specification.wanted.name)
     client, screen = Client(workspace.socket), _Screen(console(stderr=wants_json()), wants_json())
-    started = client.service() is None
+    started = not client.answers()
     if started:
         workspace.require_room()
         for line in missing_lines(bring_up(client, workspace, arguments)):

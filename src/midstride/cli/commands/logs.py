@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -16,6 +16,9 @@ from midstride.cli.systems import find_records, system_option
 from midstride.errors import ManagerError, MidstrideError
 from midstride.model.diagnostics import suggestion
 from midstride.runtime.workspace import Workspace
+
+if TYPE_CHECKING:
+    from midstride.runtime.status_forms import Status
 
 # How often followed files are read, and how often the manager is asked for new instances (s).
 POLL: Final = 0.1
@@ -72,10 +75,10 @@ def _follow(client: Client, workspace: Workspace, node: str, following: Appended
         time.sleep(POLL)
 
 
-def _status(client: Client) -> dict[str, Any] | None:
+def _status(client: Client) -> Status | None:
     """None where no manager answers: the files are there all the same."""
     try:
-        return dict(client.get("/status"))
+        return client.status()
     except MidstrideError:
         return None
 

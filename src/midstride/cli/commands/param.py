@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from midstride.cli import completion
-from midstride.cli.client import Document
 from midstride.cli.output import json_option, print_json, wants_json
 from midstride.cli.systems import find, system_option
 from midstride.errors import ManagerError, PlanRefused
 from midstride.model.diagnostics import suggestion, unknown_name
+
+if TYPE_CHECKING:
+    from midstride.runtime.status_forms import ComponentStatus, ParameterStatus
 
 _node = click.argument("node", shell_complete=completion.nodes)
 _name = click.argument("name", shell_complete=completion.parameters)
@@ -33,14 +36,14 @@ def param_command() -> None:
 def list_command(node: str | None, system: str | None) -> int:
     """List the parameters of NODE, or of every node, with their values."""
     client, _ = find(system)
-    components = client.get("/status")["components"]
+    components = client.status().components
     found = components if node is None else [_component(components, node)]
     if wants_json():
-        print_json({component["name"]: component["parameters"] for component in found})
+        print_json({component.name: component.parameters for component in found})
         return 0
     for component in found:
-        for parameter in component["parameters"]:
-            click.echo(f"{component['name']}: {_line(parameter)}")
+        for parameter in component.parameters:
+            click.echo(f"{component.name}: {_line(parameter)}")
     return 0
 
 
@@ -52,8 +55,8 @@ def list_command(node: str | None, system: str | None) -> int:
 def get_command(node: str, name: str, system: str | None) -> int:
     """Show the value of a parameter of NODE."""
     client, _ = find(system)
-    component = _component(client.get("/status")["components"], node)
-    parameters = {parameter["name"]: parameter for parameter in component["parameters"]}
+    component = _component(client.status().components, node)
+    parameters = {parameter.name: parameter for parameter in component.parameters}
     if name not in parameters:
         hint = suggestion(name, parameters)
         raise PlanRefused(unknown_name("parameter", name) + f" of {node}" + (f"; {hint}" if hint else ""))
@@ -81,29 +84,29 @@ def set_command(node: str, name: str, value: str, system: str | None) -> int:
     It waits for a change that is being carried out.
     """
     client, _ = find(system)
-    report = client.post("/parameters", {"node": node, "parameters": {name: yaml_value(value)}})
+    report = client.set_parameters(node, {name: yaml_value(value)})
     if wants_json():
         print_json(report)
         return 0
-    for parameter in report["parameters"]:
-        click.echo(f"{report['instance']}: {_line(parameter)}")
+    for parameter in report.parameters:
+        click.echo(f"{report.instance}: {_line(parameter)}")
     return 0
 
 
-def _component(components: list[Document], node: str) -> Document:
+def _component(components: Sequence[ComponentStatus], node: str) -> ComponentStatus:
     """The live instance of that name or role. Raises ManagerError where it does not run or does not answer."""
-    found = [each for each in components if node in (each["name"], each["role"])]
+    found = [each for each in components if node in (each.name, each.role)]
     if not found:
-        hint = suggestion(node, [each["role"] for each in components])
+        hint = suggestion(node, [each.role for each in components])
         raise PlanRefused(f"no node {node} is running" + (f"; {hint}" if hint else ""))
-    if not found[0]["reachable"]:
+    if not found[0].reachable:
         raise ManagerError(f"{node} does not answer: see `midstride status`")
     return found[0]
 
 
-def _line(parameter: Document) -> str:
-    started = f", set at run time (started with {parameter['declared']!r})" if parameter["set_at_run_time"] else ""
-    return f"{parameter['name']} = {parameter['value']!r}{started}"
+def _line(parameter: ParameterStatus) -> str:
+    started = f", set at run time (started with {parameter.declared!r})" if parameter.set_at_run_time else ""
+    return f"{parameter.name} = {parameter.value!r}{started}"
 
 
 def yaml_value(text: str) -> Any:

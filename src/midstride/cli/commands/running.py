@@ -5,17 +5,20 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from midstride.cli import completion
-from midstride.cli.client import Client, Document, Event
+from midstride.cli.client import Client, Event
 from midstride.cli.follow import last_event_number
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.systems import find, system_option
 from midstride.errors import PlanRefused
 from midstride.model.diagnostics import suggestion
+
+if TYPE_CHECKING:
+    from midstride.runtime.status_forms import Status
 
 
 @click.command("status")
@@ -29,33 +32,36 @@ def status_command(nodes: tuple[str, ...], verbose: bool, system: str | None) ->
     With names of nodes or instances, these and their topics, and the problems of the system.
     """
     client, _ = find(system)
-    document = client.get("/status")
+    status = client.status()
     if nodes:
-        document = _narrowed(document, nodes)
+        status = _narrowed(status, nodes)
     if wants_json():
-        print_json(document)
+        print_json(status)
     else:
         from midstride.cli import render_status
 
-        console().print(render_status.status(document))
+        console().print(render_status.status(status))
         if verbose:
-            console().print(render_status.measured(document))
-            console().print(render_status.platform(document))
-    return 0 if document["valid"] else 1
+            console().print(render_status.measured(status))
+            console().print(render_status.platform(status))
+    return 0 if status.valid else 1
 
 
-def _narrowed(document: Document, nodes: Sequence[str]) -> Document:
+def _narrowed(status: Status, nodes: Sequence[str]) -> Status:
     """The status with these nodes and their topics only. Raises PlanRefused for a node that does not run."""
-    crashed = [each for each in document["crashed"] if each["role"]]
-    known = {name for each in [*document["components"], *crashed] for name in (each["name"], each["role"])}
+    live = [(each.name, each.role) for each in status.components]
+    crashed = [(each.name, each.role) for each in status.crashed if each.role]
+    known = {name for names in [*live, *crashed] for name in names}
     for node in nodes:
         if node not in known:
             hint = suggestion(node, known)
             raise PlanRefused(f"no node {node} is running" + (f"; {hint}" if hint else ""))
-    components = [each for each in document["components"] if {each["name"], each["role"]} & {*nodes}]
-    attached = {attachment["connector"] for each in components for attachment in each["attachments"]}
-    topics = [topic for topic in document["topics"] if topic["name"] in attached]
-    return {**document, "components": components, "topics": topics}
+    components = [each for each in status.components if {each.name, each.role} & {*nodes}]
+    attached = {attachment.connector for each in components for attachment in each.attachments}
+    topics = [topic for topic in status.topics if topic.name in attached]
+    from msgspec import structs
+
+    return structs.replace(status, components=components, topics=topics)
 
 
 @click.command("why")
@@ -65,16 +71,16 @@ def _narrowed(document: Document, nodes: Sequence[str]) -> Document:
 def why_command(functionality: str, system: str | None) -> int:
     """Explain why a functionality is in its mode: `midstride why listener.listen`."""
     client, _ = find(system)
-    document = client.get("/why", functionality=functionality)
+    why = client.why(functionality)
     if wants_json():
-        print_json(document)
+        print_json(why)
         return 0
-    role, _, _ = document["functionality"].rpartition(".")
-    instance = "" if document["instance"] == role else f" ({document['instance']})"
-    click.echo(f"{document['functionality']}{instance} is in mode {document['mode']}")
-    if document.get("because"):
-        click.echo(f"  because: {document['because']}")
-    for reason in document["chain"]:
+    role, _, _ = why.functionality.rpartition(".")
+    instance = "" if why.instance == role else f" ({why.instance})"
+    click.echo(f"{why.functionality}{instance} is in mode {why.mode}")
+    if why.because:
+        click.echo(f"  because: {why.because}")
+    for reason in why.chain:
         click.echo(f"  {reason}")
     return 0
 

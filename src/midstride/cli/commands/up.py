@@ -138,7 +138,7 @@ def up_command(
     client = Client(workspace.socket)
     if (running := client.service()) is not None:
         raise ManagerBusy(
-            f"{workspace.name} is already running (manager process {running['pid']}): "
+            f"{workspace.name} is already running (manager process {running.pid}): "
             "`midstride status` shows it, `midstride apply` changes it, `midstride down` stops it"
         )
     workspace.require_room()
@@ -239,8 +239,8 @@ def _wait_for_manager(client: Client, manager: subprocess.Popen[bytes], log: Pat
     while time.monotonic() < end:
         service = client.service()
         if service is not None:
-            if service["pid"] != manager.pid:
-                raise ManagerBusy(f"another manager of this system was just started (process {service['pid']})")
+            if service.pid != manager.pid:
+                raise ManagerBusy(f"another manager of this system was just started (process {service.pid})")
             return
         if manager.poll() is not None:
             lines = log.read_text(errors="replace").strip().splitlines() or ["the manager exited without a message"]

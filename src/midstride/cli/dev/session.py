@@ -17,11 +17,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final, Protocol
 
+from msgspec import structs
+
 from midstride.cli.client import Document
 from midstride.cli.dev.contents import Contents, FileContents, remove_compiled
 from midstride.cli.dev.specification import WatchedSpecification
 from midstride.codec.specification import decode_specification, encode_specification
 from midstride.errors import SpecificationError
+from midstride.runtime.status_forms import ProgramStatus
 
 # For `_refused`: the specification as a whole. No node has this name.
 _SPECIFICATION: Final = ""
@@ -31,6 +34,8 @@ class ManagerQueries(Protocol):
     """The part of a client of the manager that is needed here."""
 
     def get(self, path: str) -> Any: ...
+
+    def programs(self) -> list[ProgramStatus]: ...
 
 
 class Screen(Protocol):
@@ -60,7 +65,7 @@ class DevSession:
     screen: Screen
     interval: float = 1.0
     _contents: FileContents = field(default_factory=FileContents)
-    _programs: list[Document] = field(default_factory=list)
+    _programs: list[ProgramStatus] = field(default_factory=list)
     _seen: Contents | None = None
     _read: Contents | None = None
     # Whether the files may have another specification than the one that runs.
@@ -99,14 +104,14 @@ class DevSession:
 
         ``seen``: the contents of the files before the crash was known.
         """
-        known, self._programs = self._programs, list(self.manager.get("/programs"))
-        running = {program["role"] for program in self._programs}
-        lost = [program for program in known if program["role"] not in running]
+        known, self._programs = self._programs, self.manager.programs()
+        running = {program.role for program in self._programs}
+        lost = [program for program in known if program.role not in running]
         if not lost:
             return
         nodes = decode_specification(self.manager.get("/specification")).nodes  # what was removed is not missing
-        self._programs += [{**program, "changed": program["files"]} for program in lost if program["role"] in nodes]
-        for role in (str(program["role"]) for program in lost):
+        self._programs += [structs.replace(program, changed=program.files) for program in lost if program.role in nodes]
+        for role in (program.role for program in lost):
             if role not in self._refused:
                 self._refused.add(role)
                 related = self._related(role)
@@ -135,19 +140,19 @@ class DevSession:
             self._settle(_SPECIFICATION)
         elif self._differs and self._is_new(_SPECIFICATION):
             yield _SPECIFICATION, [str(self.specification.path)]
-        instances = Counter(str(program["role"]) for program in self._programs)
+        instances = Counter(program.role for program in self._programs)
         for program in self._programs:
-            role = str(program["role"])
+            role = program.role
             if instances[role] > 1:  # it is being replaced, or the change is being rolled back: see what remains
                 continue
-            if not program["changed"]:
+            if not program.changed:
                 self._settle(role)
             elif role in wanted.nodes and self._is_new(role):
-                if program["startable"]:
-                    yield role, program["changed"]
+                if program.startable:
+                    yield role, program.changed
                 else:
                     self._tried[role] = self._related(role)
-                    self.screen.refused(_what({role: program["changed"]}), f"{role} was started by hand: restart it")
+                    self.screen.refused(_what({role: program.changed}), f"{role} was started by hand: restart it")
 
     def _is_new(self, name: str) -> bool:
         """Whether a change has not been requested yet with the files as they are."""
@@ -179,7 +184,7 @@ class DevSession:
     # -- files -----------------------------------------------------------------------------------------
 
     def _watched(self) -> set[str]:
-        files = {*self.specification.files, *(path for program in self._programs for path in program["files"])}
+        files = {*self.specification.files, *(path for program in self._programs for path in program.files)}
         return files.union(*(self._related_paths(name) for name in self._refused))
 
     def _related(self, name: str) -> Contents:
@@ -190,8 +195,8 @@ class DevSession:
         if name == _SPECIFICATION:
             own = {*self.specification.files, *self.specification.programs()}
         else:
-            own = {path for program in self._programs if program["role"] == name for path in program["files"]}
-        others = {path for program in self._programs for path in program["files"]}
+            own = {path for program in self._programs if program.role == name for path in program.files}
+        others = {path for program in self._programs for path in program.files}
         beside = {path for folder in {os.path.dirname(path) for path in own} for path in _modules(folder)}
         return own | (beside - others)
 

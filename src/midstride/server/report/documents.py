@@ -9,11 +9,10 @@ from typing import Annotated, Any, Final
 from msgspec import Meta
 
 from midstride import __version__
-from midstride.codec.form import encode
+from midstride.codec.form import Report, encode
 from midstride.errors import MidstrideError
 from midstride.plan.forms import decode_plan
 from midstride.runtime.change_report import ChangeReport
-from midstride.runtime.reports import Report
 from midstride.server.report.file import report_file
 from midstride.server.report.views import modelled_view
 from midstride.server.view.forms import SystemView

@@ -6,10 +6,12 @@ from typing import Annotated, Final, Literal, TypeAlias
 
 from msgspec import UNSET, Meta, UnsetType
 
+from midstride.codec.form import Report
 from midstride.plan.forms import PlanPreview
 from midstride.runtime.measure import SwapReport
 from midstride.runtime.mode_recorder import ModeInterval
-from midstride.runtime.reports import Event, OutcomeKind, ParameterStatus, Phase, Report, SilenceKind
+from midstride.runtime.reports import Event, OutcomeKind
+from midstride.runtime.status_forms import ParameterStatus, Phase, SilenceKind
 
 # The version of these forms. A later version may add fields; what is there keeps its meaning.
 VERSION: Final = 1

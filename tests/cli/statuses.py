@@ -1,0 +1,39 @@
+"""Statuses as the manager sends them, from what a test states of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from midstride.runtime.status_forms import Status
+
+Document = dict[str, Any]
+
+
+def status(*components: Document, **changed: Any) -> Status:
+    """The status of a valid system with these components, on a simulator."""
+    document = {"system": "s", "backend": "sim", "revision": 0, "valid": True, "violations": [], "silences": []}
+    document |= {"components": list(components), "crashed": [], "topics": [], "running": None}
+    document |= {"unwritten": None, "damaged": None, "middleware": {"name": "sim"}}
+    document |= {"spares": {"kept": 0, "ready": 0, "unused_by": []}}
+    return msgspec.convert(document | changed, Status)
+
+
+def component(name: str, **changed: Any) -> Document:
+    """A component of a status, which responds and has no functionalities."""
+    document = {"name": name, "role": name, "component": name.capitalize(), "pid": 7, "node": f"/{name}"}
+    document |= {"answers": True, "reachable": True, "ending": False, "waiting": None, "differences": []}
+    document |= {"as_modelled": True, "changed_files": [], "unknown_files": None}
+    return document | {"functionalities": [], "attachments": []} | changed
+
+
+def functionality(name: str, mode: str = "normal", **changed: Any) -> Document:
+    """A functionality of a component, in its normal mode."""
+    document = {"name": name, "mode": mode, "modelled": mode, "normal": True, "because": None, "since": 1.0}
+    return document | {"busy": None} | changed
+
+
+def crash(name: str, status: int | None = -9, **changed: Any) -> Document:
+    """An instance of a status that exited unexpectedly."""
+    return {"name": name, "status": status, "log": ""} | changed
