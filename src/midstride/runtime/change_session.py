@@ -44,13 +44,14 @@ from midstride.runtime.fencing import DEFAULT_WAIT
 from midstride.runtime.journal import Journal, JournalEntry
 from midstride.runtime.journal_records import NewChange
 from midstride.runtime.lowered import in_words, lowered_functionalities
+from midstride.runtime.measure import SwapReport
 from midstride.runtime.mode_recorder import ModeRecorder
 from midstride.runtime.observed_configuration import with_failures
 from midstride.runtime.parameter_transfer import ParameterTransfer
 from midstride.runtime.reconciler import Reconciler
 from midstride.runtime.recording import Recording
 from midstride.runtime.replaced_first import replaced_first
-from midstride.runtime.reports import Outcome, OutcomeKind
+from midstride.runtime.reports import Outcome, OutcomeKind, StepTime
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.runtime_verification import StepVerifier, Verifier
 from midstride.runtime.silence import SilenceMonitor
@@ -65,6 +66,22 @@ FIRST_CALLS: Final = 3
 FIRST_CALLS_WITHOUT_RATE: Final = 0.2
 REPORT_DELAY: Final = 0.1
 LONGEST_FIRST_CALLS: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Taken:
+    """How the steps of a plan have ended, and when (steady s).
+
+    ``seconds``: how long they took together; ``times``: each of those that were done. ``fallen``: how long each
+    functionality was below its baseline (s).
+    """
+
+    outcome: OutcomeKind
+    because: str | None
+    ended: float
+    seconds: float
+    fallen: dict[str, float]
+    times: list[StepTime]
 
 
 @dataclass
@@ -232,7 +249,7 @@ class ChangeSession:
         verifier: StepVerifier | None,
         wait: float,
     ) -> Outcome:
-        system = self.system
+        system, actions = self.system, [step.action for step in plan.steps]
         silent_before = {fault.words for fault in self.monitor.faults(system.configuration)}
         afterwards = "".join(
             f"; afterwards {wording.lowered(shift.functionality, shift.after, shift.before)}"
@@ -241,13 +258,65 @@ class ChangeSession:
         )
         steps = counted(len(plan.steps), "step")
         self.events.add("plan", f"{steps}, disruption {plan.disruption:g}{afterwards}", plan=preview)
-        actions = [step.action for step in plan.steps]
         await recording.begin(system.configuration, actions)
+        before, missing = system.configuration, dict(system.missing)
+        driver = self.driver()
+        driver.prepare(plan, target.timing, transfer, recording.record_driving_inputs, wait)
+        taken = await self._take_steps(driver, plan, target, preview, entry, recording, verifier)
+        fenced = driver.fences.fenced
+        exited = {name for name in system.crashed if name in before.instances and name not in fenced}
+        await self.reconciler.reconcile_crashes()  # before measuring: dependent functionalities must not wait for it
+        await entry.end(taken.outcome, taken.because, taken.seconds)
+        swaps = await self._measure(driver, recording, taken, actions)
+        await self.reconciler.reconcile()  # the report includes unexpected degradations
+        silences = {fault.words: fault for fault in [*recording.silences, *self.monitor.faults(system.configuration)]}
+        await entry.measured(swaps)
+        if swaps:
+            self.events.add("measured", f"measured at {counted(len(swaps), 'subscriber')}", swaps=swaps)
+        planned = plan.change.settled(plan.change.final) if taken.outcome == "done" else before
+        lowered = lowered_functionalities(system, self.client, before, planned)
+        said = f"{taken.outcome}: {taken.because}" if taken.because else taken.outcome
+        words = f"{said}; afterwards {in_words(lowered)}" if lowered else said
+        self.events.add("outcome", words, outcome=taken.outcome)
+        return Outcome(
+            outcome=taken.outcome,
+            plan=PlanForm.of(plan, preview),
+            seconds=taken.seconds,
+            steps=taken.times,
+            skews=driver.modes.skews,
+            fallen=taken.fallen,
+            swaps=swaps,
+            late=driver.late,
+            own_state={
+                name: words for name, words in driver.own_state.items() if name in system.configuration.instances
+            },
+            fenced=[fenced[name] for name in sorted(fenced)],
+            because=taken.because,
+            parameters=transfer.report(taken.outcome == "done"),
+            ended=sorted(exited | {name for name, event in system.missing.items() if missing.get(name) is not event}),
+            degraded=sorted(map(str, self.reconciler.degraded)),
+            silences=[fault for words, fault in silences.items() if words not in silent_before],
+            lowered=lowered,
+        )
+
+    async def _take_steps(
+        self,
+        driver: ActionDriver,
+        plan: Plan,
+        target: Specification,
+        preview: PlanPreview,
+        entry: JournalEntry,
+        recording: Recording,
+        verifier: StepVerifier | None,
+    ) -> _Taken:
+        """Execute ``plan``, and roll it back if a step fails; the model then has the target, or what was before.
+
+        If cancelled, it rolls back as well, and raises CancelledError where that has succeeded.
+        """
+        system, actions = self.system, [step.action for step in plan.steps]
         timer = DegradationTimer(plan.change, self.clock.steady, self._with_failures)
         started, before, missing = self.clock.steady(), system.configuration, dict(system.missing)
         system.configuration = plan.change.start
-        driver = self.driver()
-        driver.prepare(plan, target.timing, transfer, recording.record_driving_inputs, wait)
         response = CrashResponse(driver, self.reconciler, actions)
         executor = Executor(
             driver,
@@ -291,51 +360,25 @@ class ChangeSession:
         system.values.forget_ended(system.configuration)
         self.reconciler.save_values()
         ended = self.clock.steady()
-        seconds, degraded_seconds = ended - started, timer.stop()
-        fenced = driver.fences.fenced
-        exited = {name for name in system.crashed if name in before.instances and name not in fenced}
-        await self.reconciler.reconcile_crashes()  # before measuring: dependent functionalities must not wait for it
-        await entry.end(outcome, because, round(seconds, 6))
+        return _Taken(outcome, because, ended, round(ended - started, 6), timer.stop(), executor.times)
+
+    async def _measure(
+        self, driver: ActionDriver, recording: Recording, taken: _Taken, actions: Sequence[Action]
+    ) -> list[SwapReport]:
+        """What each subscriber has seen, once it has been watched for long enough after the last step."""
         if recording.recorded:
             self.events.add("measuring", "watching the subscribers for 20 periods more")
+        done = taken.outcome == "done"
         self.measuring = True
         try:
-            swaps = await recording.finish(driver.last_numbers, resumed=outcome != "done", hung=fenced)
-            if outcome == "done":
-                await recording.wait(ended + self._first_calls(actions) - self.clock.steady())
+            swaps = await recording.finish(driver.last_numbers, resumed=not done, hung=driver.fences.fenced)
+            if done:
+                await recording.wait(taken.ended + self._first_calls(actions) - self.clock.steady())
+            return swaps
         finally:
             self.measuring = False
             hurried = recording.hurried is not None and recording.hurried.is_set()
             self._measured_until = int(self.clock.steady() * 1e9) if hurried else 0
-        await self.reconciler.reconcile()  # the report includes unexpected degradations
-        silences = {fault.words: fault for fault in [*recording.silences, *self.monitor.faults(system.configuration)]}
-        await entry.measured(swaps)
-        if swaps:
-            self.events.add("measured", f"measured at {counted(len(swaps), 'subscriber')}", swaps=swaps)
-        planned = plan.change.settled(plan.change.final) if outcome == "done" else before
-        lowered = lowered_functionalities(system, self.client, before, planned)
-        said = f"{outcome}: {because}" if because else outcome
-        self.events.add("outcome", f"{said}; afterwards {in_words(lowered)}" if lowered else said, outcome=outcome)
-        return Outcome(
-            outcome=outcome,
-            plan=PlanForm.of(plan, preview),
-            seconds=round(seconds, 6),
-            steps=executor.times,
-            skews=driver.modes.skews,
-            fallen=degraded_seconds,
-            swaps=swaps,
-            late=driver.late,
-            own_state={
-                name: words for name, words in driver.own_state.items() if name in system.configuration.instances
-            },
-            fenced=[fenced[name] for name in sorted(fenced)],
-            because=because,
-            parameters=transfer.report(outcome == "done"),
-            ended=sorted(exited | {name for name, event in system.missing.items() if missing.get(name) is not event}),
-            degraded=sorted(map(str, self.reconciler.degraded)),
-            silences=[fault for words, fault in silences.items() if words not in silent_before],
-            lowered=lowered,
-        )
 
     def _with_failures(self, configuration: Configuration, instances: Iterable[str]) -> Configuration:
         return with_failures(configuration, instances, self.client, self.system.crashed)
