@@ -150,6 +150,7 @@ class PlanPreview(PlanCosts, frozen=True, kw_only=True):
 class PlanForm(PlanCosts, frozen=True, kw_only=True):
     """A plan, whole: it can be verified alone."""
 
+    # The fields of a preview again: the specifications are written before the steps, and inherited fields come first.
     start: SpecificationForm
     target: SpecificationForm
     alternatives: Alternatives | UnsetType = UNSET

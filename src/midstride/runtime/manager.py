@@ -302,19 +302,14 @@ class Manager:
         refused = [self._store.unwritten, self._journal.unwritten, self._backend.unwritten()]
         unwritten = "; ".join(filter(None, refused)) or None
         return status.status(
-            self.system,
-            self._client,
-            self._monitor,
-            self._launcher,
+            self.watched,
             self._backend,
             programs,
             running,
-            unwritten,
-            self._journal.damaged,
-            self._file,
-            self._spares,
-            self._respawner,
-            self._restorer,
+            unwritten=unwritten,
+            damaged=self._journal.damaged,
+            file=self._file,
+            spares=self._spares,
         )
 
     async def programs(self) -> list[ProgramStatus]:

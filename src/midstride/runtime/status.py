@@ -12,35 +12,29 @@ from midstride.model.rules import Evaluator, violations
 from midstride.runtime import status_forms
 from midstride.runtime.backend import Backend
 from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.launcher import Launcher
-from midstride.runtime.respawn import Respawner
-from midstride.runtime.restoring import Restorer
 from midstride.runtime.running_system import RunningSystem
-from midstride.runtime.silence import SilenceMonitor
+from midstride.runtime.watched import WatchedSystem
 from midstride.wire.state import ComponentState, FunctionalityState, LinkState
 
 
 def status(
-    system: RunningSystem,
-    client: ComponentClient,
-    monitor: SilenceMonitor,
-    launcher: Launcher,
+    watched: WatchedSystem,
     backend: Backend,
     programs: Iterable[status_forms.ProgramStatus],
     running: status_forms.RunningCommand | None,
+    *,
     unwritten: str | None,
     damaged: str | None,
     file: str | None,
     spares: int,
-    respawner: Respawner,
-    restorer: Restorer,
 ) -> status_forms.Status:
-    """The answer to ``midstride status``."""
+    """The answer to ``midstride status``. ``spares``: how many processes the ``backend`` is to keep ready."""
+    system, launcher = watched.system, watched.launcher
     configuration, evaluator = system.configuration, Evaluator(system.configuration)
-    found, silences = violations(configuration), monitor.faults(configuration)
+    found, silences = violations(configuration), watched.monitor.faults(configuration)
     program_of = {program.name: program for program in programs}
     components = [
-        _component(configuration, instance, client.responsive(name), launcher, program_of.get(name), restorer)
+        _component(watched, instance, program_of.get(name))
         for name, instance in sorted(configuration.instances.items())
     ]
     return status_forms.Status(
@@ -50,7 +44,7 @@ def status(
         and all(each.as_modelled and each.waiting is None and not each.differences for each in components),
         violations=[str(violation) for violation in found],
         components=components,
-        crashed=crashed(system, respawner),
+        crashed=crashed(watched),
         silences=silences,
         topics=[
             status_forms.TopicStatus(
@@ -79,8 +73,9 @@ def status(
     )
 
 
-def crashed(system: RunningSystem, respawner: Respawner) -> list[status_forms.CrashedInstance]:
+def crashed(watched: WatchedSystem) -> list[status_forms.CrashedInstance]:
     """The instances that have exited unexpectedly, and what to do about each."""
+    system, respawner = watched.system, watched.respawner
     return [
         status_forms.CrashedInstance(
             name,
@@ -104,18 +99,14 @@ def _remedy(system: RunningSystem, name: str) -> str | None:
 
 
 def _component(
-    configuration: Configuration,
-    instance: Instance,
-    state: ComponentState | None,
-    launcher: Launcher,
-    program: status_forms.ProgramStatus | None,
-    restorer: Restorer,
+    watched: WatchedSystem, instance: Instance, program: status_forms.ProgramStatus | None
 ) -> status_forms.ComponentStatus:
-    handle = launcher.handles.get(instance.name)
+    configuration, launcher = watched.system.configuration, watched.launcher
+    state, handle = watched.client.responsive(instance.name), launcher.handles.get(instance.name)
     process = state or handle
     reported = {} if state is None else state.functionalities
     functionalities = [
-        _functionality(configuration, ref, reported.get(ref.functionality), restorer.status(ref))
+        _functionality(configuration, ref, reported.get(ref.functionality), watched.restorer.status(ref))
         for ref in instance.functionality_refs()
     ]
     return status_forms.ComponentStatus(

@@ -19,7 +19,7 @@ def crash_views(watched: WatchedSystem) -> list[CrashView]:
             remedy=each.remedy,
             respawn=None if each.respawn is None else each.respawn.words,
         )
-        for each in status.crashed(watched.system, watched.respawner)
+        for each in status.crashed(watched)
     ]
 
 
