@@ -100,22 +100,26 @@ class Manager:
             backend,
             self._client,
             self.events,
-            lambda: self.configuration.instances.keys(),
-            lambda: self._current is not None,
+            instances=lambda: self.configuration.instances.keys(),
+            busy=lambda: self._current is not None,
         )
         self._monitor = SilenceMonitor(
             self._client, backend.clock, self.events, self._launcher.ending, self._watch.stopped
         )
         self._respawner = Respawner(
-            self.system, backend.clock, self.events, self._command, partial(self._recover, by="the restart policy")
+            self.system,
+            backend.clock,
+            self.events,
+            turn=self._command,
+            change=partial(self._recover, by="the restart policy"),
         )
         self._restorer = Restorer(
             self.system,
             self._client,
             backend.clock,
             self.events,
-            self._command,
-            partial(self._recover, by=None),
+            turn=self._command,
+            change=partial(self._recover, by=None),
             enabled=not options.keep_degraded,
         )
         self._reconciler = Reconciler(
@@ -125,11 +129,11 @@ class Manager:
             self._launcher,
             self.events,
             self._store,
-            self._driver,
-            self._reconciler_lock,
-            self._is_busy,
-            self._on_reconciled,
-            self._restorer.degraded,
+            driver=self._driver,
+            lock=self._reconciler_lock,
+            busy=self._is_busy,
+            on_reconciled=self._on_reconciled,
+            on_degraded=self._restorer.degraded,
         )
         self._session = ChangeSession(
             self.system,
@@ -140,8 +144,8 @@ class Manager:
             self._store,
             self._reconciler,
             verifier or Verifier(),
-            self._driver,
-            self._journal,
+            driver=self._driver,
+            journal=self._journal,
         )
         self.watched = WatchedSystem(
             self.system,
@@ -152,7 +156,7 @@ class Manager:
             self._restorer,
             self.events,
             backend.clock,
-            lambda: self._current,
+            running=lambda: self._current,
         )
 
     async def _recover(self, request: PlanRequest, by: str | None) -> Outcome:
@@ -243,10 +247,10 @@ class Manager:
             self._journal,
             self.events,
             self._options,
-            self._backend.name,
-            self._workspace.name,
-            self._file,
-            self._restorer.improved,
+            backend=self._backend.name,
+            workspace=self._workspace.name,
+            file=self._file,
+            improved=self._restorer.improved,
         )
 
     async def close(self) -> None:
