@@ -110,6 +110,8 @@ def test_a_ros_action_is_answered_by_one_instance_and_goals_in_progress_are_abor
                     await bare.spin()
                 outcome = await replacing
                 assert outcome.outcome == "done", outcome.because
+                # Soon, not when the lease of the old process has expired: the new one would take it for a foreign node.
+                await bare.until(lambda: bare.node.get_node_names().count("source") == 1, 10.0)
 
                 aborted = await finished(result)
                 assert aborted.status == GoalStatus.STATUS_ABORTED and aborted.result.sequence[-1] == 1000

@@ -199,3 +199,20 @@ def test_requests_to_a_ros_action_are_handled_by_one_server_each() -> None:
     asyncio.run(old.execute({"goal": request(2, 2), "result": request(1, 1)}))
     asyncio.run(new.execute({"result": request(1, 1)}))
     assert (old.handled, new.handled) == (["goal", "cancel", "expired"], ["expired", "goal", "result"])
+
+
+def test_a_node_with_ros_actions_leaves_the_graph_when_it_is_destroyed() -> None:
+    """Its replacement would take it for a foreign node of its name, and end."""
+    actions = pytest.importorskip("test_msgs.action", reason="no package with a ROS action is installed")
+    from rclpy.action import ActionClient, ActionServer
+
+    from midstride.backends.ros2.gated_node import GatedNode
+
+    with Bare() as bare:
+        gate = ServiceGate(time.monotonic_ns)
+        node = GatedNode("with_actions", gate, context=bare.node.context)
+        kept = ActionServer(node, actions.Fibonacci, "~/count", print), ActionClient(node, actions.Fibonacci, "/other")
+        assert "with_actions" in bare.node.get_node_names()
+        node.destroy_node()
+        assert "with_actions" not in bare.node.get_node_names()
+        del kept

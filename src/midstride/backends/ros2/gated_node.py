@@ -10,7 +10,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from rclpy.action import ActionServer
+from rclpy.action import ActionClient, ActionServer
 from rclpy.node import Node
 
 from midstride.node.service_gate import ServiceGate
@@ -34,6 +34,17 @@ class GatedNode(Node):  # type: ignore[misc]
         if isinstance(waitable, ActionServer):
             guard_action(waitable, self._gate, self._later)
         super().add_waitable(waitable)
+
+    def destroy_node(self) -> None:
+        """Also end its ROS actions, which rclpy leaves to their owner.
+
+        One that is left keeps the node, and so the process, from leaving ROS: others have the node in their graph until
+        the lease of the process has expired.
+        """
+        for waitable in list(self.waitables):
+            if isinstance(waitable, (ActionClient, ActionServer)):
+                waitable.destroy()
+        super().destroy_node()
 
     def _later(self, work: Callable[[], Any]) -> None:
         """Have the executor call ``work``; from any thread."""

@@ -34,8 +34,7 @@ from midstride.node.service_gate import ServiceGate
 LOOK_BEFORE: Final = 0.5
 # A node's name that was lost on its way is sent again every 3 s (Fast DDS's heartbeat of `ros_discovery_info`).
 LOOK_AFTER: Final = 4.0
-# An instance that leaves may show one of its two nodes for longer than the other one, but not for so long (s): a data
-# node with a ROS action stays until its process ends.
+# An instance that leaves may show one of its two nodes for longer than the other one, but not for so long (s).
 LEAVING: Final = 1.0
 # How long the threads may take to end (s).
 _JOIN: Final = 2.0
