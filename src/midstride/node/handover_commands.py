@@ -137,7 +137,12 @@ class HandoverCommands:
             raise CommandRefused(f"{', '.join(failed)} cannot take over: its functionality has failed")
         if command.seat is not None:
             return await self._join(command, links, command.seat)
-        latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
+        # One that writes once has nothing else to write, however the old side is driven.
+        latches = [
+            link
+            for link, swap in zip(links, command.swaps, strict=True)
+            if swap.latch or link.output.owner.driven == "none"
+        ]
         side = IncomingCut(links, command.at, self.host, self._claim(command), latches, clock=command.clock)
         state = None if command.state is None else self._import(command.state, command.peer, command.address)
 

@@ -197,6 +197,25 @@ async def hands_over_a_latched_topic(lab: Lab) -> None:
 
 
 @check
+async def hands_over_to_one_that_writes_once(lab: Lab) -> None:
+    """The old side writes at a rate, the new one once, on entry: at the cut it writes that message again."""
+    await lab.listen()
+    description = puppets.latch()
+    description["component"]["functionalities"]["talk"]["modes"]["normal"]["guarantees"]["out"]["qos"] = {}
+    for name, gate, puppet in (("old", "open", puppets.talker(50)), ("new", "closed", description)):
+        await lab.start(name, puppet)
+        await lab.attach(name, "out", "/chatter", peers=1, gate=gate)
+        await lab.mode(name, "talk", "normal")
+    await lab.read("new", "await_write", port="out", topic="/chatter", timeout=5.0)
+    await lab.change("new", "meet", peer="old")
+    at, epoch, _ = await _slot(lab, "old")
+    await _cut(lab, at, epoch, resume_after=2.0)
+    await _outcomes(lab)
+    await lab.eventually("it is received", lambda: lab.received("sink"), lambda words: words[-1:] == ["new normal 1"])
+    assert _turn(await lab.received("sink")) > 0
+
+
+@check
 async def resumes_unless_relieved(lab: Lab) -> None:
     """The new side never learns of the cut: the old one resumes by itself, after the agreed time and not before."""
     await _two_talkers(lab)
