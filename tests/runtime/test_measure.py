@@ -144,15 +144,26 @@ def test_a_publisher_replaced_right_after_its_start_is_known_by_its_first_messag
     assert (seen.missed, seen.lost, seen.duplicates) == (0, 0, 0)
 
 
+@pytest.mark.parametrize("own_slots", [False, True])
 @pytest.mark.parametrize("again", ["old", "old, attached again"])
-def test_after_a_roll_back_the_old_publisher_is_at_both_ends(again: str) -> None:
+def test_after_a_roll_back_the_old_publisher_is_at_both_ends(again: str, own_slots: bool) -> None:
     """The new one wrote ten messages in between; only slot 60 is empty."""
     recorder = Recorder()
     for slot in range(100):
         if slot != 60:
             recorder.write("old" if slot < 40 else "new" if slot < 50 else again, slot)
-    seen = recorder.observe(35, 100, resumed=True)
+    seen = recorder.observe(35, 100, resumed=True, own_slots=own_slots)
     assert (seen.missed, seen.lost, seen.duplicates) == (1, 0, 0)
+
+
+def test_after_a_roll_back_messages_beside_a_program_with_its_own_slots_are_duplicates() -> None:
+    recorder = Recorder()
+    for slot in range(100):
+        if not 42 <= slot < 50:
+            recorder.write("old", slot)
+        if 40 <= slot < 50:
+            recorder.write("new", slot - 0.4)
+    assert recorder.observe(35, 100, resumed=True, own_slots=True).duplicates == 2
 
 
 def test_after_a_roll_back_a_bystander_is_not_taken_for_the_old_publisher() -> None:

@@ -91,7 +91,7 @@ def report(seen: Observation) -> SwapReport:
         answered = None if seen.inputs is None else _answers(by_side, seen.inputs)
         missed, duplicates = answered or _slots(rows, by_side, grid, seen.ended)
         if seen.own_slots and duplicates is not None:
-            duplicates = _overlap(list(by_side.values()))
+            duplicates = _overlap(list(by_side.values()), seen.resumed)
     if seen.hung and not any(row.received <= seen.begun for row in rows):
         gap = missed = None  # since when it was silent is not known
     return SwapReport(
@@ -196,11 +196,15 @@ def _slots(rows: Sequence[Receipt], by_side: _Publishers, period: float, ended: 
     return missed, duplicates
 
 
-def _overlap(sides: Sequence[Sequence[Receipt]]) -> int:
-    """How many messages of the first publisher were published after the first one of another."""
+def _overlap(sides: Sequence[Sequence[Receipt]], resumed: bool) -> int:
+    """How many messages of the first publisher were published after the first one of another.
+
+    If it ``resumed``, those after the last one of the other are no duplicates.
+    """
     first, *others = sorted(sides, key=lambda own: own[0].received)
     begun = min((_source(own[0]) for own in others), default=math.inf)
-    return sum(_source(row) > begun for row in first)
+    ended = max((_source(own[-1]) for own in others), default=math.inf) if resumed else math.inf
+    return sum(begun < _source(row) < ended for row in first)
 
 
 def _source(row: Receipt) -> int:
