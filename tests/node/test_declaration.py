@@ -250,6 +250,7 @@ MISUSES: list[tuple[Callable[[Parts], object], str]] = [
     (lambda p: p.normal(rate=1, outputs=[p.out], guarantees={p.out: 0}), "is not a rate"),
     (lambda p: p.normal(rate=1, guarantees={p.out: 1}), "outputs= of the mode does not"),
     (lambda p: p.normal(rate=1, guarantees=5), "{out: 20}"),
+    (lambda p: p.normal(rate=1, outputs=[p.out], guarantees={p.out: None}), "None states nothing, leave it out"),
     (lambda p: p.work.set_mode("2", nothing, rate=1), "not a name"),
     (lambda p: p.work.set_degraded_mode(nothing, inputs=[p.scan]), "may assume nothing"),
     (unknown_mode_input, "write create_functionality(…, inputs=[…, scan])"),

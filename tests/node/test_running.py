@@ -100,6 +100,8 @@ comp.start()
         )
         await bench.attach("node", "left", "/left")
         await bench.attach("node", "right", "/right")
+        state = (await bench.lab.read("node", "observe"))["functionalities"]["each"]
+        assert state["because"] == "it has been in this mode since it started"
         for side in ("left", "right"):
             await bench.attach(side, "out", f"/{side}")
         await bench.mode("node", "each", "normal")

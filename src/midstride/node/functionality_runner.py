@@ -50,7 +50,7 @@ class FunctionalityRunner(OutputOwner):
         self.inputs = functionality.inputs
         self.outputs = functionality.outputs
         self.index = len(self.chain) - 1
-        self.because = "started: nothing has been attached yet"
+        self.because = "it has been in this mode since it started"
         self.since = host.steady()
         # How many modes it has entered.
         self.entered = 0

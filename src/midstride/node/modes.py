@@ -185,6 +185,12 @@ def _promises(where: str, guarantees: object, outputs: tuple[Output, ...]) -> di
     for port, promise in guarantees.items():
         if port not in outputs:
             raise NodeError(f"{where}: guarantees= names {port!r}, which outputs= of the mode does not; add it there")
+        if promise is None:
+            raise NodeError(
+                f"{where}: guarantees= of {port.name}: None states nothing, leave it out; a mode with a rate "
+                "guarantees that rate for all its outputs, so give an output that is written now and then to a "
+                "functionality whose mode has none"
+            )
         if not isinstance(promise, Guarantee):
             promise = Guarantee(check_rate(promise, f"{where}, guarantees= of {port.name}"), ())
         promises[port] = promise
