@@ -390,7 +390,7 @@ class ReconcilingBench(Bench):
         super().__post_init__()
         self.turn = asyncio.Lock()
         self.busy = False
-        self.monitor = SilenceMonitor(self.client, self.clock, self.events, self.launcher.ending)
+        self.monitor = SilenceMonitor(self.client, self.clock, self.events, self.launcher.ending, self.system.crashed)
         self.reconciler = Reconciler(
             self.system,
             self.client,

@@ -23,7 +23,7 @@ class Reports:
 
     def __init__(self, b: Bench) -> None:
         self.b = b
-        self.monitor = SilenceMonitor(b.client, b.clock, b.events, ())
+        self.monitor = SilenceMonitor(b.client, b.clock, b.events, (), ())
         self.counts = {"talker": 0, "listener": 0}
         self.gate: Any = "open"
         self.changed: dict[str, Any] = {}
@@ -215,6 +215,19 @@ def test_a_component_that_is_being_ended_is_not_missed(tmp_path: Path) -> None:
         assert ("talker", False) in shown
 
     managed("talker", tmp_path, body)
+
+
+def test_of_a_component_that_has_exited_it_is_not_said_that_it_does_not_answer(tmp_path: Path) -> None:
+    """During a change it stays in the model until the change has ended."""
+
+    async def body(r: Reports) -> None:
+        await r.half_seconds(4)
+        del r.b.client.states["listener"]
+        assert r.kinds() == [("not_answering", "listener")]
+        r.monitor.crashed = {"listener"}
+        assert r.kinds() == []
+
+    reporting(tmp_path, body)
 
 
 def test_a_subscriber_whose_middleware_discovers_nothing_any_more_is_not_blinded(tmp_path: Path) -> None:

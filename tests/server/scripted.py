@@ -29,7 +29,7 @@ def watched_system(specification: Specification, events: EventLog) -> WatchedSys
     system, clock = RunningSystem(specification, initial(specification)), SystemClock()
     client = ComponentClient(cast(Any, None), clock, "token")
     nothing = SimpleNamespace(handles={}, ending=(), status=lambda _: None)
-    monitor = SilenceMonitor(client, clock, events, ())
+    monitor = SilenceMonitor(client, clock, events, (), ())
     parts = cast(Any, nothing)
     return WatchedSystem(system, client, monitor, parts, parts, parts, events, clock, lambda: None)
 

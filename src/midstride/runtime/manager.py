@@ -104,7 +104,12 @@ class Manager:
             busy=lambda: self._current is not None,
         )
         self._monitor = SilenceMonitor(
-            self._client, backend.clock, self.events, self._launcher.ending, self._watch.stopped
+            self._client,
+            backend.clock,
+            self.events,
+            self._launcher.ending,
+            self.system.crashed,
+            self._watch.stopped,
         )
         self._respawner = Respawner(
             self.system,

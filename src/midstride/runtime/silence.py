@@ -64,6 +64,7 @@ class SilenceMonitor:
     clock: Clock
     events: EventLog
     ending: Container[str]  # the instances that have been asked to end, and do not answer any more
+    crashed: Container[str]  # those that have exited: that is known, and has its own events
     # Those whose middleware stands still, and since when that is known (steady s).
     undiscovering: Mapping[str, float] = field(default_factory=dict)
     _links: dict[str, dict[PortRef, _Link]] = field(default_factory=dict)  # by topic
@@ -130,7 +131,7 @@ class SilenceMonitor:
     def _faults_of(self, instance: str, configuration: Configuration) -> Iterator[SilenceFault]:
         state, latest = self.client.responsive(instance), self.client.latest(instance)
         if state is None:
-            if instance in self.ending:
+            if instance in self.ending or instance in self.crashed:
                 return
             seconds = None if latest is None else round(self.clock.steady() - latest.at, 3)
             words = f"{instance} does not answer"
