@@ -1,5 +1,6 @@
 /* A node: `fake_node WRITER TOPIC PERIOD_NS MESSAGES`; it lives until it is ended. With `time`, it says how much processor time a message takes (ns).
- * With another word, that is a topic: in each period it takes a message from there, and publishes only if it has got one. */
+ * With another word, that is a topic: in each period it takes a message from there, and publishes only if it has got one.
+ * FAKE_OTHERS in its environment is how many publishers of the topic it creates before, and removes after, its own. */
 #define _GNU_SOURCE
 #include <stdint.h>
 #include <stdio.h>
@@ -9,6 +10,7 @@
 #include <unistd.h>
 
 int rcl_publisher_init(void *, const void *, const void *, const char *, const void *);
+int rcl_publisher_fini(void *, void *);
 int rcl_publish(const void *, const void *, void *);
 int rcl_subscription_init(void *, const void *, const void *, const char *, const void *);
 int rcl_take(const void *, void *, void *, void *);
@@ -27,7 +29,14 @@ int main(int count, char **arguments)
   uint64_t message[2] = {strtoull(arguments[1], NULL, 10), 0};
   long long period = atoll(arguments[3]), messages = atoll(arguments[4]), begun = now();
   rcl_publisher_init(&log, NULL, &type, "/rosout", NULL);
+  const char *wanted = getenv("FAKE_OTHERS");
+  int others = wanted ? atoi(wanted) : 0;
+  void **other = calloc((size_t)others + 1, sizeof *other);
+  for (int index = 0; index < others; index++)
+    rcl_publisher_init(&other[index], NULL, &type, arguments[2], NULL);
   rcl_publisher_init(&publisher, NULL, &type, arguments[2], NULL);
+  for (int index = 0; index < others; index++)
+    rcl_publisher_fini(&other[index], NULL);
   log = NULL; /* as rcl does, which keeps a copy of it elsewhere */
   if (count > 5 && strcmp(arguments[5], "time") != 0)
     rcl_subscription_init(&subscription, NULL, &type, arguments[5], NULL);

@@ -269,6 +269,17 @@ def test_one_written_once_is_published_at_the_change(lab: Lab) -> None:
     assert [writer for writer, _, _ in lab.records()] == [old + 1, new + 1]
 
 
+def test_a_process_may_have_any_number_of_endpoints(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that the library did not know would publish whatever its gate says."""
+    monkeypatch.setenv("FAKE_OTHERS", "1000")
+    index = lab.node(MS, PortFlag(0))
+    until(lambda: lab.port(index).gated > 10, "it does not write")
+    assert lab.count() == 0
+    assert lab.port(index).endpoints == 1, "those that it has removed are still known"
+    lab.port(index).gate = OPEN
+    until(lambda: lab.written_by(index) > 10, "it does not write when its gate is open")
+
+
 def test_the_helper_thread_reports_how_many_readers_there_are(lab: Lab) -> None:
     index = lab.node(MS, RATED)
     until(lambda: lab.port(index).matched == 3, "it does not say")

@@ -31,6 +31,8 @@
 #define ENV_NODE "MIDSTRIDE_GATE_NODE"
 /* How often the helper thread looks without being rung for (ns). */
 #define LOOK 100000000L
+/* RCL_RET_BAD_ALLOC */
+#define BAD_ALLOC 10
 /* RCL_RET_SUBSCRIPTION_TAKE_FAILED: there was no message. */
 #define TAKE_FAILED 401
 
@@ -102,7 +104,7 @@ REAL(void, rcutils_reset_error, void)
 
 /* A publisher or subscription of this process whose topic is in the page. */
 struct entry {
-  _Atomic(const void *) endpoint; /* NULL: free; the address of `entries`: removed */
+  _Atomic(const void *) endpoint; /* NULL: free; REMOVED: removed */
   struct port *port;
   const void *type;
   bool overdue; /* see `enter` */
@@ -110,12 +112,19 @@ struct entry {
 };
 
 #define ENTRIES 256u
-static struct entry entries[ENTRIES];
+/* Hashed by the address of the endpoint. The next table is there once this one is full, and stays: `find` takes no lock. */
+struct table {
+  struct entry entries[ENTRIES];
+  _Atomic(struct table *) next;
+};
+static struct table first;
+#define REMOVED ((const void *)&first)
+
 static struct page *page;
 static struct node *node;
 static unsigned me; /* index + 1 */
 static int descriptor = -1;
-static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER; /* of `entries` where they change, and of what is kept */
+static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER; /* of the tables where they change, and of what is kept */
 static pthread_t helper;
 static bool helping, stopping;
 
@@ -174,20 +183,45 @@ static int is_dead(int file, unsigned index)
   return fcntl(file, F_GETLK, &held) == 0 && held.l_type == F_UNLCK;
 }
 
+/* The entry that is looked for at `step`, from that of its hash on. */
+static struct entry *probed(struct table *table, const void *endpoint, unsigned step)
+{
+  return &table->entries[((unsigned)(((uintptr_t)endpoint >> 4) * UINT32_C(2654435761)) + step) % ENTRIES];
+}
+
 static struct entry *find(const void *endpoint)
 {
   if (!page)
     return NULL;
-  unsigned start = (unsigned)(((uintptr_t)endpoint >> 4) * UINT32_C(2654435761)) % ENTRIES;
-  for (unsigned step = 0; step < ENTRIES; step++) {
-    struct entry *entry = &entries[(start + step) % ENTRIES];
-    const void *known = atomic_load_explicit(&entry->endpoint, memory_order_acquire);
-    if (known == endpoint)
-      return entry;
-    if (!known)
-      return NULL;
-  }
+  for (struct table *table = &first; table; table = atomic_load_explicit(&table->next, memory_order_acquire))
+    for (unsigned step = 0; step < ENTRIES; step++) {
+      struct entry *entry = probed(table, endpoint, step);
+      const void *known = atomic_load_explicit(&entry->endpoint, memory_order_acquire);
+      if (known == endpoint)
+        return entry;
+      if (!known)
+        return NULL; /* nor in the next table: this one has never been full */
+    }
   return NULL;
+}
+
+/* An unused entry for `endpoint`; NULL where there is no memory for another table. With `lock`. */
+static struct entry *unused(const void *endpoint)
+{
+  for (struct table *table = &first;; table = atomic_load(&table->next)) {
+    for (unsigned step = 0; step < ENTRIES; step++) {
+      struct entry *entry = probed(table, endpoint, step);
+      const void *known = atomic_load(&entry->endpoint);
+      if (!known || known == REMOVED)
+        return entry;
+    }
+    if (!atomic_load(&table->next)) {
+      struct table *added = calloc(1, sizeof *added);
+      if (!added)
+        return NULL;
+      atomic_store_explicit(&table->next, added, memory_order_release);
+    }
+  }
 }
 
 static void *help(void *);
@@ -217,35 +251,28 @@ static struct port *port_of(const char *topic, uint32_t direction)
   return NULL;
 }
 
-/* Where `topic` is a port of this node, remember the endpoint, and have the helper thread run. */
-static void add(const void *endpoint, const char *topic, uint32_t direction, const void *type)
+/* Where `topic` is a port of this node, remember the endpoint, and have the helper thread run. False without memory: the
+ * endpoint would have no gate. */
+static bool add(const void *endpoint, const char *topic, uint32_t direction, const void *type)
 {
-  static const void *const removed = entries;
   pthread_mutex_lock(&lock);
   struct port *port = topic ? port_of(topic, direction) : NULL;
-  if (!port) {
+  struct entry *entry = port ? unused(endpoint) : NULL;
+  if (!entry) {
     pthread_mutex_unlock(&lock);
-    return;
+    return !port;
   }
   if (atomic_load(&node->pid) != (uint32_t)getpid()) {
     struct flock own = lock_of(me, F_WRLCK);
     fcntl(descriptor, F_SETLK, &own);
     atomic_store(&node->pid, (uint32_t)getpid());
   }
-  unsigned start = (unsigned)(((uintptr_t)endpoint >> 4) * UINT32_C(2654435761)) % ENTRIES;
-  for (unsigned step = 0; step < ENTRIES; step++) {
-    struct entry *entry = &entries[(start + step) % ENTRIES];
-    const void *known = atomic_load(&entry->endpoint);
-    if (known && known != removed)
-      continue;
-    entry->port = port;
-    entry->type = type;
-    entry->overdue = false;
-    memset(&entry->kept, 0, sizeof entry->kept);
-    atomic_store_explicit(&entry->endpoint, endpoint, memory_order_release);
-    atomic_fetch_add(&port->endpoints, 1);
-    break;
-  }
+  entry->port = port;
+  entry->type = type;
+  entry->overdue = false;
+  memset(&entry->kept, 0, sizeof entry->kept);
+  atomic_store_explicit(&entry->endpoint, endpoint, memory_order_release);
+  atomic_fetch_add(&port->endpoints, 1);
   if (!helping) {
     sigset_t all, before;
     sigfillset(&all);
@@ -254,6 +281,7 @@ static void add(const void *endpoint, const char *topic, uint32_t direction, con
     pthread_sigmask(SIG_SETMASK, &before, NULL);
   }
   pthread_mutex_unlock(&lock);
+  return true;
 }
 
 static void discard(struct entry *entry)
@@ -268,7 +296,7 @@ static void forget(const void *endpoint)
   if (!entry)
     return;
   pthread_mutex_lock(&lock);
-  atomic_store_explicit(&entry->endpoint, (const void *)entries, memory_order_release);
+  atomic_store_explicit(&entry->endpoint, REMOVED, memory_order_release);
   atomic_fetch_sub(&entry->port->endpoints, 1);
   atomic_store(&entry->port->kept, 0);
   discard(entry);
@@ -432,25 +460,29 @@ static void wait_for_bell(_Atomic uint32_t *bell, uint32_t seen)
   syscall(SYS_futex, (uint32_t *)bell, FUTEX_WAIT, seen, &timeout, NULL, 0);
 }
 
+static void look_at(struct entry *entry, uint32_t *matched)
+{
+  const void *endpoint = atomic_load(&entry->endpoint);
+  if (!endpoint || endpoint == REMOVED)
+    return;
+  bool output = entry->port->direction == OUTPUT;
+  int (*counting)(const void *, size_t *) =
+      output ? real_rcl_publisher_get_subscription_count() : real_rcl_subscription_get_publisher_count();
+  size_t number = 0;
+  if (counting && counting(endpoint, &number) == 0)
+    matched[entry->port - node->ports] += (uint32_t)number;
+  else if (real_rcutils_reset_error())
+    real_rcutils_reset_error()();
+  if (output)
+    publish_kept(entry);
+}
+
 static void look(void)
 {
   uint32_t matched[PORTS] = {0};
-  for (unsigned index = 0; index < ENTRIES; index++) {
-    struct entry *entry = &entries[index];
-    const void *endpoint = atomic_load(&entry->endpoint);
-    if (!endpoint || endpoint == (const void *)entries)
-      continue;
-    bool output = entry->port->direction == OUTPUT;
-    int (*counting)(const void *, size_t *) =
-        output ? real_rcl_publisher_get_subscription_count() : real_rcl_subscription_get_publisher_count();
-    size_t number = 0;
-    if (counting && counting(endpoint, &number) == 0)
-      matched[entry->port - node->ports] += (uint32_t)number;
-    else if (real_rcutils_reset_error())
-      real_rcutils_reset_error()();
-    if (output)
-      publish_kept(entry);
-  }
+  for (struct table *table = &first; table; table = atomic_load(&table->next))
+    for (unsigned index = 0; index < ENTRIES; index++)
+      look_at(&table->entries[index], matched);
   for (unsigned index = 0; index < PORTS; index++)
     atomic_store(&node->ports[index].matched, matched[index]);
 }
@@ -486,8 +518,10 @@ static void *help(void *unused)
 EXPORT int rcl_publisher_init(void *publisher, const void *owner, const void *type, const char *name, const void *options)
 {
   int result = real_rcl_publisher_init()(publisher, owner, type, name, options);
-  if (page && result == 0)
-    add(publisher, real_rcl_publisher_get_topic_name()(publisher), OUTPUT, type);
+  if (page && result == 0 && !add(publisher, real_rcl_publisher_get_topic_name()(publisher), OUTPUT, type)) {
+    real_rcl_publisher_fini()(publisher, (void *)owner);
+    return BAD_ALLOC;
+  }
   return result;
 }
 
@@ -501,8 +535,10 @@ EXPORT int rcl_subscription_init(void *subscription, const void *owner, const vo
                                  const void *options)
 {
   int result = real_rcl_subscription_init()(subscription, owner, type, name, options);
-  if (page && result == 0)
-    add(subscription, real_rcl_subscription_get_topic_name()(subscription), INPUT, type);
+  if (page && result == 0 && !add(subscription, real_rcl_subscription_get_topic_name()(subscription), INPUT, type)) {
+    real_rcl_subscription_fini()(subscription, (void *)owner);
+    return BAD_ALLOC;
+  }
   return result;
 }
 
