@@ -195,7 +195,7 @@ def test_for_ros_1_there_are_catkins_files(midstride: Midstride, tmp_path: Path)
     specification.write_text(CHAIN, encoding="utf-8")
     folder = tmp_path / "made"
     assert midstride("generate", str(specification), "-o", str(folder), "--ros", "1").status == 0
-    installed = "install(FILES chain.stride sink.py source.py DESTINATION ${CATKIN_PACKAGE_SHARE_DESTINATION})"
+    installed = 'install(FILES "chain.stride" "sink.py" "source.py" DESTINATION "${CATKIN_PACKAGE_SHARE_DESTINATION}")'
     assert installed in (folder / "CMakeLists.txt").read_text()
     assert "packages=['filters']" in (folder / "setup.py").read_text()
     assert 'args="$(dirname)/../chain.stride"' in (folder / "launch" / "chain.launch").read_text()

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import shlex
+import shutil
 import subprocess
 import sys
 import types
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -311,6 +314,45 @@ def test_other_files_are_the_users_once_edited() -> None:
     edited = merge_whole(old.replace("0.1.0", "0.2.0"), new)
     assert (edited.text, edited.note) == (None, "edited, left unchanged")
     assert merge_copy("a", "b", None).text is None
+
+
+@pytest.mark.parametrize(
+    "name", ["a & b", "<robot>", "it's", 'say "hi"', '"""', "back\\slash", "$HOME ${HOME}", "a;b", "ü"]
+)
+def test_files_of_any_name_are_quoted(name: str) -> None:
+    file, text = f"{name}.stride", 'component A { run "python3 a.py" }'
+    sources = {PurePosixPath(file): "", PurePosixPath(name, "parts.stride"): ""}
+    made = project(load_text(f"system s\n{text}").require(), file, sources, ros=1)
+    files = {str(each.path): each.text for each in made.files}
+    described = ElementTree.fromstring(files["package.xml"]).findtext("description")
+    assert described == f"The system s, described in {file}"
+    node = ElementTree.fromstring(files["launch/s.launch"]).find("node")
+    assert node is not None and shlex.split(node.attrib["args"]) == [f"$(dirname)/../{file}"]
+    ast.parse(files["a.py"])
+    second = project(SAMPLE, file, sources)
+    described = next(each.text for each in second.files if each.path.name == "package.xml")
+    assert file in str(ElementTree.fromstring(described).findtext("description"))
+
+
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="needs cmake")
+def test_files_of_any_name_are_installed_by_cmake(tmp_path: Path) -> None:
+    """As catkin would, which only says where. Names with `"`, `\\` or `$` CMake itself cannot install."""
+    names = ["a & b.stride", "it's (new) #1.stride", "ü.stride"]
+    sources = {PurePosixPath(folder, name): "" for name in names for folder in ("", "a part")}
+    made = project(load_text("system s").require(), names[0], sources, ros=1)
+    for each in made.files:
+        path = tmp_path / "source" / each.path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(each.text, encoding="utf-8")
+    lists = tmp_path / "source" / "CMakeLists.txt"
+    catkin = 'set(CATKIN_PACKAGE_BIN_DESTINATION bin)\nset(CATKIN_PACKAGE_SHARE_DESTINATION "share")'
+    lines = [line for line in lists.read_text(encoding="utf-8").splitlines() if "catkin" not in line]
+    lists.write_text("\n".join(lines).replace("project(s)", f"project(s NONE)\n{catkin}"), encoding="utf-8")
+    for command in (["-S", "source", "-B", "build", "-DCMAKE_INSTALL_PREFIX=prefix"], ["--install", "build"]):
+        subprocess.run(["cmake", *command], cwd=tmp_path, check=True, capture_output=True)
+    share = tmp_path / "prefix" / "share"
+    installed = {PurePosixPath(path.relative_to(share)) for path in share.rglob("*.stride")}
+    assert installed == set(sources)
 
 
 class _Recorded:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
@@ -13,6 +15,7 @@ from midstride.generate.merge import BEGIN, END, with_mark
 from midstride.generate.names import ProgramFile, program, snake
 from midstride.generate.skeleton import skeleton
 from midstride.model.component import ComponentSpec
+from midstride.model.printable import on_one_line
 from midstride.model.specification import Specification
 
 Kind = Literal["component", "whole", "copy", "empty"]
@@ -46,7 +49,14 @@ _TEMPLATES: Final = Environment(
     undefined=StrictUndefined,
     autoescape=False,
 )
-_TEMPLATES.filters["repr"] = repr
+# The names in a specification are identifiers; that of a file may have any character.
+_TEMPLATES.filters |= {
+    "repr": repr,
+    "sh": shlex.quote,
+    "printable": on_one_line,
+    "docstring": lambda text: repr(text)[1:-1].replace('"', "'"),
+    "cmake": lambda text: re.sub(r'([\\"$])', r"\\\1", text),
+}
 
 
 def project(
