@@ -1,4 +1,4 @@
-"""The client of a manager: its answers as forms, and an answer that has another form."""
+"""The client of a manager: its answers as forms, one of another form, and a manager that cannot be reached."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import socket
 import tempfile
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,11 +16,12 @@ import msgspec
 import pytest
 
 from midstride.cli.client import Client
-from midstride.errors import ManagerError
+from midstride.errors import ManagerError, NoManager
 from midstride.runtime.status_forms import Status
 from midstride.runtime.workspace import Workspace
 from tests.cli import statuses
 from tests.cli.conftest import Midstride
+from tests.wire.support import descriptors_left, full_socket
 
 
 @contextmanager
@@ -73,3 +75,34 @@ def test_the_form_has_all_that_the_manager_sends(talker: Midstride) -> None:
     found = Client(Workspace(talker.runtime / "midstride" / "talker").socket).get("/status")
     assert json.dumps(msgspec.to_builtins(msgspec.convert(found, Status))) == json.dumps(found)
     assert talker("status", "--json").json.keys() == found.keys()
+
+
+def test_a_manager_that_accepts_no_connection_does_not_answer_in_time(tmp_path: Path) -> None:
+    """It has not exited: it may be stopped."""
+    path = tmp_path / "manager.sock"
+    with full_socket(path), pytest.raises(ManagerError, match=r"^the manager did not answer within 0\.2 s$"):
+        Client(path).get("/status", timeout=0.2)
+
+
+def test_a_manager_that_is_busy_for_a_moment_is_connected(tmp_path: Path) -> None:
+    path = tmp_path / "manager.sock"
+
+    def accept() -> None:
+        time.sleep(0.1)
+        full.accept()[0].close()
+        full.accept()[0].close()  # that of the client, whose request is not answered
+
+    with full_socket(path) as full:
+        accepting = threading.Thread(target=accept)
+        accepting.start()
+        with pytest.raises(ManagerError, match="the manager exited before it answered"):
+            Client(path).get("/status", timeout=20.0)
+        accepting.join()
+
+
+def test_without_a_descriptor_left_the_manager_is_not_said_to_have_exited(tmp_path: Path) -> None:
+    words = "^the manager cannot be reached: Too many open files$"
+    with descriptors_left(0), pytest.raises(ManagerError, match=words):
+        Client(tmp_path / "manager.sock").get("/status")
+    with pytest.raises(NoManager):
+        Client(tmp_path / "manager.sock").get("/status")

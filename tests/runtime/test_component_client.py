@@ -112,8 +112,11 @@ class CountedNetwork(PipeNetwork):
         super().__init__()
         self.opened: list[PipeEnd] = []
         self.peer: int | None = None
+        self.overloaded = False  # the component listens, and accepts no connection
 
     async def connect(self, address: str) -> PipeEnd:
+        if self.overloaded:
+            raise CallTimeout(f"{address} accepts no connection: its process is stopped or overloaded")
         end = await super().connect(address)
         end.peer = self.peer
         self.opened.append(end)
@@ -415,6 +418,24 @@ def test_the_end_of_a_forwarded_connection_is_not_that_of_the_component() -> Non
         assert c.events == [Disconnected("talker", exited=False)], "it is reported once"
         assert not c.client.is_lost("talker") and c.client.responsive("talker") is None
         c.network.listeners["talker"] = listening
+        await asyncio.sleep(REOPEN_INTERVAL)
+        c.component.move()
+        await settled()
+        assert c.client.responsive("talker") == c.component.state()
+
+    play(body)
+
+
+def test_a_component_that_accepts_no_connection_has_not_exited() -> None:
+    async def body(c: Control) -> None:
+        await c.client.observe("talker")
+        c.network.overloaded = True
+        c.network.opened[-1].other.close()
+        await asyncio.sleep(5.5)
+        assert c.events == [Disconnected("talker", exited=False)] and not c.client.is_lost("talker")
+        with pytest.raises(CallTimeout, match=r"talker cannot be reached for `grid`: .* accepts no connection"):
+            await c.client.read("talker", GRID)
+        c.network.overloaded = False
         await asyncio.sleep(REOPEN_INTERVAL)
         c.component.move()
         await settled()

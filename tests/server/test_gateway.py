@@ -15,6 +15,7 @@ from midstride.server.gateway import listen, run_gateway
 from midstride.server.requests import LARGEST_BODY
 from tests.server.scripted import ScriptedManager
 from tests.server.support import run, serving
+from tests.wire.support import full_socket
 
 TOKEN = "the-token"
 
@@ -58,6 +59,18 @@ def test_the_page_outlives_the_manager(workspace: Workspace) -> None:
                 assert (await client.get("/dashboard/vendor/elkjs/LICENSE.md")).status_code == 200
                 async with serving(ScriptedManager(), workspace):
                     assert (await client.get("/api/v1/view")).json()["system"] == "talker"
+
+    run(test)
+
+
+def test_a_manager_that_accepts_no_connection_is_not_said_to_be_absent(workspace: Workspace) -> None:
+    async def test() -> None:
+        async with opened(workspace) as client:
+            with full_socket(workspace.socket):
+                answered = await client.get("/api/v1/view")
+        error = answered.json()["error"]
+        assert (answered.status_code, error["kind"]) == (503, "Unreachable")
+        assert error["message"].startswith("the manager of talker does not answer: its socket accepts no connection")
 
     run(test)
 

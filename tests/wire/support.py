@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+import contextlib
+import os
+import resource
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 from midstride.codec.component import NamedComponentForm, decode_component
@@ -48,6 +53,29 @@ async def eventually(found: Callable[[], Any]) -> None:
     """Wait until ``found`` is true, which it becomes without time passing."""
     while not found():
         await asyncio.sleep(0)
+
+
+@contextlib.contextmanager
+def full_socket(path: Path) -> Iterator[socket.socket]:
+    """A socket that listens at ``path`` and has as many connections waiting as it may, as that of a stopped process."""
+    with socket.socket(socket.AF_UNIX) as full, socket.socket(socket.AF_UNIX) as waiting:
+        full.bind(str(path))
+        full.listen(0)
+        waiting.connect(str(path))
+        yield full
+
+
+@contextlib.contextmanager
+def descriptors_left(number: int) -> Iterator[None]:
+    """As if the limit left this process so many more descriptors."""
+    lowest = os.dup(0)
+    os.close(lowest)
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (lowest + number, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
 
 
 class BlockedConnection:

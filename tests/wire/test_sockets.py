@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import resource
 import socket
 import stat
 import subprocess
@@ -17,7 +16,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from midstride.errors import ManagerError, NodeError, ProtocolError, Unreachable
+from midstride.backends.processes import listens
+from midstride.errors import CallTimeout, ManagerError, NodeError, ProtocolError, Unreachable
 from midstride.wire import sockets
 from midstride.wire.channel import Channel
 from midstride.wire.command_server import CommandServer
@@ -28,7 +28,7 @@ from midstride.wire.sockets import SocketFolder
 from midstride.wire.transport import Connection
 from tests.process_name import named
 
-from .support import GREETING, HELLO, done, eventually, server, state
+from .support import GREETING, HELLO, descriptors_left, done, eventually, full_socket, server, state
 
 
 async def echo(connection: Connection) -> None:
@@ -224,45 +224,40 @@ def test_the_socket_of_a_killed_process_is_replaced(tmp_path: Path) -> None:
 
 
 def test_a_component_with_too_many_connections_waiting_is_there_and_does_not_block_anyone(tmp_path: Path) -> None:
-    """As one that is stopped: it accepts nothing."""
-    full = socket.socket(socket.AF_UNIX)
-    full.bind(str(tmp_path / "talker.sock"))
-    full.listen(0)
-    waiting = socket.socket(socket.AF_UNIX)
-    waiting.connect(str(tmp_path / "talker.sock"))
-
     async def main(folder: SocketFolder) -> None:
-        with pytest.raises(Unreachable, match="accepts no connection: its process is stopped or overloaded"):
+        with pytest.raises(CallTimeout, match="accepts no connection: its process is stopped or overloaded"):
             await folder.connect(folder.address("talker"))
+        assert await listens(folder, "talker")
         with pytest.raises(NodeError, match="running already"):
             await folder.listen("talker", echo)
 
-    in_folder(tmp_path, main)
-    waiting.close()
-    full.close()
+    with full_socket(tmp_path / "talker.sock"):
+        in_folder(tmp_path, main)
 
 
-def test_without_a_descriptor_left_nothing_is_reached(tmp_path: Path) -> None:
+def test_a_component_that_accepts_the_waiting_ones_in_time_is_connected(tmp_path: Path) -> None:
+    async def main(folder: SocketFolder) -> None:
+        connecting = asyncio.ensure_future(folder.connect(folder.address("talker")))
+        await asyncio.sleep(0.1)
+        assert not connecting.done()
+        full.accept()[0].close()
+        (await connecting).close()
+
+    with full_socket(tmp_path / "talker.sock") as full:
+        in_folder(tmp_path, main)
+
+
+@pytest.mark.parametrize("left", [0, 1], ids=["for the socket", "for its path"])
+def test_without_a_descriptor_left_nothing_is_reached_and_nothing_is_gone(tmp_path: Path, left: int) -> None:
     async def main(folder: SocketFolder) -> None:
         stop_listening = await folder.listen("talker", echo)
-        with no_descriptor_left(), pytest.raises(Unreachable, match="cannot be reached from here: Too many open files"):
+        words = "cannot be reached from here: Too many open files"
+        with descriptors_left(left), pytest.raises(CallTimeout, match=words):
             await folder.connect(folder.address("talker"))
         assert await says(await folder.connect(folder.address("talker")))
         stop_listening()
 
     in_folder(tmp_path / COMPONENTS, main)
-
-
-@contextlib.contextmanager
-def no_descriptor_left() -> Iterator[None]:
-    lowest = os.dup(0)
-    os.close(lowest)
-    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (lowest, limits[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
 
 
 def test_what_other_threads_open_while_it_is_bound_does_not_matter(

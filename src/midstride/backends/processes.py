@@ -15,7 +15,7 @@ from typing import Final
 
 from midstride.backends import heap
 from midstride.backends.spares import Spares, fits
-from midstride.errors import BackendError, StartFailed, Unreachable
+from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
 from midstride.model.instance_names import log_file_name
 from midstride.runtime.backend import Handle, Launch
 from midstride.runtime.clock import Clock, SystemClock
@@ -73,11 +73,13 @@ def identity(launch: Launch, backend: str, control: Path) -> dict[str, str]:
 
 
 async def listens(transport: Transport, instance: str) -> bool:
-    """Whether a component of that name accepts control connections: one started by hand, whose process is not known."""
+    """Whether a component of that name listens, or may do so: one started by hand, whose process is not known."""
     try:
         connection = await transport.connect(transport.address(instance))
     except Unreachable:
         return False
+    except CallTimeout:
+        return True
     connection.close()
     return True
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import http.client
 import json
 import socket
+import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -25,6 +26,8 @@ Event = dict[str, Any]
 
 # Requests that only read are answered at once, or something is wrong (s).
 READ_TIMEOUT = 10.0
+# How often a connection is tried again where too many wait to be accepted (s).
+_CONNECT_INTERVAL = 0.02
 
 
 class _UnixConnection(http.client.HTTPConnection):
@@ -34,9 +37,17 @@ class _UnixConnection(http.client.HTTPConnection):
         self._timeout = timeout
 
     def connect(self) -> None:
+        """Raises OSError; TimeoutError also where too many connections wait to be accepted for so long."""
         self.sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self.sock.settimeout(self._timeout)
-        self.sock.connect(str(self._path))
+        deadline = None if self._timeout is None else time.monotonic() + self._timeout
+        while True:
+            try:
+                return self.sock.connect(str(self._path))
+            except BlockingIOError:  # at once, whatever the time-out
+                if deadline is not None and time.monotonic() >= deadline:
+                    raise TimeoutError from None
+            time.sleep(_CONNECT_INTERVAL)
 
 
 class Client:
@@ -173,6 +184,10 @@ class Client:
             raise errors.MidstrideError(
                 f"this user may not connect to {self._socket}: run the command as the user that runs the manager"
             ) from None
+        except TimeoutError:
+            raise
+        except OSError as error:
+            raise errors.ManagerError(f"the manager cannot be reached: {error.strerror or error}") from None
         body = None if document is None else json.dumps(document)
         connection.request(method, f"/api/v1{path}", body, {"Content-Type": "application/json"} if body else {})
         response = connection.getresponse()

@@ -287,8 +287,10 @@ class ComponentClient:
     async def _send(self, instance: str, command: Command[R], revision: int | None) -> R:
         try:
             reply = await self._request(instance, command, revision)
-        except CallTimeout:
+        except CallTimeout as error:
             self.forget(instance)  # the command may or may not have been carried out
+            if instance not in self._channels:
+                raise CallTimeout(f"{instance} cannot be reached for `{command.name}`: {error}") from None
             how = f"within {command.timeout + ANSWER_TIMEOUT:g} s and, asked again, {ANSWER_TIMEOUT:g} s more"
             if (latest := self._latest.get(instance)) is not None and self._is_silent(instance):
                 how = f"and has reported nothing for {self.clock.steady() - latest.at:.1f} s"

@@ -17,12 +17,13 @@ from fastapi import FastAPI, Request, Response
 from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from midstride.errors import ManagerError
+from midstride.errors import CallTimeout, ManagerError, Unreachable
 from midstride.server.auth import TokenAuth
 from midstride.server.connections import Server, connection_limit, listen_tcp
 from midstride.server.errors import Failure, answer
 from midstride.server.requests import LARGEST_BODY
 from midstride.server.static import dashboard
+from midstride.wire.sockets import open_socket
 
 HOST: Final = "127.0.0.1"
 # Where the dashboard is unless another port is asked for: the page keeps its settings by its origin.
@@ -92,20 +93,23 @@ class _PassedOn:
 
         try:
             await self._pass_on(scope, receive, body, sending)
-        except (OSError, h11.RemoteProtocolError, EOFError):
+        except CallTimeout as error:
+            words = f"the manager of {self._system} does not answer: {error}"
+            await self._failed("Unreachable", words)(scope, receive, send)
+        except (Unreachable, OSError, h11.RemoteProtocolError, EOFError):
             if started:
                 raise  # the connection is closed: the client sees that the answer is not whole
             words = f"no manager of {self._system} answers; `midstride up FILE` starts one"
-            await self._absent(words)(scope, receive, send)
+            await self._failed("NoManager", words)(scope, receive, send)
 
     @staticmethod
-    def _absent(words: str) -> Response:
-        return answer(Failure.named("NoManager", words), 503, {"Cache-Control": "no-store", "Retry-After": "1"})
+    def _failed(kind: str, words: str) -> Response:
+        return answer(Failure.named(kind, words), 503, {"Cache-Control": "no-store", "Retry-After": "1"})
 
     async def _pass_on(
         self, scope: Scope, receive: Receive, body: bytes, send: Callable[[Any], Awaitable[None]]
     ) -> None:
-        reader, writer = await asyncio.open_unix_connection(self._manager)
+        reader, writer = await open_socket(self._manager, "its socket")
         try:
             connection = h11.Connection(h11.CLIENT)
             for event in _request(scope, body):

@@ -54,7 +54,8 @@ class Channel:
     ) -> Channel:
         """Connect, and exchange greetings within ``timeout`` seconds.
 
-        Raises Unreachable, CallTimeout (something listens but does not greet), ProtocolError (another version).
+        Raises Unreachable, CallTimeout (something listens but does not greet, or as ``transport.connect``),
+        ProtocolError (another version).
         """
         connection = await transport.connect(address)
         try:

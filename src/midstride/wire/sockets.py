@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote, unquote
 
-from midstride.errors import NodeError, ProtocolError, Unreachable
+from midstride.errors import CallTimeout, NodeError, ProtocolError, Unreachable
 from midstride.wire.claims import FileClaim
 from midstride.wire.frames import LONGEST_FRAME
 from midstride.wire.transport import Serve, StopListening
@@ -34,6 +34,11 @@ _BACKLOG: Final = 16
 _CLAIMS: Final = ".claims"
 # How long the lock of the folder may be held by a process that takes a name (s).
 LOCK_TIMEOUT: Final = 2.0
+# For how long, and how often, a connection is tried again that the kernel refuses for now (s).
+CONNECT_TIMEOUT: Final = 0.5
+_CONNECT_INTERVAL: Final = 0.02
+# How it refuses one for lack of descriptors or memory, here or on the machine: this says nothing about the other end.
+_SHORTAGES: Final = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS})
 # From Python 3.13 on, asyncio looks for the socket's file to remove it. It was bound to a name in /proc/self/fd that
 # may be another file's by now; `listen` removes it itself.
 _KEEPING_THE_FILE: Final[dict[str, Any]] = {"cleanup_socket": False} if sys.version_info >= (3, 13) else {}
@@ -152,27 +157,31 @@ class SocketFolder:
         return listening
 
     async def connect(self, address: str) -> SocketConnection:
-        path = Path(address.removeprefix(_SCHEME))
-        try:
-            connecting = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        except OSError as error:  # no file descriptor left
-            raise Unreachable(f"{address} cannot be reached from here: {error.strerror or error}") from None
-        try:
-            _connect(connecting, path)
-            reader, writer = await asyncio.open_unix_connection(sock=connecting, limit=LONGEST_FRAME)
-        except BlockingIOError:
-            connecting.close()
-            raise Unreachable(f"{address} accepts no connection: its process is stopped or overloaded") from None
-        except OSError as error:
-            connecting.close()
-            raise Unreachable(f"nothing listens at {address}: {error.strerror or error}") from None
-        except BaseException:
-            connecting.close()
-            raise
-        return SocketConnection(reader, writer)
+        return SocketConnection(*await open_socket(Path(address.removeprefix(_SCHEME)), address))
 
     def _path(self, instance: str) -> Path:
         return self.folder / f"{quote(instance.strip('/'), safe='')}{_SUFFIX}"
+
+
+async def open_socket(path: Path, name: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    """A connection to the socket at ``path``, which an error calls ``name``.
+
+    Raises Unreachable where nothing listens there; CallTimeout where that cannot be told within ``CONNECT_TIMEOUT``, as
+    too many connections wait to be accepted, or no descriptor is left.
+    """
+    deadline = time.monotonic() + CONNECT_TIMEOUT
+    while True:
+        try:
+            return await _open_at_once(path)
+        except BlockingIOError:
+            why = f"{name} accepts no connection: its process is stopped or overloaded"
+        except OSError as error:
+            if error.errno not in _SHORTAGES:
+                raise Unreachable(f"nothing listens at {name}: {error.strerror or error}") from None
+            why = f"{name} cannot be reached from here: {error.strerror}"
+        if time.monotonic() >= deadline:
+            raise CallTimeout(why)
+        await asyncio.sleep(_CONNECT_INTERVAL)
 
 
 def _answers(path: Path) -> bool:
@@ -183,6 +192,17 @@ def _answers(path: Path) -> bool:
         except OSError as error:
             return error.errno in (errno.EAGAIN, errno.EACCES)
         return True
+
+
+async def _open_at_once(path: Path) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    """A connection. Raises as :func:`_connect`."""
+    connecting = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        _connect(connecting, path)
+        return await asyncio.open_unix_connection(sock=connecting, limit=LONGEST_FRAME)
+    except BaseException:
+        connecting.close()
+        raise
 
 
 def _connect(connecting: socket.socket, path: Path) -> None:

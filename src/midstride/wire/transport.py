@@ -66,7 +66,10 @@ class Transport(Protocol):
         """Have ``serve`` called with each connection to ``instance``. Raises NodeError where the name is taken."""
 
     async def connect(self, address: str) -> Connection:
-        """Raises Unreachable where nothing listens at ``address``."""
+        """Raises Unreachable where nothing listens at ``address``, CallTimeout where that is not known.
+
+        It is not where the other end accepts no connection for now, or this process can open none.
+        """
 
     def address(self, instance: str) -> str:
         """The address of a component of this system, whether it listens or not."""
