@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import resource
 import select
 import signal
 import socket
@@ -94,6 +95,16 @@ def test_status_verbose_shows_how_each_component_was_started_and_what_is_set(tal
     assert "Middleware: none: messages stay in the manager's process" in verbose
     refused = talker("up", TALKER, "--backend", "sim", "--use-sim-time")
     assert (refused.status, "--use-sim-time is for ROS 2" in refused.err) == (2, True)
+
+
+def test_a_manager_raises_its_limit_of_open_files(midstride: Midstride) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(soft, 1000), hard))
+    try:
+        assert midstride("up", TALKER, "--backend", "sim", "--detach").status == 0
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert resource.prlimit(midstride.manager("talker"), resource.RLIMIT_NOFILE) == (min(hard, 65_536), hard)
 
 
 def test_status_of_single_nodes(talker: Midstride) -> None:

@@ -24,6 +24,7 @@ from typing import Final
 
 from midstride.errors import BackendError, StartFailed
 from midstride.runtime import reaper
+from midstride.runtime.descriptors import restore_limit
 from midstride.runtime.timeouts import within
 from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
@@ -201,6 +202,7 @@ def spawn(
         if not directory.is_dir():
             raise StartFailed(f"cannot start `{command}`: the folder {directory} does not exist") from None
         raise StartFailed(f"cannot start `{command}`: {getattr(error, 'strerror', None) or error}") from None
+    restore_limit(child.pid)
     child.returncode = 0  # the pidfd reaps it: Popen must not
     info = reaper.process_info(child.pid)
     assert info is not None, "a child stays in /proc until it is reaped"

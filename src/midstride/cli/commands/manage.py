@@ -13,6 +13,7 @@ from midstride import backends
 from midstride.backends.processes import KEPT_OF_LOG, LONGEST_LOG, listens
 from midstride.cli.files import load
 from midstride.runtime.backend import Handle
+from midstride.runtime.descriptors import raise_limit
 from midstride.runtime.launcher import STOP_GRACE
 from midstride.runtime.manager import Manager
 from midstride.runtime.options import SystemOptions
@@ -75,6 +76,7 @@ def manager_command(
         finally:
             shortening.cancel()
 
+    raise_limit()
     with workspace.lock():
         return asyncio.run(run())
 

@@ -1,0 +1,52 @@
+"""The limit of open files: raised for a manager, and not for what it starts."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import resource
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from midstride.runtime import descriptors
+from midstride.runtime.process import spawn
+
+SOFT = 200
+
+
+@pytest.fixture(autouse=True)
+def _limited(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A process that was started with a low soft limit."""
+    monkeypatch.setattr(descriptors, "_given", None)
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (SOFT, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+def limit_of_a_child(folder: Path) -> int:
+    async def main() -> int:
+        process = spawn(["sleep", "600"], folder, os.environ, folder / "log")
+        try:
+            return resource.prlimit(process.pid, resource.RLIMIT_NOFILE)[0]
+        finally:
+            await process.end(0.0)
+            process.close()
+
+    return asyncio.run(main())
+
+
+def test_components_keep_the_limit_that_the_user_had(tmp_path: Path) -> None:
+    hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+    descriptors.raise_limit()
+    assert resource.getrlimit(resource.RLIMIT_NOFILE) == (min(hard, descriptors.MOST), hard)
+    descriptors.raise_limit()  # nothing is left to raise, and what was given is not forgotten
+    assert limit_of_a_child(tmp_path) == SOFT
+
+
+def test_no_limit_is_lowered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(descriptors, "MOST", SOFT - 1)
+    descriptors.raise_limit()
+    assert resource.getrlimit(resource.RLIMIT_NOFILE)[0] == SOFT == limit_of_a_child(tmp_path)
