@@ -7,6 +7,7 @@ import os
 import re
 import resource
 import select
+import shutil
 import signal
 import socket
 import subprocess
@@ -95,6 +96,21 @@ def test_status_verbose_shows_how_each_component_was_started_and_what_is_set(tal
     assert "Middleware: none: messages stay in the manager's process" in verbose
     refused = talker("up", TALKER, "--backend", "sim", "--use-sim-time")
     assert (refused.status, "--use-sim-time is for ROS 2" in refused.err) == (2, True)
+
+
+def test_a_system_in_a_folder_whose_name_is_no_utf_8_runs(midstride: Midstride, tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"f\xfcnf")
+    shutil.copytree(EXAMPLES / "talker", folder)
+    up = midstride.process("up", str(folder / "talker.stride"), "--backend", "sim", "--detach")
+    assert up.status == 0, up.err
+    status = midstride("status")
+    assert status.status == 0, status.err
+    assert r"f\udcfcnf/talker.stride" in status.out
+    replaced = midstride("replace", "talker", "NewTalker", "--yes")
+    assert replaced.status == 0, replaced.err
+    assert [change["outcome"] for change in midstride("history", "--json").json["changes"]] == ["done", "done"]
+    log = midstride.runtime / "midstride" / "talker" / "logs" / "manager.log"
+    assert "Traceback" not in log.read_text(encoding="utf-8", errors="replace")
 
 
 def test_a_manager_raises_its_limit_of_open_files(midstride: Midstride) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import shutil
 import sqlite3
 import threading
@@ -18,12 +19,13 @@ from midstride.errors import ManagerError, Superseded
 from midstride.model.specification import Order, Specification
 from midstride.plan.estimate import Estimate
 from midstride.runtime import journal_records
+from midstride.runtime.change_report import ChangeTimeline
 from midstride.runtime.disk import Database, Disk, Statement
 from midstride.runtime.history import ChangeRecord
 from midstride.runtime.journal import Journal
 from midstride.runtime.journal_records import CHANGES, INCIDENTS, NewChange
 from midstride.runtime.measure import SwapReport
-from midstride.runtime.reports import Event
+from midstride.runtime.reports import Event, Outcome
 from tests.runtime.systems import example
 
 FIRST = example("talker")
@@ -164,6 +166,35 @@ def test_incidents_are_kept_and_other_events_are_not(tmp_path: Path) -> None:
         found = (await second.history(10)).incidents
         assert [(each.at, each.kind) for each in found] == [(5.0, "exited"), (7.0, "degraded")]
         second.close()
+
+    run(body)
+
+
+def test_what_no_text_can_express_is_kept_as_an_escape_and_is_no_damage(tmp_path: Path) -> None:
+    """As a path that is not UTF-8, in the reason of a failure."""
+    words = os.fsdecode(b"cannot start it: the folder /robots/f\xfcnf does not exist")
+    kept = r"cannot start it: the folder /robots/f\udcfcnf does not exist"
+
+    async def body() -> None:
+        first = journal(tmp_path)
+        await first.take_over()
+        entry = await first.begin(new())
+        await entry.step(words)
+        first.note(Event(n=1, at=time.time(), kind="respawn_ended", words=words))
+        await entry.end("rolled_back", words, 1.0)
+        timeline = ChangeTimeline(since=0.0, until=1.0, modes=[], events=[])
+        await entry.recorded(Outcome(outcome="rolled_back", because=words), timeline)
+        first.close()
+        again = journal(tmp_path)
+        await again.take_over()
+        history = await again.history(10)
+        [found] = history.changes
+        assert ([step.words for step in found.steps], found.because) == ([kept], kept)
+        assert [incident.words for incident in history.incidents] == [kept]
+        report = await again.report()
+        assert report.outcome is not None and report.outcome.because == kept
+        assert again.damaged is None
+        again.close()
 
     run(body)
 

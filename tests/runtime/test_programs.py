@@ -139,6 +139,15 @@ def test_of_too_many_modules_it_says_so(helper: Path, monkeypatch: pytest.Monkey
     assert (len(program.files), program.complete) == (1, False)
 
 
+def test_a_module_whose_path_no_text_can_express_is_not_listed_and_that_is_said(tmp_path: Path) -> None:
+    """Under another name it would be taken for a file that has been deleted."""
+    module = ModuleType("helper")
+    module.__file__ = str(tmp_path / os.fsdecode(b"f\xfcnf.py"))
+    Path(module.__file__).write_text("value = 1\n")
+    program = ProgramFiles({"helper": module}, LATER).listed()
+    assert (program.files, program.complete) == ([], False)
+
+
 def test_a_lazy_module_is_not_loaded_for_its_file() -> None:
     class Lazy:
         def __getattr__(self, name: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import shutil
 import sqlite3
@@ -88,6 +89,17 @@ def test_it_is_found_in_a_folder_of_any_name(name: str, tmp_path: Path) -> None:
     found = StateStore(folder / "state.db").load()
     assert found is not None and found.specification == SPECIFICATION
     assert [path.name for path in tmp_path.iterdir()] == [name], "and nothing is created elsewhere"
+
+
+def test_paths_that_are_no_utf_8_are_kept_as_escapes(path: Path) -> None:
+    store = begun(path)
+    store.write_file(os.fsdecode(b"/robots/f\xfcnf/talker.stride"))
+    store.write_instance(TALKER, Handle("talker", 4711, 12.5, os.fsdecode(b"/robots/f\xfcnf.log")))
+    found = StateStore(path).load()
+    assert store.unwritten is None and found is not None
+    assert found.file == r"/robots/f\udcfcnf/talker.stride"
+    [saved] = found.instances
+    assert saved.handle is not None and saved.handle.log == r"/robots/f\udcfcnf.log"
 
 
 def test_an_instance_is_replaced_and_removed(path: Path) -> None:

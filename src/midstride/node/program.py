@@ -16,6 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
+from midstride.codec.writing import expressible
 from midstride.wire.program import FileFingerprint, Program
 
 # How many files are listed at most.
@@ -35,11 +36,12 @@ class ProgramFiles:
 
     def listed(self) -> Program:
         """The files, the script first. Reads them, so not for an event loop's thread."""
-        paths = list(dict.fromkeys(self._paths()))
-        for path in paths[:MOST_FILES]:
+        paths = dict.fromkeys(self._paths())
+        listed = [path for path in paths if expressible(path) == path][:MOST_FILES]  # no other can be sent
+        for path in listed:
             if path not in self._read and (file := FileFingerprint.read(path, self.started)) is not None:
                 self._read[path] = file
-        return Program(files=list(self._read.values()), started=self.started, complete=len(paths) <= MOST_FILES)
+        return Program(files=list(self._read.values()), started=self.started, complete=len(listed) == len(paths))
 
     def _paths(self) -> Iterator[str]:
         script = _file_of(self.modules.get("__main__"))

@@ -9,6 +9,7 @@ from msgspec import Meta
 
 from midstride.codec.form import Report
 from midstride.codec.specification import SpecificationForm
+from midstride.codec.writing import to_json
 from midstride.errors import ManagerError
 from midstride.plan.forms import PlanPreview
 from midstride.runtime.disk import Database, Statement
@@ -51,7 +52,7 @@ def recorded(number: int, outcome: Outcome, timeline: ChangeTimeline) -> Stateme
     ON CONFLICT (change) DO UPDATE SET outcome = excluded.outcome, timeline = excluded.timeline
     """
     without = msgspec.structs.replace(outcome, plan=None)
-    return update, (number, *(msgspec.json.encode(form).decode() for form in (without, timeline)))
+    return update, (number, *(to_json(form).decode() for form in (without, timeline)))
 
 
 def read_report(database: Database, number: int | None) -> ChangeReport | None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, Final, TypeAlias
 
+from midstride.codec.writing import expressible
 from midstride.errors import Superseded
 
 # A statement in SQL, and its values.
@@ -35,6 +36,7 @@ class Database:
     def write(self, statements: Iterable[Statement], only_if: Statement | None = None) -> None:
         """Carry out all of ``statements`` or none; they are durable when the call returns.
 
+        What UTF-8 cannot express, as in the path of a file, is written as an escape: SQLite would refuse all of them.
         Raises Superseded, and writes nothing, unless the query ``only_if`` finds a row.
         """
         with self._lock, self.connection:
@@ -43,7 +45,8 @@ class Database:
                 if self.connection.execute(*only_if).fetchone() is None:
                     raise Superseded("another manager of this system has taken over")
             for statement, values in statements:
-                self.connection.execute(statement, values)
+                texts = (expressible(value) if isinstance(value, str) else value for value in values)
+                self.connection.execute(statement, tuple(texts))
 
     def read(self, query: str, *values: str | float | None) -> list[tuple[Any, ...]]:
         """The rows that ``query`` finds."""

@@ -21,6 +21,7 @@ from immutables import Map
 from midstride.codec.component import ComponentForm
 from midstride.codec.configuration import InstanceForm
 from midstride.codec.specification import NodeForm, SpecificationForm, TopicForm, decode_saved_specification
+from midstride.codec.writing import to_json
 from midstride.errors import ManagerError, MidstrideError, Superseded
 from midstride.model.configuration import Instance
 from midstride.model.specification import Specification
@@ -195,7 +196,7 @@ class StateStore:
     def write_instance(self, instance: Instance, handle: Handle | None) -> None:
         """An instance has been started, or its parameters have changed."""
         form = msgspec.json.encode(InstanceForm.of(instance)).decode()
-        kept = None if handle is None else msgspec.json.encode(handle).decode()
+        kept = None if handle is None else to_json(handle).decode()
         row = ("INSERT OR REPLACE INTO instances VALUES (?, ?, ?)", (instance.name, form, kept))
         self._write({f"instance {instance.name}": row})
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-import msgspec
 from msgspec import UNSET, UnsetType
 from starlette.responses import Response
 
 from midstride import errors
 from midstride.codec.form import Form
+from midstride.codec.writing import to_json
 
 # The first that matches; anything else is an internal error.
 _STATUS: Final[tuple[tuple[type[Exception], int], ...]] = (
@@ -56,7 +56,7 @@ class Failure(Form, frozen=True, forbid_unknown_fields=False):
 
 def answer(form: object, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
     """The HTTP response that has the form as its JSON."""
-    return Response(msgspec.json.encode(form), status, headers, media_type="application/json")
+    return Response(to_json(form), status, headers, media_type="application/json")
 
 
 def in_one_line(faults: list[dict[str, Any]]) -> str:

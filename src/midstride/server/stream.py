@@ -10,8 +10,7 @@ import asyncio
 from collections.abc import AsyncIterator
 from typing import Any, Final
 
-import msgspec
-
+from midstride.codec.writing import to_json
 from midstride.runtime.reports import Event
 from midstride.server.lifecycle import Lifecycle
 
@@ -20,7 +19,7 @@ KEEP_ALIVE: Final = 15.0
 
 def encode(event: Event) -> str:
     """One event in the format of server-sent events. JSON has no raw line breaks, so one ``data`` line holds it."""
-    return f"id: {event.n}\nevent: {event.kind}\ndata: {msgspec.json.encode(event).decode()}\n\n"
+    return f"id: {event.n}\nevent: {event.kind}\ndata: {to_json(event).decode()}\n\n"
 
 
 async def events(lifecycle: Lifecycle, since: int) -> AsyncIterator[str]:

@@ -13,6 +13,7 @@ from typing import Any, Final, TypeAlias, TypeVar
 import msgspec
 
 from midstride.codec.component import NamedComponentForm
+from midstride.codec.writing import to_json
 from midstride.errors import CommandRefused, ProtocolError
 from midstride.wire.commands import COMMANDS, Command
 from midstride.wire.state import ComponentState, Endpoint, WireValue
@@ -97,7 +98,6 @@ class _Versioned(msgspec.Struct):
 
 _named: Final[msgspec.json.Decoder[_Named]] = msgspec.json.Decoder(_Named)
 _versioned: Final[msgspec.json.Decoder[_Versioned]] = msgspec.json.Decoder(_Versioned)
-_encoder: Final = msgspec.json.Encoder()
 _from_component: Final[msgspec.json.Decoder[FromComponent]] = msgspec.json.Decoder(FromComponent)
 _from_client: Final[msgspec.json.Decoder[FromClient]] = msgspec.json.Decoder(FromClient)
 _command: Final[msgspec.json.Decoder[Command[Any]]] = msgspec.json.Decoder(reduce(or_, COMMANDS.values()))
@@ -107,11 +107,11 @@ INVALID: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 def encode(frame: Frame) -> bytes:
     """One line, without its end."""
-    return _encoder.encode(frame)
+    return to_json(frame)
 
 
 def encode_value(value: WireValue) -> msgspec.Raw:
-    return msgspec.Raw(_encoder.encode(value))
+    return msgspec.Raw(to_json(value))
 
 
 def decode_greeting(line: bytes) -> Greeting:

@@ -13,10 +13,8 @@ import operator
 import secrets
 import time
 from collections.abc import Callable, Container, Iterable, Iterator
-from typing import Final
 
-import msgspec
-
+from midstride.codec.writing import to_json
 from midstride.model.configuration import Configuration
 from midstride.model.rules import Evaluator, violations
 from midstride.model.specification import initial
@@ -34,8 +32,6 @@ from midstride.server.view.table import Part, ViewTable, encode_view
 from midstride.server.view.timing import FIGURES, LOOK, SOON, TOGETHER, Alarm, Wakers, figures_interval
 from midstride.server.view.topics import changed_parts, topic_view
 from midstride.wire.state import ComponentState
-
-_encode: Final = msgspec.json.Encoder().encode
 
 
 class LiveView:
@@ -227,7 +223,7 @@ class LiveView:
             evaluator = Evaluator(configuration)
             for name in sorted(connectors):
                 known = name in configuration.context.connectors
-                yield ("topics", name), _encode(topic_view(configuration, evaluator, name)) if known else None
+                yield ("topics", name), to_json(topic_view(configuration, evaluator, name)) if known else None
         names = self._dirty | self._measured if figures else self._dirty
         dirty, self._dirty = self._dirty, set()
         self._measured = set() if figures else self._measured - names
@@ -277,7 +273,7 @@ class LiveView:
                 self._modes.shown(view, now)
                 sound = view.as_modelled and view.waiting is None and not view.differences
                 (self._unsound.discard if sound else self._unsound.add)(name)
-            yield part, _encode(view)
+            yield part, to_json(view)
 
     def _single(self) -> Iterator[tuple[Part, bytes]]:
         """The parts that are one value."""
@@ -298,4 +294,4 @@ class LiveView:
             "change": self._changes.current,
         }
         for field, value in values.items():
-            yield (field, ""), _encode(value)
+            yield (field, ""), to_json(value)

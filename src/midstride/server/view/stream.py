@@ -11,8 +11,7 @@ import re
 from collections.abc import AsyncGenerator
 from typing import Final, NamedTuple
 
-import msgspec
-
+from midstride.codec.writing import to_json
 from midstride.runtime.timeouts import within
 from midstride.server.stream import KEEP_ALIVE
 from midstride.server.view.live import LiveView
@@ -63,7 +62,7 @@ async def view_events(live: LiveView, since: Position | None) -> AsyncGenerator[
                     yield _message(kind, live.manager, sent, last, json)
                 for event in events.since(last):
                     last = event.n
-                    yield _message("event", live.manager, sent, last, msgspec.json.encode(event))
+                    yield _message("event", live.manager, sent, last, to_json(event))
                 if over:
                     return
                 if table.n != sent:
