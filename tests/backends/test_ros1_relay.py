@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 from collections.abc import Awaitable, Callable
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import psutil
 import pytest
 
 from midstride.backends.ros1 import create_backend
+from midstride.codec.component import NamedComponentForm
+from midstride.errors import CallTimeout
+from midstride.foreign.relayed_program import RelayOrder
 from midstride.lang.load import load
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
@@ -124,6 +130,22 @@ def test_rospy_talkers_replace_each_other_and_a_component(tmp_path: Path) -> Non
     assert {words for line in heard.read_text().splitlines() for words in line.split()[2:]} == {"hello", "ours"}
     # One that has the topic writes all of its messages, and after the change none.
     assert all(number == last + 1 for (before, last), (writer, number) in pairwise(found) if before == writer)
+
+
+def test_a_master_that_is_frozen_does_not_stop_the_relay_for_good(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from midstride.backends.ros1 import relay_program
+
+    path = tmp_path / "chat.stride"
+    path.write_text(TEXT, encoding="utf-8")
+    declaration = NamedComponentForm.of(load(path).require().components["Talker"])
+    order = RelayOrder(command=["talker"], node="/talker", declaration=declaration, topics={}, real={})
+    host: Any = SimpleNamespace(node_name="/talker_relay")
+    with socket.create_server(("127.0.0.1", 0)) as frozen:
+        monkeypatch.setenv("ROS_MASTER_URI", f"http://127.0.0.1:{frozen.getsockname()[1]}")
+        with pytest.raises(CallTimeout, match="did not answer getSystemState within"):
+            relay_program.endpoints(host, order)
 
 
 THROTTLES = """

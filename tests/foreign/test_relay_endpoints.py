@@ -5,6 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import pytest
 
 from midstride.codec.component import NamedComponentForm
-from midstride.errors import NodeError
+from midstride.errors import CallTimeout, NodeError
 from midstride.foreign import relay_endpoints
 from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.relay_endpoints import ADVERTISES, ENDPOINTS_TIMEOUT, ProgramEndpoints
@@ -139,6 +140,38 @@ def test_a_program_that_has_exited_is_not_waited_for(tmp_path: Path, time: Time)
     with pytest.raises(NodeError, match="`throttle` has exited with status 3"):
         endpoints(tmp_path, time, lambda _: None, status=3).wait()
     assert time.now == 0
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_graph_that_cannot_be_read_is_asked_again_and_its_reason_reported(
+    tmp_path: Path, time: Time, late: bool
+) -> None:
+    def graph(now: float) -> Sequence[GraphEndpoint]:
+        if now < 3:
+            raise CallTimeout("the master did not answer")
+        return [published(PRIVATE), subscribed("/chat")]
+
+    program = endpoints(tmp_path, time, graph, late=late)
+    replace(program, matched={}).wait()
+    assert 3 <= time.now < 3.2
+    never = replace(program, matched={}, graph=lambda: graph(0.0))
+    with pytest.raises(NodeError, match=r"^what /throttle has is not known: the master did not answer$"):
+        never.wait()
+
+
+def test_a_graph_that_cannot_be_read_for_a_while_is_watched_all_the_same(
+    tmp_path: Path, time: Time, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def graph(now: float) -> Sequence[GraphEndpoint]:
+        if now < 10:
+            raise CallTimeout("the master did not answer")
+        return [published("/out")]
+
+    past: queue.Queue[str] = queue.Queue()
+    endpoints(tmp_path, time, graph, late=True).watch(past.put)
+    assert "publishes on /out itself" in past.get(timeout=60)
+    said = "whether /throttle publishes past its relay is not known now: the master did not answer\n"
+    assert capfd.readouterr().err == said
 
 
 def test_where_programs_advertise_late_an_output_is_waited_for_shortly_and_then_watched(

@@ -50,7 +50,8 @@ class RelayPlatform:
     """What a relay needs of its platform.
 
     ``host``: joins as the relay of an instance. ``type_of``: the class of a port of a message type, whose messages stay
-    serialised. ``graph``: what the graph shows of the program's node; None if it shows no such node.
+    serialised. ``graph``: what the graph shows of the program's node; None if it shows no such node. It may raise
+    BackendError where the graph cannot be read in time.
     ``decoder``: reads such messages of a type, of which only some are, and only where the contract constrains fields.
     ``advertises_late``: a program may create a publisher only when it has something to publish, so none is waited for.
     ``parameters``: sets those of the program's node; called on the data thread. None where there is no such service.

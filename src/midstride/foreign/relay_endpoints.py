@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from midstride.errors import NodeError
+from midstride.errors import BackendError, NodeError
 from midstride.foreign.graph_check import GraphEndpoint, differences, lacking, past_relay
 from midstride.foreign.relayed_program import RelayedProgram, RelayOrder
 from midstride.model.component import ComponentSpec
@@ -25,8 +26,9 @@ _WATCH: Final = 1.0
 class ProgramEndpoints:
     """Those of the ``program`` of ``order``, as ``graph`` shows them; None while it shows no node of that name.
 
-    ``matched``: by output, whether its relay is connected with a publisher of the program. ``late``: the program may
-    create a publisher only when it has something to publish, so none is waited for.
+    ``graph`` may raise BackendError, and is then asked again. ``matched``: by output, whether its relay is connected
+    with a publisher of the program. ``late``: the program may create a publisher only when it has something to publish,
+    so none is waited for.
     """
 
     order: RelayOrder
@@ -41,7 +43,8 @@ class ProgramEndpoints:
         begun = time.monotonic()
         appeared: float | None = None
         while True:
-            found, now = self.graph(), time.monotonic()
+            found, unread = self._shown()
+            now = time.monotonic()
             self._require_running()
             if fault := self._past(found or ()):
                 raise NodeError(fault)
@@ -55,7 +58,7 @@ class ProgramEndpoints:
             if now - begun >= ENDPOINTS_TIMEOUT:
                 break
             time.sleep(_LOOK)
-        if faults := self._faults(missing):
+        if faults := self._faults(missing, found, unread):
             raise NodeError("; ".join(faults))
 
     def watch(self, past: Callable[[str], None]) -> None:
@@ -64,11 +67,26 @@ class ProgramEndpoints:
             threading.Thread(target=self._watch, args=(past,), daemon=True).start()
 
     def _watch(self, past: Callable[[str], None]) -> None:
-        while not self._remapped(found := self.graph() or ()):
-            if fault := self._past(found):
+        before = ""
+        while True:
+            found, unread = self._shown()
+            if self._remapped(found or ()):
+                return
+            if fault := self._past(found or ()):
                 past(fault)
                 return
+            if unread and not before:
+                words = f"whether {self.order.node} publishes past its relay is not known now: {unread}"
+                print(words, file=sys.stderr, flush=True)
+            before = unread
             time.sleep(_WATCH)
+
+    def _shown(self) -> tuple[Sequence[GraphEndpoint] | None, str]:
+        """What the graph shows, and why it cannot be read."""
+        try:
+            return self.graph(), ""
+        except BackendError as error:
+            return None, str(error)
 
     def _past(self, found: Sequence[GraphEndpoint]) -> str:
         order = self.order
@@ -89,9 +107,11 @@ class ProgramEndpoints:
         missing = [] if self.late else [name for name, matched in self.matched.items() if not matched()]
         return missing + [name for name in self.component.input_order if self.order.topics[name] not in received]
 
-    def _faults(self, missing: Sequence[str]) -> list[str]:
+    def _faults(self, missing: Sequence[str], found: Sequence[GraphEndpoint] | None, unread: str) -> list[str]:
         """Why the program is not what is declared; ``missing``: the ports that it still lacks."""
-        node, topics, found = self.order.node, self.order.topics, self.graph()
+        node, topics = self.order.node, self.order.topics
+        if unread:
+            return [f"what {node} has is not known: {unread}"]
         if found is None and (missing or self.late):
             words = f"there is no node {node} {ENDPOINTS_TIMEOUT:g} s after `{self.order.command[0]}` was started"
             return [f"{words}: a program behind a relay must accept ROS's arguments, its name among them"]

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import xmlrpc.client
+import asyncio
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import genpy
-import rosgraph
 
 from midstride.backends.common_messages import message_class
-from midstride.backends.ros1 import names
+from midstride.backends.ros1 import launching, names
 from midstride.backends.ros1.host import Ros1Host
+from midstride.backends.ros1.master import Master, SystemState
 from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.relay import RelayPlatform, run_relay
 from midstride.foreign.relayed_program import RelayOrder
@@ -61,28 +63,30 @@ def join(context: ProcessContext) -> Host:
 
 
 def endpoints(host: Host, order: RelayOrder) -> Sequence[GraphEndpoint] | None:
-    """Those of the program, as the master lists them; None if it does not know the program's node, or does not answer.
+    """Those of the program, as the master lists them; None if it does not know the program's node.
 
-    One that takes any type has the type that is declared.
+    One that takes any type has the type that is declared. Raises BackendError where the master does not answer in time.
     """
-    master = rosgraph.Master(host.node_name)
-    try:
-        state = publishers, subscribers, _ = master.getSystemState()
-        if not any(order.node in nodes for kind in state for _, nodes in kind):
-            return None
-        listed_types = master.getTopicTypes()
-    except (OSError, rosgraph.MasterException, xmlrpc.client.Error):
+    master = Master(launching.master_uri(os.environ), host.node_name or "")
+    with ThreadPoolExecutor(1) as beside:  # this thread may have an event loop
+        state, types = beside.submit(lambda: asyncio.run(_registered(master))).result()
+    if order.node not in state.nodes():
         return None
-    types, component = dict(listed_types), order.declaration.declared()
+    component = order.declaration.declared()
     declared = {topic: port for port, topic in order.topics.items()}
     found = []
-    for output, listed, qos in ((True, publishers, _OFFERED), (False, subscribers, _REQUESTED)):
-        for topic in (name for name, nodes in listed if order.node in nodes and name not in names.INTERNAL):
+    for output, listed, qos in ((True, state.publishers, _OFFERED), (False, state.subscribers, _REQUESTED)):
+        for topic in (name for name, nodes in listed.items() if order.node in nodes and name not in names.INTERNAL):
             kind = types.get(topic, _ANY)
             if kind == _ANY and topic in declared:
                 kind = component.type_of(declared[topic]) or _ANY
             found.append(GraphEndpoint(output, topic, kind, qos))
     return found
+
+
+async def _registered(master: Master) -> tuple[SystemState, dict[str, str]]:
+    """What is registered, and the type of each topic. Raises BackendError."""
+    return await master.state(), dict(await master.call("getTopicTypes", master.caller))
 
 
 if __name__ == "__main__":
