@@ -11,9 +11,11 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 
 from midstride.codec.component import NamedComponentForm
 from midstride.errors import CommandRefused, StepFailed
+from midstride.foreign import reported_clock
 from midstride.foreign.agent import ForeignAgent
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import NodeGraph
@@ -204,6 +206,37 @@ def test_one_that_hangs_is_fenced(tmp_path: Path, programs: Path, gate_library: 
             os.kill(system.lab.processes[index].pid, signal.SIGSTOP)
             while (await system.client.read("old", commands.AwaitIdleCommand())).busy is None:
                 await asyncio.sleep(0.05)
+
+    asyncio.run(scenario())
+
+
+def test_one_that_hangs_on_a_clock_that_moves_is_fenced(
+    tmp_path: Path, programs: Path, gate_library: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not while the simulation is paused, and not before it is known how its clock moves."""
+    monkeypatch.setattr(reported_clock, "UNNOTICED", 0.5)
+
+    async def scenario() -> None:
+        async with nodes(tmp_path, programs, gate_library) as system:
+            agent, clock = system.agents["old"], system.agents["old"].node.clock
+            agent.node.change_record(stated={"use_sim_time": True})
+            os.kill(system.lab.processes[system.index("old")].pid, signal.SIGSTOP)
+            for speed in (None, 0.0, 1.0):
+                for _ in range(20):
+                    if speed is not None:
+                        clock.note(structs.replace(agent.node.state(), simulated_time=True, clock_speed=speed))
+                    state = await system.client.peek("old")
+                    assert (state.simulated_time, state.clock_speed) == (True, speed or 0.0)
+                    busy = (await system.client.read("old", commands.AwaitIdleCommand())).busy
+                    if speed:
+                        break
+                    assert busy is None, busy
+                    await asyncio.sleep(0.1)
+            while busy is None:
+                await asyncio.sleep(0.05)
+                clock.note(structs.replace(agent.node.state(), simulated_time=True, clock_speed=1.0))
+                busy = (await system.client.read("old", commands.AwaitIdleCommand())).busy
+            assert busy.startswith(f"it has written nothing on {TOPIC} for ")
 
     asyncio.run(scenario())
 

@@ -33,6 +33,7 @@ from midstride.foreign.node import ForeignNode, without_ports
 from midstride.foreign.parameters import ForeignParameters
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.reflex import broken_assumptions
+from midstride.foreign.reported_clock import ReportedClock
 from midstride.foreign.reported_writes import ReportedWrites
 from midstride.foreign.services import NoAnswer, NodeServices
 from midstride.node.baton import BatonStep
@@ -68,10 +69,13 @@ class ForeignAgent:
         peers: LifecyclePeers | None = None,
         graph: NodeGraph | None = None,
         reported: ReportedWrites | None = None,
+        clock: ReportedClock | None = None,
     ) -> None:
         self.node = ForeignNode(record, folder, gates)
         if reported is not None:
             self.node.reported = reported.silence
+        if clock is not None:
+            self.node.clock = clock
         cuts: ForeignCuts | LifecycleCuts = ForeignCuts(self.node)
         self._services = services
         self.lifecycle: LifecycleNode | None = None

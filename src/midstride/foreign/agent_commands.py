@@ -213,6 +213,7 @@ class ForeignCommands:
     async def _await_idle(self, command: commands.AwaitIdleCommand) -> replies.Idle:
         """It hangs if an output with a rate has been silent for long, whether its gate is open or not.
 
+        In simulated time, nothing is judged while `/clock` stands still, or it is not known how it moves.
         A lifecycle node without a gate hangs if it does not say its state.
         """
         if self._lifecycle is not None and self._node.gates is None:
@@ -228,7 +229,8 @@ class ForeignCommands:
                 else None
             )
             age = self._node.gates.age(port) if self._node.gates is not None else None
-            if rate and age is not None and age > max(HANGS, HANGS_PERIODS / rate):
+            due = None if age is None else self._node.due(age)
+            if rate and due is not None and due > max(HANGS, HANGS_PERIODS / rate):
                 return replies.Idle(busy=f"it has written nothing on {self._node.record.topics[port]} for {age:.1f} s")
         return replies.Idle(busy=None)
 

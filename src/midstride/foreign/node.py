@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from midstride.errors import BackendError, CommandRefused
 from midstride.foreign.gates import Gates
 from midstride.foreign.record import ForeignRecord
+from midstride.foreign.reported_clock import ReportedClock
 from midstride.model.component import ComponentSpec
 from midstride.node.message_times import window_of
 from midstride.wire.state import (
@@ -50,6 +51,7 @@ class ForeignNode:
         self.undeclared: list[str] = []  # its topics that are no ports
         # For how long (s) the components with an agent inside that may publish on a topic have written nothing there.
         self.reported: Callable[[str], float | None] = lambda topic: None
+        self.clock = ReportedClock()
         self._folder = folder
         self._since = dict.fromkeys(record.modes, time.monotonic())
         self._because = dict.fromkeys(record.modes, "started")
@@ -123,6 +125,10 @@ class ForeignNode:
     def seconds_in_mode(self, functionality: str) -> float:
         return time.monotonic() - self._since[functionality]
 
+    def due(self, seconds: float) -> float | None:
+        """How much of the last ``seconds`` counts on the node's ROS clock; None where that is not known."""
+        return self.clock.due(seconds) if self.record.simulated_time else seconds
+
     def enter_modes(self, modes: Mapping[str, str], because: str) -> None:
         fallen = {name: why for name, why in self.record.fallen.items() if name not in modes}
         self.change_record(modes={**self.record.modes, **modes}, fallen=fallen)
@@ -158,6 +164,8 @@ class ForeignNode:
             node=record.node,
             imported=1,
             host=THIS_HOST,
+            simulated_time=record.simulated_time,
+            clock_speed=self.clock.speed if record.simulated_time else 1.0,
         )
 
     def gate_states(self) -> dict[str, GateState | None]:

@@ -219,7 +219,7 @@ class Ros2Backend(ProcessBackend):
             self._graph.forget(full_name(instance))
 
     def reported(self, state: ComponentState) -> None:
-        self._foreign_nodes.reported.note(state)
+        self._foreign_nodes.note(state)
 
     def unwritten(self) -> str | None:
         return self._foreign_nodes.unwritten()
