@@ -137,6 +137,17 @@ def test_what_a_probe_finds_is_proposed(relay: Gates, capsys: pytest.CaptureFixt
     assert main(["check", "chat.stride"]) == 0
 
 
+def test_topics_that_a_gate_does_not_have_are_named(
+    relay: Gates, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(probed_page, "probing", lambda folder: nullcontext(Gates(OUT)))
+    assert main(["capture", "--probe", "--yes"]) == 0
+    assert capsys.readouterr().err.splitlines()[:2] == [
+        "/source: not probed: it has no gate",
+        "/relay: not probed on /in: a gate has at most 32 topics",
+    ]
+
+
 def test_nothing_is_closed_without_confirmation(
     relay: Gates, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
