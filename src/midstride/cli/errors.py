@@ -9,7 +9,7 @@ from typing import Final
 
 import click
 
-from midstride.cli.app import COMMANDS
+from midstride.cli.app import COMMANDS, cli
 from midstride.cli.output import NO, USAGE, print_json
 from midstride.errors import MidstrideError, SpecificationError
 
@@ -40,18 +40,27 @@ def report(error: click.UsageError | MidstrideError | OSError, words: Sequence[s
         lines = [str(problem) for problem in error.problems]
     else:
         lines = [str(error.args[0]) if error.args else type(error).__name__]
-    command = next((word for word in words if word in COMMANDS), None)
-    path = f"midstride {command}" if command else "midstride"
+    path = " ".join(["midstride", *_command(words)])
     _report("\n".join(f"{path}: {line}" for line in lines), type(error).__name__, "\n".join(lines), words)
     return NO
+
+
+def _command(words: Sequence[str]) -> list[str]:
+    """The command that was typed, with its subcommand, as ``param set``; empty where there was none."""
+    at = next((index for index, word in enumerate(words) if word in COMMANDS), None)
+    if at is None:
+        return []
+    command = cli.get_command(click.Context(cli), words[at])
+    subcommands = command.commands if isinstance(command, click.Group) else {}
+    return [words[at], *[word for word in words[at + 1 :] if word in subcommands][:1]]
 
 
 def _report(text: str, kind: str, message: str, words: Sequence[str]) -> None:
     print(text, file=sys.stderr)
     if "--json" in words:
-        command = next((word for word in words if word in COMMANDS), "")
+        command = _command(words)
         document: dict[str, object] = {"error": {"kind": kind, "message": message}}
-        if command in _CHANGES and kind != "UsageError":
+        if command and command[0] in _CHANGES and kind != "UsageError":
             document = {"outcome": "refused", "because": message, **document}
         print_json(document)
 
