@@ -11,8 +11,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from midstride.cli.change_options import new_node
-from midstride.cli.commands.param import yaml_value
+from midstride.cli.change_options import new_node, parse_value
 from tests.browser.conftest import Opened, System, system
 from tests.cli.conftest import EXAMPLES
 from tests.cli.test_param import PROGRAM, SPECIFICATION
@@ -307,10 +306,10 @@ def test_a_parameter_is_set_by_the_request_of_the_command_beside_it(
     *words, value = shlex.split(command)
     assert words == ["midstride", "param", "set", "talker", name]
     asked = sent(page, "/parameters", "Set")
-    assert asked == {"node": "talker", "parameters": {name: yaml_value(value)}}
+    assert asked == {"node": "talker", "parameters": {name: parse_value(value)}}
     expect(page.locator("#change .banner")).to_contain_text(f"talker: {name} =")
     parameters = tuned.midstride("param", "get", "talker", name, "--json").json
-    assert (parameters["value"], parameters["set_at_run_time"]) == (yaml_value(text), True)
+    assert (parameters["value"], parameters["set_at_run_time"]) == (parse_value(text), True)
 
 
 def test_a_refused_value_is_refused_in_the_nodes_words(tuned: System, opened: Opened) -> None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from midstride.cli.commands.param import yaml_value
+from midstride.cli.change_options import misread, parse_value
 from tests.cli.conftest import Midstride, running
 
 SPECIFICATION = """{
@@ -124,6 +125,8 @@ def test_a_plan_for_a_file_refuses_what_is_for_a_running_system(
     [
         (("set", "talker", "gain", "-11"), "it must be at least -10"),
         (("set", "talker", "gain", "loud"), "takes a value like 1.5 (float), not 'loud'"),
+        (("set", "talker", "gain", "1e3"), "YAML reads `1e3` as a string; write a float: 1000.0\n"),
+        (("set", "talker", "names", "on"), "YAML reads `on` as a boolean; write a list of strings: '[\"on\"]'\n"),
         (("set", "talker", "gian", "1"), "there is no parameter gian"),
         (("set", "talker", "midstride.state", "x"), "shows the state of the component and cannot be set"),
         (("set", "talkr", "gain", "1"), "did you mean `talker`?"),
@@ -137,7 +140,35 @@ def test_what_cannot_be_set_or_shown_is_refused_with_the_reason(
 ) -> None:
     done = tuned("param", *words)
     assert (done.status, done.out) == (1, "")
+    assert done.err.startswith(f"midstride param {words[0]}: ")
     assert reason in done.err
+
+
+def test_add_reads_values_as_param_set_does(tuned: Midstride) -> None:
+    words = ("add", "second", "Talker", "out=/chatter", "--yes", "--param")
+    refused = tuned(*words, "gain=loud")
+    assert refused.err == "midstride add: --param gain: YAML reads `loud` as a string; write a float, such as 1.5\n"
+    assert tuned(*words, "gain=0x10", "--json").json["outcome"] == "done"
+    try:
+        assert tuned("param", "get", "second", "gain", "--json").json["value"] == 16.0
+    finally:
+        assert tuned("remove", "second", "--yes").status == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "like", "hint"),
+    [
+        ("2", 1.5, None),
+        ("[]", ["a"], None),
+        ("on", "a", "YAML reads `on` as a boolean; write a string: '\"on\"'"),
+        ("[1, 2]", "a", "YAML reads `[1, 2]` as a list of integers; write a string: '\"[1, 2]\"'"),
+        ("3", [1], "YAML reads `3` as an integer; write a list of integers: '[3]'"),
+        ("[1, 2.5]", [0.5], "YAML reads `[1, 2.5]` as a string; write a list of floats, such as '[0.5]'"),
+        ("1", True, "YAML reads `1` as an integer; write a boolean, such as true"),
+    ],
+)
+def test_what_yaml_reads_as_another_type_is_said_with_what_to_write(text: str, like: Any, hint: str | None) -> None:
+    assert misread(text, like) == hint
 
 
 def test_names_of_parameters_are_completed(tuned: Midstride) -> None:
@@ -162,10 +193,12 @@ def test_names_of_parameters_are_completed(tuned: Midstride) -> None:
         ("[", "["),
         ("2026-11-22", "2026-11-22"),
         ("null", "null"),
+        ("2026-13-01", "2026-13-01"),
+        ("[]", []),
     ],
 )
 def test_a_value_is_read_as_ros2_param_set_reads_it(text: str, value: object) -> None:
-    assert (yaml_value(text), type(yaml_value(text))) == (value, type(value))
+    assert (parse_value(text), type(parse_value(text))) == (value, type(value))
 
 
 @pytest.mark.ros2
@@ -175,4 +208,4 @@ def test_that_is_how_ros_2_reads_it() -> None:
     for text in ("1", "-1.5", "true", "on", "'1'", "loud", "[1, 2]", "[1, x]", "1e3"):
         expected = parameter_value_to_python(get_parameter_value(text))
         expected = list(expected) if not isinstance(expected, (bool, int, float, str)) else expected
-        assert (yaml_value(text), type(yaml_value(text))) == (expected, type(expected)), text
+        assert (parse_value(text), type(parse_value(text))) == (expected, type(expected)), text

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import click
+
+from midstride.model.component import ParameterValue, value_fits, value_kind
 
 STRATEGIES = ("minimal", "paper", "quiesce", "stop")
 
@@ -46,13 +50,18 @@ def parse_pair(text: str, form: str) -> tuple[str, str]:
     return name, value
 
 
+def parse_parameter(text: str) -> tuple[str, str]:
+    """``NAME=VALUE``. Raises UsageError."""
+    return parse_pair(text, "NAME=VALUE, such as threshold=0.5")
+
+
 def new_node(role: str, component: str, attachments: Iterable[str], parameters: Iterable[str] = ()) -> dict[str, Any]:
     """A node to add, from arguments of the forms ``PORT=TOPIC`` and ``NAME=VALUE``."""
     topics: dict[str, list[str]] = {}
     for text in attachments:
         port, topic = parse_pair(text, "PORT=TOPIC, such as out=/chatter")
         topics.setdefault(port, []).append(topic)
-    values = dict(parse_pair(text, "NAME=VALUE, such as threshold=0.5") for text in parameters)
+    values = dict(map(parse_parameter, parameters))
     return {
         "role": role.removeprefix("/"),  # as ROS writes the full name of a node
         "component": component,
@@ -69,8 +78,30 @@ def parse_new_node(words: Sequence[str]) -> dict[str, Any]:
 
 
 def parse_value(text: str) -> Any:
-    """The value of a parameter, written as in JSON; text that is not JSON is a string."""
+    """The value that ``ros2 param set`` makes of ``text``: what is no value of a parameter in YAML is a string."""
+    import yaml  # type: ignore[import-untyped, unused-ignore]  # with its stubs or without
+
     try:
-        return json.loads(text)
-    except (ValueError, RecursionError):
+        value = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError):  # a date that does not exist; thousands of brackets
         return text
+    if isinstance(value, list):
+        return value if not value or {type(member) for member in value} in ({bool}, {int}, {float}, {str}) else text
+    return value if isinstance(value, (bool, int, float, str)) else text
+
+
+def misread(text: str, like: ParameterValue) -> str | None:
+    """What to write instead of ``text``, where YAML reads a value of another type than ``like``."""
+    value = parse_value(text)
+    if value_fits(value, like):
+        return None
+    candidates = [json.dumps(text, ensure_ascii=False), f"[{text}]", json.dumps([text], ensure_ascii=False)]
+    with suppress(ValueError):
+        candidates.append(repr(float(text)))  # `1e3` is a string in YAML 1.1
+    fitting = next((_quoted(each) for each in candidates if value_fits(parse_value(each), like)), None)
+    instead = f", such as {_quoted(json.dumps(like, ensure_ascii=False))}" if fitting is None else f": {fitting}"
+    return f"YAML reads `{text}` as {value_kind(value)}; write {value_kind(like)}{instead}"
+
+
+def _quoted(text: str) -> str:
+    return text if text.replace(".", "").isalnum() else shlex.quote(text)

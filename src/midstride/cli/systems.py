@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from midstride.cli import completion
 from midstride.cli.client import Client
-from midstride.errors import ManagerError, NoManager
+from midstride.errors import ManagerError, NoManager, PlanRefused
 from midstride.model.diagnostics import suggestion
 from midstride.runtime.workspace import Workspace
+
+if TYPE_CHECKING:
+    from midstride.runtime.status_forms import Status
 
 # How long to wait for a manager that does not answer: it may be starting or exiting (s).
 ANSWER_TIMEOUT: Final = 3.0
@@ -80,6 +83,15 @@ def find_records(system: str | None) -> Workspace:
     found = next(iter(down.values())) if system is None else _named(system, {**up, **down})
     click.echo(f"({found.name} is down: this is what it has left)", err=True)
     return found
+
+
+def not_running(status: Status, node: str) -> PlanRefused:
+    """The error where no component of the ``status`` is or has the node: it has crashed, or was misspelt."""
+    for crash in status.crashed:
+        if crash.role and node in (crash.name, crash.role):
+            return PlanRefused("; ".join(filter(None, [f"{crash.name} exited unexpectedly", crash.remedy])))
+    hint = suggestion(node, {each.role for each in status.components})
+    return PlanRefused(f"no node {node} is running" + (f"; {hint}" if hint else ""))
 
 
 def _named(system: str, known: Mapping[str, Workspace]) -> Workspace:

@@ -17,6 +17,8 @@ from midstride.cli import change_options, completion
 from midstride.cli.client import Client, Document
 from midstride.cli.output import console, is_interactive, json_option, print_json, wants_json
 from midstride.cli.systems import find, system_option
+from midstride.errors import PlanRefused
+from midstride.model.component import ComponentSpec
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +75,7 @@ def replace_command(
     """Replace the component of NODE with COMPONENT, on the same topics."""
     request = {
         "replace": [[node, component]],
-        "components": _component_of(file, component),
+        "components": _encoded(_component_of(file, component)),
         "declared_parameters": declared_parameters,
     }
     return change(options, request, f"replace {node} with {component}")
@@ -97,7 +99,13 @@ def restart_command(
 @click.argument("node")
 @click.argument("component", shell_complete=completion.components)
 @click.argument("attachments", nargs=-1, metavar="[PORT=TOPIC]...", shell_complete=completion.attachments)
-@click.option("--param", "parameters", multiple=True, metavar="NAME=VALUE", help="Set a parameter of the node.")
+@click.option(
+    "--param",
+    "parameters",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Set a parameter of the node (repeatable); VALUE is read as by `midstride param set`.",
+)
 @_components_option
 @request_options
 def add_command(
@@ -108,10 +116,30 @@ def add_command(
     file: Path | None,
     options: RequestOptions,
 ) -> int:
-    """Add NODE, with COMPONENT, and attach its ports to topics."""
+    """Add NODE, with COMPONENT, and attach its ports to topics.
+
+    The VALUE of a parameter is read as YAML, as by `midstride param set`: 0.5, [1, 2], true, '"on"'.
+    """
     new = change_options.new_node(node, component, attachments, parameters)
-    request = {"add": [new], "components": _component_of(file, component)}
+    declared = _component_of(file, component)
+
+    def request(client: Client) -> Document:
+        if parameters:
+            from midstride.codec.specification import decode_specification
+
+            known = declared or decode_specification(client.get("/specification")).components.get(component)
+            _check_values(parameters, known)
+        return {"add": [new], "components": _encoded(declared)}
+
     return change(options, request, f"add {node} ({component})")
+
+
+def _check_values(parameters: tuple[str, ...], component: ComponentSpec | None) -> None:
+    """Raises PlanRefused, with what to write, for a value that YAML reads as another type than is declared."""
+    declared = {} if component is None else component.parameters
+    for name, text in map(change_options.parse_parameter, parameters):
+        if name in declared and (hint := change_options.misread(text, declared[name].value)) is not None:
+            raise PlanRefused(f"--param {name}: {hint}")
 
 
 @click.command("remove")
@@ -161,14 +189,18 @@ def apply_command(
     return change(options, request, f"apply {new.name}", file=str(new.resolve()))
 
 
-def _component_of(file: Path | None, name: str) -> list[Document]:
+def _component_of(file: Path | None, name: str) -> ComponentSpec | None:
     """The component ``name`` of ``file``, if it has one; the rest of the file does not concern the request."""
     if file is None:
-        return []
+        return None
     from midstride.cli.files import load
+
+    return load(file).components.get(name)
+
+
+def _encoded(component: ComponentSpec | None) -> list[Document]:
     from midstride.codec.component import encode_component
 
-    component = load(file).components.get(name)
     return [] if component is None else [encode_component(component)]
 
 

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from midstride.cli import completion
+from midstride.cli.change_options import misread, parse_value
 from midstride.cli.output import json_option, print_json, wants_json
-from midstride.cli.systems import find, system_option
-from midstride.errors import ManagerError, PlanRefused
+from midstride.cli.systems import find, not_running, system_option
+from midstride.errors import CommandRefused, ManagerError, PlanRefused
 from midstride.model.diagnostics import suggestion, unknown_name
 
 if TYPE_CHECKING:
-    from midstride.runtime.status_forms import ComponentStatus, ParameterStatus
+    from midstride.runtime.status_forms import ComponentStatus, ParameterStatus, Status
 
 _node = click.argument("node", shell_complete=completion.nodes)
 _name = click.argument("name", shell_complete=completion.parameters)
@@ -36,8 +36,8 @@ def param_command() -> None:
 def list_command(node: str | None, system: str | None) -> int:
     """List the parameters of NODE, or of every node, with their values."""
     client, _ = find(system)
-    components = client.status().components
-    found = components if node is None else [_component(components, node)]
+    status = client.status()
+    found = status.components if node is None else [_component(status, node)]
     if wants_json():
         print_json({component.name: component.parameters for component in found})
         return 0
@@ -55,7 +55,7 @@ def list_command(node: str | None, system: str | None) -> int:
 def get_command(node: str, name: str, system: str | None) -> int:
     """Show the value of a parameter of NODE."""
     client, _ = find(system)
-    component = _component(client.status().components, node)
+    component = _component(client.status(), node)
     parameters = {parameter.name: parameter for parameter in component.parameters}
     if name not in parameters:
         hint = suggestion(name, parameters)
@@ -79,12 +79,20 @@ def get_command(node: str, name: str, system: str | None) -> int:
 @system_option
 @json_option
 def set_command(node: str, name: str, value: str, system: str | None) -> int:
-    """Set a parameter of NODE, by its own callback, as `ros2 param set` does. VALUE is read as YAML.
+    """Set a parameter of NODE, by its own callback, as `ros2 param set` does.
+
+    VALUE is read as YAML: 2, 0.5 and [1.0, 2.0] are numbers, true and on are booleans, and '"on"' is a string.
 
     It waits for a change that is being carried out.
     """
     client, _ = find(system)
-    report = client.set_parameters(node, {name: yaml_value(value)})
+    try:
+        report = client.set_parameters(node, {name: parse_value(value)})
+    except CommandRefused as error:
+        found = [each for each in client.status().components if node in (each.name, each.role)]
+        declared = {parameter.name: parameter.declared for each in found for parameter in each.parameters}
+        hint = misread(value, declared[name]) if name in declared else None
+        raise CommandRefused(f"{error}; {hint}" if hint else str(error)) from None
     if wants_json():
         print_json(report)
         return 0
@@ -93,30 +101,16 @@ def set_command(node: str, name: str, value: str, system: str | None) -> int:
     return 0
 
 
-def _component(components: Sequence[ComponentStatus], node: str) -> ComponentStatus:
-    """The live instance of that name or role. Raises ManagerError where it does not run or does not answer."""
-    found = [each for each in components if node in (each.name, each.role)]
-    if not found:
-        hint = suggestion(node, [each.role for each in components])
-        raise PlanRefused(f"no node {node} is running" + (f"; {hint}" if hint else ""))
-    if not found[0].reachable:
+def _component(status: Status, node: str) -> ComponentStatus:
+    """The live instance of that name or role. Raises PlanRefused if none runs, ManagerError if it does not answer."""
+    found = next((each for each in status.components if node in (each.name, each.role)), None)
+    if found is None:
+        raise not_running(status, node)
+    if not found.reachable:
         raise ManagerError(f"{node} does not answer: see `midstride status`")
-    return found[0]
+    return found
 
 
 def _line(parameter: ParameterStatus) -> str:
     started = f", set at run time (started with {parameter.declared!r})" if parameter.set_at_run_time else ""
     return f"{parameter.name} = {parameter.value!r}{started}"
-
-
-def yaml_value(text: str) -> Any:
-    """The value that ``ros2 param set`` makes of ``text``: what is no value of a parameter in YAML is a string."""
-    import yaml  # type: ignore[import-untyped, unused-ignore]  # with its stubs or without
-
-    try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError:
-        return text
-    if isinstance(value, list):
-        return value if {type(member) for member in value} in ({bool}, {int}, {float}, {str}) else text
-    return value if isinstance(value, (bool, int, float, str)) else text

@@ -13,9 +13,7 @@ from midstride.cli import completion
 from midstride.cli.client import Client, Event
 from midstride.cli.follow import last_event_number
 from midstride.cli.output import console, json_option, print_json, wants_json
-from midstride.cli.systems import find, system_option
-from midstride.errors import PlanRefused
-from midstride.model.diagnostics import suggestion
+from midstride.cli.systems import find, not_running, system_option
 
 if TYPE_CHECKING:
     from midstride.runtime.status_forms import Status
@@ -54,8 +52,7 @@ def _narrowed(status: Status, nodes: Sequence[str]) -> Status:
     known = {name for names in [*live, *crashed] for name in names}
     for node in nodes:
         if node not in known:
-            hint = suggestion(node, known)
-            raise PlanRefused(f"no node {node} is running" + (f"; {hint}" if hint else ""))
+            raise not_running(status, node)
     components = [each for each in status.components if {each.name, each.role} & {*nodes}]
     attached = {attachment.connector for each in components for attachment in each.attachments}
     topics = [topic for topic in status.topics if topic.name in attached]

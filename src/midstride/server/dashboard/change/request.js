@@ -85,7 +85,7 @@ function filled(texts) {
   return Object.entries(texts).flatMap(([name, text]) => (text.trim() === "" ? [] : [/** @type {[string, string]} */ ([name, text.trim()])]));
 }
 
-/** The value of a parameter: JSON, or else a string, as for `midstride add --param`. @param {string} text */
+/** The value of a parameter: JSON, or else a string. @param {string} text */
 export function valueOf(text) {
   try {
     return JSON.parse(text);
@@ -105,7 +105,7 @@ function words(choice) {
     case "replace":
       return ["replace", choice.node, choice.component];
     case "add":
-      return ["add", ...added(choice), ...filled(choice.values).flatMap(([name, text]) => ["--param", `${name}=${text}`])];
+      return ["add", ...added(choice), ...filled(choice.values).flatMap(([name, text]) => ["--param", `${name}=${yaml(valueOf(text))}`])];
     case "rollback":
       return ["rollback", String(choice.version)];
     case "param":
@@ -123,8 +123,9 @@ function added({ role, component, topics }) {
   return [role, component, ...attachments];
 }
 
-/** A value as `midstride param set` reads it: a string that YAML might read as something else is quoted. @param {unknown} value */
+/** A value as `param set` and `add --param` read it: YAML has other strings without quotes, and no `1e-7`. @param {unknown} value */
 function yaml(value) {
+  if (typeof value === "number") return String(value).replace(/^(-?\d+)e/, "$1.0e");
   const plain = typeof value === "string" && /^[A-Za-z/][\w./-]*$/.test(value) && !/^(y|n|yes|no|on|off|true|false|null)$/i.test(value);
   return plain ? String(value) : JSON.stringify(value);
 }
