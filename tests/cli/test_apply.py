@@ -351,6 +351,11 @@ def test_a_renamed_component_goes_on_under_its_new_name(chain: Running) -> None:
         assert midstride("status", "--json").json["file"] == midstride.saved("chain").file == new
         unchanged = chain.file(SYSTEM.replace("<- /neat", "<- /neet"), "refused.stride")
         assert midstride("apply", unchanged, "--yes").status == 1
-        assert f"brought up from {new}" in midstride("status").out
+        assert f"specification: {new}\n" in midstride("status").out
+        assert midstride("restart", "pass", "--yes").status == 0, "which changes no specification"
+        assert f"specification: {new}\n" in midstride("status").out
+        assert midstride("remove", "sink", "--yes").status == 0
+        assert f"specification: {new}, changed since (`midstride history`)\n" in midstride("status").out
+        assert midstride.saved("chain").changed_since
     finally:
         assert midstride("apply", chain.file(SYSTEM, "chain.stride"), "--yes").status == 0

@@ -46,7 +46,7 @@ def test_a_node_that_raises_right_after_up_is_named_with_exit_status_1(midstride
         f"Degraded: talker.talk {lower}: mode normal raised: ValueError: no voice.",
     ]
     status = midstride("status")
-    assert f"brought up from {tmp_path / 'programs' / 'talker.json'}" in status.out.splitlines()
+    assert f"specification: {tmp_path / 'programs' / 'talker.json'}" in status.out.splitlines()
 
 
 def test_a_node_that_raises_right_after_a_change_is_named_with_exit_status_1(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -142,6 +143,14 @@ def test_what_cannot_be_set_or_shown_is_refused_with_the_reason(
     assert (done.status, done.out) == (1, "")
     assert done.err.startswith(f"midstride param {words[0]}: ")
     assert reason in done.err
+
+
+def test_the_log_has_a_refused_setting_with_the_reason(tuned: Midstride) -> None:
+    assert tuned("param", "set", "talker", "gain", "-11").status == 1
+    command, outcome = (line.partition(" ")[2] for line in tuned("log").out.splitlines()[-2:])
+    assert command == "param set talker gain = -11"
+    assert re.fullmatch(r"outcome: refused: talker\w* refused `set`: ValueError: it must be at least -10", outcome)
+    assert tuned("log", "--json").json[-1]["outcome"] == "refused"
 
 
 def test_add_reads_values_as_param_set_does(tuned: Midstride) -> None:

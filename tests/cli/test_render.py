@@ -198,7 +198,7 @@ def test_a_file_below_the_current_folder_is_shown_as_it_is_typed_there(
 def test_after_a_crash_the_remedy_is_named() -> None:
     crashed = [crash("talker", remedy="`midstride restart talker` restores it"), crash("talker", None)]
     lines = shown(render_status.status(status(crashed=crashed, file="/r/robot.stride")))
-    assert lines[:2] == ["s on sim, valid", "brought up from /r/robot.stride"]
+    assert lines[:2] == ["s on sim, valid", "specification: /r/robot.stride"]
     assert lines[-2:] == [
         "talker exited unexpectedly (status -9); `midstride restart talker` restores it",
         "talker exited unexpectedly",

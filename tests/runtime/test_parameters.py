@@ -472,8 +472,10 @@ def test_the_manager_sets_a_parameter_by_the_component_s_own_callback(folder: Pa
             ("no_such", 1, "there is no parameter no_such; the parameters are: gain, label"),
             ("midstride.state", "x", "shows the state of the component and cannot be set"),
         ):
-            with pytest.raises(CommandRefused, match=words):
+            with pytest.raises(CommandRefused, match=words) as refused:
                 await manager.set_parameters("talker", {name: value})
+            last = manager.log()[-1]
+            assert (last.kind, last.outcome, last.words) == ("parameters", "refused", f"refused: {refused.value}")
         assert await values(manager, "talker") == ({"gain": 3.0, "label": "plain"}, {"gain": 1.5})
         with pytest.raises(PlanRefused, match="there is no node `talkr`; did you mean `talker`"):
             await manager.set_parameters("talkr", {"gain": 1})

@@ -56,6 +56,25 @@ def test_what_up_was_given_is_found_and_a_state_without_it_is_read(path: Path) -
     assert_options(path, NO_OPTIONS)
 
 
+def test_a_specification_is_that_of_its_file_until_another_command_changes_it(path: Path) -> None:
+    store = StateStore(path)
+    other = changed(SPECIFICATION, constraints=(Order("talker", "listener"),))
+
+    def origin() -> tuple[str | None, bool]:
+        saved = store.load()
+        assert saved is not None
+        return saved.file, saved.changed_since
+
+    store.begin("sim", "a token", SPECIFICATION, file="/r/talker.stride")
+    assert origin() == ("/r/talker.stride", False)
+    store.write_specification(other)
+    assert origin() == ("/r/talker.stride", True)
+    store.begin("sim", "a token", other, file="/r/talker.stride", changed_since=True)
+    assert origin() == ("/r/talker.stride", True)
+    store.write_file("/r/new.stride")
+    assert origin() == ("/r/new.stride", False)
+
+
 def assert_options(path: Path, expected: SystemOptions) -> None:
     found = StateStore(path).load()
     assert found is not None and found.options == expected
@@ -142,7 +161,7 @@ def test_only_what_differs_of_the_specification_is_written(path: Path) -> None:
     other = changed(listener, attachments=Map())
     target = changed(SPECIFICATION, nodes=SPECIFICATION.nodes.set("listener", other))
     insert = "INSERT OR REPLACE INTO specification"
-    assert statements(store, lambda: store.write_specification(target)) == [insert]
+    assert statements(store, lambda: store.write_specification(target)) == [insert, "INSERT OR REPLACE INTO system"]
     assert statements(store, lambda: store.write_specification(target)) == []
     found = StateStore(path).load()
     assert found is not None and found.specification == target

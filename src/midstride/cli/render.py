@@ -371,6 +371,6 @@ def history(document: Document, *, in_progress: bool = True) -> RenderableType:
 
 def event(document: Document) -> Text:
     """One event on one line."""
-    words = f"outcome: {document['words']}" if document["kind"] == "outcome" else document["words"]
+    words = f"outcome: {document['words']}" if document.get("outcome") else document["words"]
     line = Text(f"{time_of_day(document['at'])} ", style="dim")
     return line.append(words, style=_STYLES.get(document["kind"], "default"))

@@ -37,7 +37,8 @@ def _heading(status: Status) -> str:
     running, file = status.running, status.file
     activity = f", carrying out `{escape(running.command)}` for {seconds(running.since)}" if running else ""
     state = "[green]valid[/green]" if status.valid else "[red]not valid[/red]"
-    origin = f"\n[dim]brought up from {escape(as_typed_here(file))}[/dim]" if file else ""
+    since = ", changed since (`midstride history`)" if status.changed_since else ""
+    origin = f"\n[dim]specification: {escape(as_typed_here(file))}{since}[/dim]" if file else ""
     return f"[bold]{status.system}[/bold] on {status.backend}, {state}{activity}{origin}"
 
 

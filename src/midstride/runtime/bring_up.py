@@ -32,7 +32,7 @@ from midstride.runtime.state_store import SavedState, StateStore
 
 @dataclass(frozen=True, slots=True)
 class BringUp:
-    """One ``up`` of the system ``workspace`` on the platform ``backend``; ``file`` is what it is brought up from.
+    """One ``up`` of the system ``workspace`` on the platform ``backend``.
 
     ``improved``: the better modes of functionalities that are supported by what is measured.
     """
@@ -48,7 +48,6 @@ class BringUp:
     options: SystemOptions
     backend: str
     workspace: str
-    file: str | None
     improved: Callable[[Collection[FunctionalityRef]], dict[FunctionalityRef, int]]
 
     async def restore_missing(self, absent: set[str], *, is_new: bool) -> dict[str, str]:
@@ -98,7 +97,8 @@ class BringUp:
 
         Raises StepFailed after a roll-back.
         """
-        running = self.system.specification
+        system = self.system
+        running = system.specification
         target = specification
         for role in absent:
             if role in target.nodes:
@@ -112,7 +112,7 @@ class BringUp:
         else:
             plan = replace(await asyncio.to_thread(planner("minimal"), change), parameters=parameters)
         # Before any component has the token.
-        self.store.begin(self.backend, self.client.token, running, self.options, self.file)
+        self.store.begin(self.backend, self.client.token, running, self.options, system.file, system.changed_since)
         if plan.steps or specification != running:
             before = None if is_new else running
             preview = await asyncio.to_thread(PlanPreview.of, plan)

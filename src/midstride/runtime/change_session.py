@@ -338,6 +338,7 @@ class ChangeSession:
                     self._executing.cancel()
                 await self._executing
                 if target != system.specification:
+                    system.changed_since = True
                     self.store.write_specification(target)
                 system.specification = target
                 system.configuration = plan.change.settled(system.configuration)

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from midstride.codec.configuration import ConfigurationForm
-from midstride.errors import ManagerError, MidstrideError
+from midstride.errors import BackendError, ManagerError, MidstrideError
 from midstride.model.component import ParameterValue
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification, initial
@@ -74,10 +74,10 @@ class Manager:
         disk: Disk = DISK,
     ) -> None:
         """``file`` is the one that ``specification`` was read from, and ``directory`` where programs are started."""
-        self.system = RunningSystem(specification, Configuration(context=specification.context))
+        named = None if file is None else str(file)
+        self.system = RunningSystem(specification, Configuration(context=specification.context), named)
         self._backend = backend
         self._workspace = workspace
-        self._file = None if file is None else str(file)
         self._lock = asyncio.Lock()
         self._current: str | None = None  # the command in progress
         self._waiting = 0  # how many commands wait for it
@@ -210,7 +210,7 @@ class Manager:
         saved = self._store.load()
         if saved is not None:
             self._client.token = saved.token  # by which the components recognize their manager
-            self._file = saved.file
+            self.system.file, self.system.changed_since = saved.file, saved.changed_since
         await self._backend.open(self._reconciler.on_exit)
         self._watch.start()
         async with self._command(f"up {self.specification.name}"):
@@ -254,7 +254,6 @@ class Manager:
             self._options,
             backend=self._backend.name,
             workspace=self._workspace.name,
-            file=self._file,
             improved=self._restorer.improved,
         )
 
@@ -317,7 +316,6 @@ class Manager:
             running,
             unwritten=unwritten,
             damaged=self._journal.damaged,
-            file=self._file,
             spares=self._spares,
         )
 
@@ -392,8 +390,8 @@ class Manager:
             outcome = await self._session.change(
                 request, expected=expected, verify=verify, brief=brief, by=by, wait=wait
             )
-            if request.to is not None and outcome.outcome == "done":
-                self._file = file
+            if file is not None and request.to is not None and outcome.outcome == "done":
+                self.system.file, self.system.changed_since = file, False
                 self._store.write_file(file)
             return outcome
 
@@ -405,8 +403,13 @@ class Manager:
         """
         words = ", ".join(f"{name} = {value!r}" for name, value in values.items())
         async with self._command(f"param set {node} {words}"):
-            instance = self.system.live_instance(node)
-            await self._client.change(instance, SetParametersCommand(parameters=dict(values), declared={}))
+            try:
+                instance = self.system.live_instance(node)
+                await self._client.change(instance, SetParametersCommand(parameters=dict(values), declared={}))
+            except MidstrideError as error:  # it may have been set where there was no answer
+                outcome = "failed" if isinstance(error, BackendError) else "refused"
+                self.events.add("parameters", f"{outcome}: {error}", outcome=outcome)
+                raise
             self.events.add("parameters", f"{words} was set on {instance}")
             state = await self._client.peek(instance)
             self.system.values.report(state)

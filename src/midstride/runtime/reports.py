@@ -133,7 +133,7 @@ class Event(Form, frozen=True, kw_only=True, forbid_unknown_fields=False):
     plan: Annotated[PlanPreview | UnsetType, Meta(description="plan: what will be done")] = UNSET
     swaps: Annotated[list[SwapReport] | UnsetType, Meta(description="measured: what each subscriber saw")] = UNSET
     verdict: Annotated[Verdict | UnsetType, Meta(description="verified: what Alloy found")] = UNSET
-    outcome: Annotated[OutcomeKind | UnsetType, Meta(description="outcome: how the change ended")] = UNSET
+    outcome: Annotated[OutcomeKind | UnsetType, Meta(description="outcome, parameters: how the command ended")] = UNSET
     functionality: Annotated[str | UnsetType, Meta(description="degraded: which functionality")] = UNSET
     instance: Annotated[str | UnsetType, Meta(description="fenced: which instance")] = UNSET
     log: Annotated[str | UnsetType, Meta(description="exited: the last of the instance's output")] = UNSET

@@ -18,10 +18,13 @@ class RunningSystem:
 
     Instances that exited unexpectedly are in ``crashed`` until they are removed from the model, and then in ``missing``
     until another instance has their role. ``values``: the parameter values that were set at run time.
+    ``file`` was brought up or applied last, and ``changed_since``: another command has changed the specification then.
     """
 
     specification: Specification
     configuration: Configuration
+    file: str | None = None
+    changed_since: bool = False
     revision: int = 0
     crashed: dict[str, Exited] = field(default_factory=dict)
     missing: dict[str, Exited] = field(default_factory=dict)

@@ -57,9 +57,10 @@ class SavedInstance:
 
 @dataclass(frozen=True, slots=True)
 class SavedState:
-    """The state that an earlier manager saved. ``file`` is the one that the specification was read from, if any.
+    """The state that an earlier manager saved.
 
-    ``values``: by role, the parameter values that were set at run time.
+    ``values``: by role, the parameter values that were set at run time. ``file`` was brought up or applied last, if
+    any, and ``changed_since``: another command has changed the specification then.
     """
 
     backend: str
@@ -69,6 +70,7 @@ class SavedState:
     options: SystemOptions = NO_OPTIONS
     values: dict[str, dict[str, Any]] = field(default_factory=dict)
     file: str | None = None
+    changed_since: bool = False
 
 
 class StateStore:
@@ -120,6 +122,7 @@ class StateStore:
                     if key.startswith(_VALUES)
                 },
                 system.get("file") or None,
+                bool(system.get("changed_since")),
             )
         except ManagerError:
             raise
@@ -152,13 +155,18 @@ class StateStore:
         specification: Specification,
         options: SystemOptions = NO_OPTIONS,
         file: str | None = None,
+        changed_since: bool = False,
     ) -> None:
         """The system is being brought up or recovered."""
         kept = msgspec.json.encode(options).decode()
-        system = ("version", str(VERSION), "backend", backend, "token", token, "options", kept, "file", file or "")
+        system = ("version", str(VERSION), "backend", backend, "token", token, "options", kept)
         self._specification = Specification("")
         # At once: half of this could not be read.
-        statements: _Statements = {**_puts(*system), "specification": ("DELETE FROM specification", ())}
+        statements: _Statements = {
+            **_puts(*system),
+            **_origin(file, changed_since),
+            "specification": ("DELETE FROM specification", ()),
+        }
         self._write({**statements, **self._parts(specification), "begun": (f"PRAGMA user_version = {VERSION}", ())})
 
     def take_over(self) -> None:
@@ -166,8 +174,12 @@ class StateStore:
         self._write({})
 
     def write_specification(self, specification: Specification) -> None:
-        """The specification that the system runs now: a row for each part that differs from what was written last."""
-        self._write(self._parts(specification))
+        """The specification that the system runs now: a row for each part that differs from what was written last.
+
+        It is that of no file, until :meth:`write_file`.
+        """
+        parts = self._parts(specification)
+        self._write({**parts, **_puts("changed_since", "yes")} if parts else {})
 
     def _parts(self, specification: Specification) -> _Statements:
         """The statements that turn the specification that was written last into this one."""
@@ -189,9 +201,9 @@ class StateStore:
                     statements[f"{section} {name}"] = (delete, (section, name))
         return statements
 
-    def write_file(self, file: str | None) -> None:
+    def write_file(self, file: str) -> None:
         """The file that the specification was read from."""
-        self._put("file", file or "")
+        self._write(_origin(file))
 
     def write_instance(self, instance: Instance, handle: Handle | None) -> None:
         """An instance has been started, or its parameters have changed."""
@@ -260,6 +272,10 @@ class StateStore:
 def _puts(*pairs: str) -> _Statements:
     rows = zip(pairs[::2], pairs[1::2], strict=True)
     return {key: ("INSERT OR REPLACE INTO system VALUES (?, ?)", (key, value)) for key, value in rows}
+
+
+def _origin(file: str | None, changed_since: bool = False) -> _Statements:
+    return _puts("file", file or "", "changed_since", "yes" if changed_since else "")
 
 
 def _changed(before: Mapping[str, object], after: Mapping[str, object]) -> Iterator[str]:

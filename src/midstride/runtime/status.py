@@ -25,7 +25,6 @@ def status(
     *,
     unwritten: str | None,
     damaged: str | None,
-    file: str | None,
     spares: int,
 ) -> status_forms.Status:
     """The answer to ``midstride status``. ``spares``: how many processes the ``backend`` is to keep ready."""
@@ -62,7 +61,8 @@ def status(
         unwritten=unwritten,
         damaged=damaged,
         middleware=backend.middleware(),
-        file=file,
+        file=system.file,
+        changed_since=system.changed_since,
         spares=status_forms.SpareStatus(
             kept=spares,
             ready=backend.spares(),

@@ -220,6 +220,7 @@ class Status(Report, frozen=True, kw_only=True):
     middleware: Middleware
     spares: SpareStatus
     file: Annotated[str | None, Meta(description="the file that was brought up, or applied last")] = None
+    changed_since: Annotated[bool, Meta(description="another command has changed the specification since then")] = False
 
 
 class Why(Report, frozen=True, kw_only=True):
