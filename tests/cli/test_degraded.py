@@ -45,6 +45,8 @@ def test_a_node_that_raises_right_after_up_is_named_with_exit_status_1(midstride
         f"Degraded: listener.listen {lower}: talker.talk entered mode degraded unexpectedly.",
         f"Degraded: talker.talk {lower}: mode normal raised: ValueError: no voice.",
     ]
+    root = "next: talker.talk: fix the cause, then `midstride restart talker` restores it"
+    assert midstride("why", "listener.listen").out.splitlines()[-1] == f"  {root}"
     status = midstride("status")
     assert f"specification: {tmp_path / 'programs' / 'talker.json'}" in status.out.splitlines()
 

@@ -488,7 +488,7 @@ def test_the_manager_sets_a_parameter_by_the_component_s_own_callback(folder: Pa
         )
         simulator.processes["talker_2"].kill()
         await asyncio.sleep(0.5)
-        with pytest.raises(ManagerError, match="talker is not running; `midstride apply`"):
+        with pytest.raises(ManagerError, match="talker is not running; `midstride restart talker` restores it"):
             await manager.set_parameters("talker", {"gain": 1})
 
     scenario(folder, body)

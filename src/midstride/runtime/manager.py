@@ -54,6 +54,7 @@ from midstride.runtime.silence import SilenceMonitor
 from midstride.runtime.state_store import StateStore
 from midstride.runtime.status_forms import ParametersReport, ProgramStatus, RunningCommand, Status, Why
 from midstride.runtime.watched import WatchedSystem
+from midstride.runtime.why import Explainer
 from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import SetParametersCommand
 from midstride.wire.state import ComponentState
@@ -335,7 +336,7 @@ class Manager:
 
     async def why(self, functionality: str) -> Why:
         """Why a functionality is in the mode it is in. Raises PlanRefused for an unknown one."""
-        return status.why(self.configuration, self._client, functionality)
+        return Explainer(self.watched, self._current if self._is_busy() else None).why(functionality)
 
     async def plan(self, request: PlanRequest) -> Plan:
         """The plan for ``request`` from the current configuration. Raises PlanRefused."""

@@ -39,6 +39,7 @@ POLICY: Final = RespawnPolicy(delay=1.0)
 TOGETHER: Final = 0.6
 # A call that takes longer than this may hang (s).
 HANGS: Final = 0.5
+_REMEDY: Final = "`midstride apply` with the system's file restores it"
 
 
 @dataclass(slots=True)
@@ -165,8 +166,7 @@ class Restorer:
             record.number = number
             return
         record.left = f"{counted(POLICY.max_retries, 'attempt')} within {POLICY.window:g} s did not last{failed}"
-        remedy = "`midstride apply` with the system's file restores it"
-        self.events.add("restore_ended", f"{ref} will not be restored again: {record.left}; {remedy}")
+        self.events.add("restore_ended", f"{ref} will not be restored again: {record.left}; {_REMEDY}")
 
     def _due(self, by: float) -> list[FunctionalityRef]:
         return sorted(ref for ref, record in self._records.items() if (at := record.due()) is not None and at <= by)
@@ -241,7 +241,7 @@ class Restorer:
         if record is None or not record.fallen or latest is None or not self.enabled:
             return None
         if record.left is not None:
-            return f"it will not be restored again: {record.left}"
+            return f"it will not be restored again: {record.left}; {_REMEDY}"
         if (due := record.due()) is not None:
             return f"restoring in {max(0.0, due - self.clock.steady()):.1f} s ({record.number} of {POLICY.limit})"
         if (latest.state.functionalities[ref.functionality].busy or 0.0) > HANGS:  # it takes no input meanwhile either

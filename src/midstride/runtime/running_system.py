@@ -42,7 +42,7 @@ class RunningSystem:
         require("node", node, self.specification.nodes)
         for instance in self.configuration.instances_of(node):
             return instance.name
-        raise ManagerError(f"{node} is not running; `midstride apply` with the system's file restores it")
+        raise ManagerError(f"{node} is not running; {self.remedy(node)}")
 
     def moved(self, configuration: Configuration) -> None:
         """A step or an event has changed the configuration."""
@@ -71,6 +71,11 @@ class RunningSystem:
         """The role of an instance that exited unexpectedly, if it is in the specification."""
         role = self._missing_roles.get(name)
         return role if role in self.specification.nodes else None
+
+    def remedy(self, role: str) -> str:
+        """What to do about a role whose instance has exited, or no longer does what it should."""
+        by_hand = self.specification.component_of(role).run is None
+        return f"{'start it, then ' if by_hand else ''}`midstride restart {role}` restores it"
 
     def why_missing(self, role: str) -> str | None:
         """Why a role has no instance, if one has exited unexpectedly."""

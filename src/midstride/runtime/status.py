@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from midstride.errors import PlanRefused
 from midstride.model.component import ComponentSpec, FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
-from midstride.model.diagnostics import suggestion
 from midstride.model.rules import Evaluator, violations
 from midstride.runtime import status_forms
 from midstride.runtime.backend import Backend
-from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.watched import WatchedSystem
 from midstride.wire.state import ComponentState, FunctionalityState, LinkState
 
@@ -81,21 +77,14 @@ def crashed(watched: WatchedSystem) -> list[status_forms.CrashedInstance]:
             name,
             exited.status,
             exited.log_tail,
-            _remedy(system, name),
-            respawner.status(system.role_of_missing(name)),
-            system.role_of_missing(name),
+            None if role is None else system.remedy(role),
+            respawner.status(role),
+            role,
         )
         for name, exited in sorted({**system.missing, **system.crashed}.items())
         if name not in system.configuration.instances
+        for role in [system.role_of_missing(name)]
     ]
-
-
-def _remedy(system: RunningSystem, name: str) -> str | None:
-    role = system.role_of_missing(name)
-    if role is None:
-        return None
-    by_hand = system.specification.component_of(role).run is None
-    return f"{'start it, then ' if by_hand else ''}`midstride restart {role}` restores it"
 
 
 def _component(
@@ -197,48 +186,3 @@ def _functionality(
         busy=None if state is None else state.busy,
         restoring=restoring,
     )
-
-
-def why(configuration: Configuration, client: ComponentClient, functionality: str) -> status_forms.Why:
-    """Why ``functionality`` (of a role or an instance) is in its mode. Raises PlanRefused for an unknown one."""
-    asked = FunctionalityRef.parse(functionality)
-    every = [ref for instance in configuration.instances.values() for ref in instance.functionality_refs()]
-    matching = [ref for ref in every if ref == asked] or [
-        ref
-        for ref in every
-        if ref.functionality == asked.functionality and configuration.instances[ref.instance].role == asked.instance
-    ]
-    if not matching:
-        named = [_of_role(configuration, ref) for ref in every]
-        of_node = [ref for ref in named if ref.instance in (functionality, asked.instance)]
-        hint = suggestion(functionality, map(str, of_node or named)) or "nothing runs"
-        raise PlanRefused(f"there is no functionality {functionality}; {hint}")
-    ref = sorted(matching)[0]
-    state = client.responsive(ref.instance)
-    reported = _functionality(configuration, ref, None if state is None else state.functionalities[ref.functionality])
-    evaluator = Evaluator(configuration)
-    inputs = [PortRef(ref.instance, name) for name in configuration.functionality(ref).inputs]
-    return status_forms.Why(
-        functionality=str(_of_role(configuration, ref)),
-        instance=ref.instance,
-        mode=reported.mode,
-        normal=reported.normal,
-        because=reported.because,
-        chain=_reasons(configuration, evaluator, ref),
-        inputs={str(port): evaluator.input_satisfied(port) for port in inputs},
-    )
-
-
-def _of_role(configuration: Configuration, ref: FunctionalityRef) -> FunctionalityRef:
-    return FunctionalityRef(configuration.instances[ref.instance].role, ref.functionality)
-
-
-def _reasons(configuration: Configuration, evaluator: Evaluator, ref: FunctionalityRef) -> list[str]:
-    """For each better mode than the current one: which of its assumptions are not satisfied."""
-    functionality, reasons = configuration.functionality(ref), []
-    for mode in functionality.modes[: configuration.modes[ref]]:
-        missing = [a for a in mode.assumptions if not evaluator.assumption_satisfied(ref, functionality, a)]
-        reasons += [f"not {mode.name}: it {evaluator.why_assumption_unsatisfied(ref, a)}" for a in missing]
-        if not missing:
-            reasons.append(f"not {mode.name}: its assumptions are satisfied, but it has not been upgraded yet")
-    return reasons

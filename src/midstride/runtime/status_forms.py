@@ -224,7 +224,7 @@ class Status(Report, frozen=True, kw_only=True):
 
 
 class Why(Report, frozen=True, kw_only=True):
-    """Why a functionality of a node is in its mode: its own reason, and what each better mode lacks."""
+    """Why a functionality of a node is in its mode: its own reason, what each better mode lacks, and what to do."""
 
     functionality: str
     instance: Annotated[str, Meta(description="of the node: the one that was looked at")]
@@ -233,3 +233,4 @@ class Why(Report, frozen=True, kw_only=True):
     because: str | None
     chain: list[str]
     inputs: Annotated[dict[str, bool], Meta(description="whether each input is satisfied")]
+    remedies: Annotated[list[str], Meta(description="what comes next, or what to do, for each root cause")] = []

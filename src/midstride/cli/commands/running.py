@@ -66,7 +66,7 @@ def _narrowed(status: Status, nodes: Sequence[str]) -> Status:
 @system_option
 @json_option
 def why_command(functionality: str, system: str | None) -> int:
-    """Explain why a functionality is in its mode: `midstride why listener.listen`."""
+    """Explain why a functionality is in its mode, and what to do: `midstride why listener.listen`."""
     client, _ = find(system)
     why = client.why(functionality)
     if wants_json():
@@ -79,6 +79,8 @@ def why_command(functionality: str, system: str | None) -> int:
         click.echo(f"  because: {why.because}")
     for reason in why.chain:
         click.echo(f"  {reason}")
+    for remedy in why.remedies:
+        click.echo(f"  next: {remedy}")
     return 0
 
 

@@ -189,6 +189,7 @@ async function explain(ref, { ask, graph, store, say }, reasons, redraw) {
       place,
       h("ol", { class: "chain" }, ...chain.map((/** @type {string} */ each) => h("li", {}, each))),
       inputs.length === 0 ? null : h("p", { class: "muted" }, `Inputs: ${inputs.join(", ")}`),
+      ...(answer.remedies ?? []).map((/** @type {string} */ each) => h("p", {}, `Next: ${each}`)),
     );
     const named = store.view === null ? [] : namesIn(chain, store.view).filter((name) => owner(name) !== answer.instance);
     graph.highlight(named.length > 0 ? [ref, answer.instance, ...named] : null);

@@ -31,7 +31,8 @@ export class Why {
     if (segment.open && store.time.at === null && !this.context.fixed) {
       try {
         const why = await ask("GET", `/why?functionality=${encodeURIComponent(name)}`);
-        chain = [...(why.because ? [why.because] : []), ...why.chain];
+        const next = (why.remedies ?? []).map((/** @type {string} */ each) => `next: ${each}`);
+        chain = [...(why.because ? [why.because] : []), ...why.chain, ...next];
       } catch (error) {
         say(/** @type {Error} */ (error).message, { kind: "bad", seconds: 6 });
       }

@@ -1,0 +1,73 @@
+"""`midstride why`: what to do about a functionality that is below its normal mode."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from midstride.backends.simulator import Simulator
+from midstride.errors import ManagerError, PlanRefused
+from midstride.model.respawn import RespawnPolicy
+from midstride.plan.request import PlanRequest
+from midstride.runtime.manager import Manager
+from midstride.runtime.workspace import Workspace
+from tests.runtime.systems import example, managed
+from tests.runtime.test_lowered import raising
+from tests.runtime.test_respawn import crash, respawning
+
+RESTART = "`midstride restart talker` restores it"
+
+
+def test_after_an_exception_the_node_that_raised_is_named_and_how_to_go_on(tmp_path: Path) -> None:
+    directory, simulator = raising(tmp_path / "programs", "talker.py", 3), Simulator()
+
+    async def main() -> None:
+        manager = Manager(example("talker", directory), simulator, Workspace(tmp_path / "w"), directory)
+        await manager.up()
+        talk = await manager.why("talker.talk")
+        assert talk.chain == ["not normal: its assumptions are satisfied"]
+        assert talk.remedies == [f"fix the cause, then {RESTART}"]
+        assert (await manager.why("listener.listen")).remedies == [f"talker.talk: fix the cause, then {RESTART}"]
+        await manager.close()
+
+    simulator.run(main())
+
+
+@pytest.mark.parametrize(
+    ("policy", "remedy"),
+    [(None, re.escape(RESTART)), (RespawnPolicy(delay=9.0), r"restarting in \d\.\d s \(1 of 5 in 60 s\)")],
+)
+def test_after_a_crash_what_comes_next_is_named(tmp_path: Path, policy: RespawnPolicy | None, remedy: str) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        await crash(simulator, "talker")
+        [found] = (await manager.why("listener.listen")).remedies
+        assert re.fullmatch(f"talker exited unexpectedly; {remedy}", found)
+        for asked in ("talker.talk", "talker"):
+            with pytest.raises(PlanRefused, match=f"nothing serves {asked} now: talker exited unexpectedly; {remedy}"):
+                await manager.why(asked)
+        with pytest.raises(ManagerError, match=f"talker is not running; {re.escape(RESTART)}"):
+            await manager.set_parameters("talker", {"gain": 1})
+
+    managed("talker", tmp_path, body, specification=None if policy is None else respawning(policy))
+
+
+def test_the_cause_at_the_end_of_a_chain_is_found(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        assert (await manager.why("sink.use")).remedies == []
+        await crash(simulator, "source")
+        assert not (await manager.why("filter.smooth")).normal
+        remedy = "source exited unexpectedly; `midstride restart source` restores it"
+        assert (await manager.why("sink.use")).remedies == [remedy]
+
+    managed("filter", tmp_path, body)
+
+
+def test_what_a_user_has_removed_needs_no_remedy(tmp_path: Path) -> None:
+    async def body(manager: Manager, _: Simulator) -> None:
+        assert (await manager.change(PlanRequest(remove=("talker",)))).outcome == "done"
+        found = await manager.why("listener.listen")
+        assert (found.normal, found.remedies) == (False, [])
+
+    managed("talker", tmp_path, body)
