@@ -25,13 +25,13 @@ def strategy_options(function: Any) -> Any:
         type=click.Choice(STRATEGIES),
         default="minimal",
         show_default=True,
-        help="minimal hands over; paper follows the paper's algorithm; quiesce first degrades everything affected; "
-        "stop stops everything, and starts it again.",
+        help="minimal loses the least; paper follows the paper's algorithm; quiesce first degrades all that is "
+        "affected; stop stops everything, and starts it again.",
     )(detours(function))
 
 
 def wait_option(function: Any) -> Any:
-    summary = "How long to try before a node that hangs, and is to go, is fenced: replaced inside a call of its code."
+    summary = "How long a node that hangs, and is to go, may take to return from its code before it is fenced."
     return click.option(
         "--wait", type=click.FloatRange(0), default=5.0, show_default=True, metavar="SECONDS", help=summary
     )(function)

@@ -33,9 +33,17 @@ from midstride.model.wording import counted
 
 
 @click.command("capture")
-@click.option("--seconds", type=click.FloatRange(min=0.5), default=10.0, show_default=True, help="How long to look.")
-@click.option("--into", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Add to FILE.")
-@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.stride")
+@click.option(
+    "--seconds", type=click.FloatRange(min=0.5), metavar="S", default=10.0, show_default=True, help="How long to look."
+)
+@click.option("--into", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Add the ports to FILE.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.stride",
+    help="Write the draft, or FILE with its ports, to this file.",
+)
 @click.option("--rates", is_flag=True, help="State the proposed rates in the guarantees, instead of as comments.")
 @click.option(
     "--probe", "with_probe", is_flag=True, help="Close inputs of nodes with gates, to find what depends on them."
@@ -43,6 +51,7 @@ from midstride.model.wording import counted
 @click.option(
     "--probe-seconds",
     type=click.FloatRange(min=0.5),
+    metavar="S",
     default=3.0,
     show_default=True,
     help="How long an input is closed at a time.",

@@ -23,7 +23,14 @@ RECORD: Final = ".midstride-generated.json"
 
 @click.command("generate")
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, file_okay=False), metavar="DIR")
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="The folder to write to; it is made if there is none.",
+)
 @click.option("--ros", type=click.Choice(["1", "2"]), default="2", show_default=True, help="For ROS 1 or ROS 2.")
 @json_option
 def generate_command(file: Path, output: Path, ros: str) -> int:

@@ -14,7 +14,15 @@ LATEST = 20
 
 
 @click.command("history")
-@click.option("-n", "latest", type=click.IntRange(1, 2**31 - 1), default=LATEST, show_default=True, metavar="N")
+@click.option(
+    "-n",
+    "latest",
+    type=click.IntRange(1, 2**31 - 1),
+    metavar="N",
+    default=LATEST,
+    show_default=True,
+    help="How many changes to show.",
+)
 @system_option
 @json_option
 def history_command(latest: int, system: str | None) -> int:

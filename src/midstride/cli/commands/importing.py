@@ -16,8 +16,16 @@ from midstride.model.wording import counted
 @click.command("import")
 @click.argument("file", type=click.Path(path_type=Path), metavar="FILE")
 @click.argument("arguments", nargs=-1, metavar="[NAME:=VALUE]...")
-@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.stride")
-@click.option("--run-python", is_flag=True, help="Carry out launch files in Python (programs) by ROS's own `launch`.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.stride",
+    help="Write the specification to this file, instead of printing it.",
+)
+@click.option(
+    "--run-python", is_flag=True, help="Carry out launch files in Python, which are programs, by ROS's own `launch`."
+)
 @json_option
 def import_command(file: Path, arguments: tuple[str, ...], output: Path | None, run_python: bool) -> int:
     """Write a specification of what a launch file in XML or YAML starts, without ROS.

@@ -25,18 +25,23 @@ _STYLES = {"holds": "green", "violated": "red", "unknown": "yellow"}
 @click.option(
     "--timeout",
     type=click.FloatRange(min=0.001),
+    metavar="SECONDS",
     default=20.0,
     show_default=True,
     help="The time limit of one query (s).",
 )
 @click.option("--alloy", "with_alloy", is_flag=True, help="Check the Alloy specification as well.")
-@click.option("--scope", type=click.IntRange(3, 5), default=5, show_default=True, help="The scope of those checks.")
+@click.option("--scope", type=click.IntRange(3, 5), metavar="N", default=5, show_default=True, help="Their scope.")
 @click.option(
-    "--jobs", type=click.IntRange(min=1), help="The number of parallel checks.  [default: by processors and memory]"
+    "--jobs",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="How many checks run at a time.  [default: by processors and memory]",
 )
 @click.option(
     "--check-timeout",
     type=click.FloatRange(min=1),
+    metavar="SECONDS",
     default=1800.0,
     show_default=True,
     help="The time limit of one check by Alloy (s).",

@@ -14,10 +14,20 @@ from midstride.cli.systems import system_option
 
 @click.command("report")
 @click.option(
-    "-o", "--output", type=click.Path(path_type=Path), metavar="FILE", default=Path("change.html"), show_default=True
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    default=Path("change.html"),
+    show_default=True,
+    help="The file to write.",
 )
 @click.option(
-    "--change", "number", type=click.IntRange(1, 2**31 - 1), metavar="N", help="Which; by default the latest."
+    "--change",
+    "number",
+    type=click.IntRange(1, 2**31 - 1),
+    metavar="N",
+    help="The number of the change; by default that of the latest.",
 )
 @system_option
 @json_option

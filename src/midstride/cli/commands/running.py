@@ -127,7 +127,7 @@ def log_command(since: float | None, all_: bool, follow: bool, system: str | Non
 
     With --follow and --json: the events as they come, a JSON document on each line.
 
-    What a component has written shows `midstride logs NODE`.
+    `midstride logs NODE` shows what a component has written.
     """
     client, _ = find(system)
     known: list[Event] = client.get("/log")

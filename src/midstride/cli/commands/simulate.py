@@ -26,10 +26,20 @@ if TYPE_CHECKING:
 @click.command("simulate")
 @click.argument("file", type=click.Path(path_type=Path), required=False)
 @planned_change_options
-@click.option("--seeds", type=click.IntRange(1), default=200, show_default=True, help="How many seeds to run.")
-@click.option("--first", type=click.IntRange(0), default=0, show_default=True, help="The first of the seeds.")
-@click.option("--seed", type=click.IntRange(0), help="Run this one, twice, and show everything that happens.")
-@click.option("--jobs", type=click.IntRange(1), default=len(os.sched_getaffinity(0)), help="How many run at a time.")
+@click.option(
+    "--seeds", type=click.IntRange(1), metavar="N", default=200, show_default=True, help="How many seeds to run."
+)
+@click.option("--first", type=click.IntRange(0), metavar="N", default=0, show_default=True, help="The first of them.")
+@click.option(
+    "--seed", type=click.IntRange(0), metavar="N", help="Run this seed only, twice, and show everything that happens."
+)
+@click.option(
+    "--jobs",
+    type=click.IntRange(1),
+    metavar="N",
+    default=len(os.sched_getaffinity(0)),
+    help="How many run at a time.  [default: one per processor]",
+)
 @json_option
 def simulate_command(file: Path | None, seeds: int, first: int, seed: int | None, jobs: int, **change: Any) -> int:
     """Rehearse a change of the system of FILE: many times in virtual time, with at least two faults each time.

@@ -54,15 +54,15 @@ def platform_options(spares: int) -> Callable[[Callable[..., int]], Callable[...
     sim_time = click.option(
         "--use-sim-time",
         is_flag=True,
-        help="Have /clock drive every node that does not set use_sim_time itself (ROS 2).",
+        help="Have /clock drive every node that does not set use_sim_time itself, also those added later (ROS 2).",
     )
     no_settings = click.option(
         "--no-middleware-settings",
         is_flag=True,
-        help="Leave transports and discovery of the middleware as they are: see docs/how-to/middleware-settings.md.",
+        help="Leave transports and discovery of the middleware as they are; see docs/how-to/middleware-settings.md.",
     )
     no_diagnostics = click.option(
-        "--no-diagnostics", is_flag=True, help="Do not publish on /diagnostics: see docs/how-to/diagnostics.md."
+        "--no-diagnostics", is_flag=True, help="Do not publish on /diagnostics; see docs/how-to/diagnostics.md."
     )
     kept = click.option(
         "--spares",
@@ -70,7 +70,7 @@ def platform_options(spares: int) -> Callable[[Callable[..., int]], Callable[...
         default=spares,
         show_default=True,
         metavar="N",
-        help="Keep N processes ready, so that a component starts sooner: see docs/how-to/spares.md.",
+        help="Keep N processes ready that have loaded ROS, so that components start sooner; see docs/how-to/spares.md.",
     )
     return lambda function: sim_time(no_settings(no_diagnostics(kept(function))))
 
@@ -91,9 +91,14 @@ def manager_arguments(
 @click.command("up")
 @click.argument("file", type=click.Path(path_type=Path))
 @backend_option("The platform.")
-@click.option("--detach", "-d", is_flag=True, help="Return as soon as the system is up.")
-@click.option("--http", type=click.IntRange(1, 65535), metavar="PORT", help="Serve the API on loopback TCP as well.")
-@click.option("--http-host", metavar="ADDRESS", help="With --http: listen on this address instead of loopback.")
+@click.option("--detach", "-d", is_flag=True, help="Return once the system is up; show no view.")
+@click.option(
+    "--http",
+    type=click.IntRange(1, 65535),
+    metavar="PORT",
+    help="Serve the HTTP API on a TCP port of the loopback address as well; see docs/http.md.",
+)
+@click.option("--http-host", metavar="ADDRESS", help="With --http: listen on this address instead.")
 @platform_options(spares=0)
 @click.option(
     "--finish-interrupted",
@@ -103,10 +108,12 @@ def manager_arguments(
 @click.option(
     "--keep-degraded",
     is_flag=True,
-    help="Leave what has degraded because its input failed degraded until a command restores it.",
+    help="Do not restore what has degraded because an input failed: a command does.",
 )
 @click.option(
-    "--stop-on-exit", is_flag=True, help="Stay without a view, and stop the system when this command is ended."
+    "--stop-on-exit",
+    is_flag=True,
+    help="Show no view, and stop the system when this command ends: for launch files and supervisors.",
 )
 @json_option
 def up_command(

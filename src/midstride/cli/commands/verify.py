@@ -35,7 +35,14 @@ _STYLES: Final = {"holds": "bold green", "violated": "bold red", "unknown": "bol
 @click.option(
     "--alloy", type=_FILE, metavar="JAR", help="The Alloy Analyzer.  [default: the one that `make alloy` fetched]"
 )
-@click.option("--limit", type=click.FloatRange(1, 86_400), default=300.0, show_default=True, help="The time limit (s).")
+@click.option(
+    "--limit",
+    type=click.FloatRange(1, 86_400),
+    metavar="SECONDS",
+    default=300.0,
+    show_default=True,
+    help="The time limit.",
+)
 @json_option
 def verify_command(
     file: Path | None,
