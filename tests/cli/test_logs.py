@@ -31,7 +31,7 @@ def test_a_nodes_log_is_printed(talker: Midstride) -> None:
 def test_an_unknown_node_is_an_error_with_a_near_miss(talker: Midstride) -> None:
     refused = talker("logs", "listner")
     assert (refused.status, refused.out) == (1, "")
-    assert refused.err == "midstride logs: talker has no log of listner; did you mean `listener`?\n"
+    assert refused.err == "midstride logs: there is no log of listner in the system talker; did you mean `listener`?\n"
 
 
 def test_without_a_manager_the_files_are_there_all_the_same(tmp_path: Path) -> None:

@@ -138,6 +138,16 @@ def test_status_of_single_nodes(talker: Midstride) -> None:
     assert "no node talkr is running; did you mean `talker`?" in refused.err
 
 
+def test_the_specification_of_another_system_is_not_applied(talker: Midstride) -> None:
+    other = EXAMPLES / "filter" / "filter.json"
+    refused = talker("apply", str(other), "--yes")
+    assert refused.status == 1
+    assert refused.err == (
+        f"midstride apply: {other} is the specification of another system, filter, and talker is running: "
+        f"`midstride up {other}` starts it beside this one\n"
+    )
+
+
 def test_why_and_log(talker: Midstride) -> None:
     why = talker("why", "listener.listen")
     assert (why.status, why.out.splitlines()[0]) == (0, "listener.listen is in mode normal")

@@ -142,6 +142,9 @@ def test_a_plan_without_steps_reports_nothing_to_do(capsys: pytest.CaptureFixtur
         ),
         (["check", "--include-path", "x", TALKER], "it comes before the command: `midstride --include-path DIR …`"),
         (["history", "-n", "0"], "0 is not in the range"),
+        (["param", "sett", "a", "b", "1"], "midstride param: there is no command `sett`; did you mean `set`?"),
+        (["down", "talker"], "got unexpected extra argument (talker); a system is named with --system NAME"),
+        (["dashboard", "a", "--system", "b"], "name the system once, as SYSTEM or with --system"),
         (["verify", TALKER, "--limit", "long"], "'long' is not a number"),
         (
             ["plan", TALKER, "--remove", "talker", "--strategy", "fast"],

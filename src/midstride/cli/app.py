@@ -63,8 +63,22 @@ COMMANDS: Final = {name: entry for commands in GROUPS.values() for name, entry i
 HIDDEN: Final = {"_manager": "manage"}
 
 
-class Commands(click.Group):
-    """A group that lists its commands by name and imports only the one that is called."""
+class Group(click.Group):
+    """A group that answers an unknown command with the one that was probably meant."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        name = args[0]
+        if not (name.startswith("-") or ctx.resilient_parsing) and self.get_command(ctx, name) is None:
+            from midstride.model.diagnostics import suggestion
+
+            raise click.UsageError(f"there is no command `{name}`; {suggestion(name, self.list_commands(ctx))}", ctx)
+        return super().resolve_command(ctx, args)
+
+
+class Commands(Group):
+    """The group of all commands: it lists them by name and imports only the one that is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -90,16 +104,6 @@ class Commands(click.Group):
 
         commands = [CompletionItem(name, help=COMMANDS[name][1]) for name in COMMANDS if name.startswith(incomplete)]
         return commands + click.Command.shell_complete(self, ctx, incomplete)
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        name = args[0]
-        if not (name.startswith("-") or ctx.resilient_parsing) and self.get_command(ctx, name) is None:
-            from midstride.model.diagnostics import suggestion
-
-            raise click.UsageError(f"there is no command `{name}`; {suggestion(name, COMMANDS)}", ctx)
-        return super().resolve_command(ctx, args)
 
 
 def _print_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:

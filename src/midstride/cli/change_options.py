@@ -6,11 +6,12 @@ import json
 import shlex
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from midstride.model.component import ParameterValue, value_fits, value_kind
+if TYPE_CHECKING:  # completion must not wait for it
+    from midstride.model.component import ParameterValue
 
 STRATEGIES = ("minimal", "paper", "quiesce", "stop")
 
@@ -92,6 +93,8 @@ def parse_value(text: str) -> Any:
 
 def misread(text: str, like: ParameterValue) -> str | None:
     """What to write instead of ``text``, where YAML reads a value of another type than ``like``."""
+    from midstride.model.component import value_fits, value_kind
+
     value = parse_value(text)
     if value_fits(value, like):
         return None

@@ -36,7 +36,9 @@ def known_nodes(workspace: Workspace, status: Status | None) -> list[str]:
     """What ``logs`` can be asked for."""
     if status is None:
         return sorted(path.stem for path in workspace.logs.glob("*.log") if path != workspace.manager_log)
-    return sorted({name for each in status.components for name in (each.role, each.name)})
+    live = [name for each in status.components for name in (each.role, each.name)]
+    crashed = [name for each in status.crashed for name in (each.role, each.name) if name is not None]
+    return sorted({*live, *crashed})
 
 
 def last_lines(path: Path, count: int | None) -> tuple[list[str], int]:

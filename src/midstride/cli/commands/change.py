@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -18,7 +18,9 @@ from midstride.cli.client import Client, Document
 from midstride.cli.output import console, is_interactive, json_option, print_json, wants_json
 from midstride.cli.systems import find, system_option
 from midstride.errors import PlanRefused
-from midstride.model.component import ComponentSpec
+
+if TYPE_CHECKING:  # completion must not wait for it
+    from midstride.model.component import ComponentSpec
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,6 +177,11 @@ def apply_command(
     def request(client: Client) -> Document:
         changed = {} if keep_code else changed_code(client, target.nodes)
         running = decode_specification(client.get("/specification"))
+        if target.name != running.name:
+            raise PlanRefused(
+                f"{new} is the specification of another system, {target.name}, and {running.name} is running: "
+                f"`midstride up {new}` starts it beside this one"
+            )
         out = console(stderr=wants_json())
         for before, after in renamed_components(running.components, target.components):
             out.print(f"component {before} is renamed {after}, and its nodes go on", markup=False)

@@ -14,12 +14,12 @@ import click
 from midstride.cli import completion
 from midstride.cli.output import json_option, print_json, wants_json
 from midstride.cli.staying import ended_by_signals
-from midstride.cli.systems import find
+from midstride.cli.systems import find, system_option
 from midstride.runtime.workspace import Workspace
 
 
 @click.command("dashboard")
-@click.argument("system", required=False, shell_complete=completion.systems)
+@click.argument("named", required=False, metavar="[SYSTEM]", shell_complete=completion.systems)
 @click.option(
     "--port",
     type=click.IntRange(1, 65535),
@@ -27,8 +27,9 @@ from midstride.runtime.workspace import Workspace
     help="Listen on this port of the loopback address; by default on 7420, or any free one if that is taken.",
 )
 @click.option("--no-browser", is_flag=True, help="Print the address, and open no browser.")
+@system_option
 @json_option
-def dashboard_command(system: str | None, port: int | None, no_browser: bool) -> int:
+def dashboard_command(named: str | None, port: int | None, no_browser: bool, system: str | None) -> int:
     """Show the running SYSTEM on a live page in the browser, until Ctrl-C.
 
     The page shows the graph, its rates and modes, and every change as it happens, and does what the commands do. Only a
@@ -37,7 +38,9 @@ def dashboard_command(system: str | None, port: int | None, no_browser: bool) ->
     from midstride.server.auth import new_token
     from midstride.server.gateway import listen, run_gateway
 
-    _, workspace = find(system)
+    if named is not None and system is not None:
+        raise click.UsageError("name the system once, as SYSTEM or with --system")
+    _, workspace = find(named or system)
     token = new_token()
     with ended_by_signals(), listen(port) as listening:
         url = f"http://{listening.getsockname()[0]}:{listening.getsockname()[1]}/?token={token}"

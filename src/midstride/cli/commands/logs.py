@@ -27,15 +27,22 @@ LOOK: Final = 0.5
 
 @click.command("logs")
 @click.argument("node", shell_complete=completion.nodes)
-@click.option("--follow", "-f", is_flag=True, help="Continue with what is written, also by a replacement of the node.")
-@click.option("--lines", "-n", type=click.IntRange(0), metavar="N", help="Begin with the last N lines of each log.")
+@click.option(
+    "--follow", "-f", is_flag=True, help="Continue with what is written, also by a replacement; Ctrl-C ends it."
+)
+@click.option(
+    "--lines",
+    "-n",
+    type=click.IntRange(0),
+    metavar="N",
+    help="Begin with the last N lines of each log.  [default: all, or 10 with --follow]",
+)
 @system_option
 @json_option
 def logs_command(node: str, follow: bool, lines: int | None, system: str | None) -> int:
     """Print the log of NODE, a node or one of its instances; after a crash, that of the crashed instance, too.
 
-    With --follow, it begins with the last 10 lines, and Ctrl-C ends it. With --json: a JSON document on each line, with
-    the instance and what it has written.
+    With --json: a JSON document on each line, with the instance and what it has written.
     """
     workspace = find_records(system)
     client = Client(workspace.socket)
@@ -46,7 +53,7 @@ def logs_command(node: str, follow: bool, lines: int | None, system: str | None)
         if node in known:
             raise ManagerError(f"{node} was started elsewhere, so its output is there")
         hint = suggestion(node, known) or "nothing has been started under that name"
-        raise ManagerError(f"{workspace.name} has no log of {node}; {hint}")
+        raise ManagerError(f"there is no log of {node} in the system {workspace.name}; {hint}")
     count = 10 if lines is None and follow else lines
     following = Appended()
     shown: Path | None = None

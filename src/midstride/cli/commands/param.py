@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from midstride.cli import completion
+from midstride.cli.app import Group
 from midstride.cli.change_options import misread, parse_value
 from midstride.cli.output import json_option, print_json, wants_json
 from midstride.cli.systems import find, not_running, system_option
@@ -20,7 +21,7 @@ _node = click.argument("node", shell_complete=completion.nodes)
 _name = click.argument("name", shell_complete=completion.parameters)
 
 
-@click.group("param")
+@click.group("param", cls=Group)
 @json_option
 def param_command() -> None:
     """Show and set parameters of running nodes.
@@ -41,6 +42,8 @@ def list_command(node: str | None, system: str | None) -> int:
     if wants_json():
         print_json({component.name: component.parameters for component in found})
         return 0
+    if not any(component["parameters"] for component in found):
+        click.echo("No parameters.", err=True)
     for component in found:
         for parameter in component.parameters:
             click.echo(f"{component.name}: {_line(parameter)}")
