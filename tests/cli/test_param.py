@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 
 from midstride.cli.change_options import misread, parse_value
+from midstride.cli.systems import not_running
 from tests.cli.conftest import Midstride, running
+from tests.cli.statuses import component, crash, status
 
 SPECIFICATION = """{
   "system": "tuned",
@@ -157,6 +159,8 @@ def test_add_reads_values_as_param_set_does(tuned: Midstride) -> None:
     words = ("add", "second", "Talker", "out=/chatter", "--yes", "--param")
     refused = tuned(*words, "gain=loud")
     assert refused.err == "midstride add: --param gain: YAML reads `loud` as a string; write a float, such as 1.5\n"
+    refused = tuned(*words, "use_sim_time=1")
+    assert "--param use_sim_time: YAML reads `1` as an integer; write a boolean, such as false\n" in refused.err
     assert tuned(*words, "gain=0x10", "--json").json["outcome"] == "done"
     try:
         assert tuned("param", "get", "second", "gain", "--json").json["value"] == 16.0
@@ -218,3 +222,11 @@ def test_that_is_how_ros_2_reads_it() -> None:
         expected = parameter_value_to_python(get_parameter_value(text))
         expected = list(expected) if not isinstance(expected, (bool, int, float, str)) else expected
         assert (parse_value(text), type(parse_value(text))) == (expected, type(expected)), text
+
+
+def test_a_node_that_has_crashed_is_not_said_to_be_unknown() -> None:
+    remedy = "`midstride restart talker` restores it"
+    crashed = status(component("listener"), crashed=[crash("talker_2", role="talker", remedy=remedy)])
+    for node in ("talker", "talker_2"):
+        assert str(not_running(crashed, node)) == f"talker_2 exited unexpectedly; {remedy}"
+    assert str(not_running(crashed, "talkr")) == "no node talkr is running; did you mean `talker`?"
