@@ -42,7 +42,7 @@ def list_command(node: str | None, system: str | None) -> int:
     if wants_json():
         print_json({component.name: component.parameters for component in found})
         return 0
-    if not any(component["parameters"] for component in found):
+    if not any(component.parameters for component in found):
         click.echo("No parameters.", err=True)
     for component in found:
         for parameter in component.parameters:
