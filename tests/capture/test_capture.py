@@ -260,6 +260,17 @@ def test_an_input_is_assumed_where_every_node_of_the_component_has_a_publisher(t
     assert system.components["Driver"].functionalities["main"].modes[0].assumptions == ()
 
 
+def test_a_topic_below_the_name_of_its_node_has_two_names_in_the_program(tmp_path: Path) -> None:
+    graph = SimulatedGraph()
+    graph.publisher("/field/imu", "/field/imu/data", STRING)
+    graph.publisher("/field/imu", "/field/state", STRING)
+    text = 'system s\n\ncomponent Imu {\n  run "imu" gate preload\n}\n\nnamespace field {\n  node imu : Imu\n}\n'
+    captured = insert(text, "s.stride", graph.observed()).text
+    assert "  # `~/data`, or `imu/data`: see what the program calls it\n  output data as ~/data\n" in captured
+    assert captured.count("see what") == 1
+    checked(captured, tmp_path)
+
+
 def test_names_of_ports_are_words_that_the_language_leaves_free() -> None:
     graph = SimulatedGraph()
     for topic in ("/mode", "/a/scan", "/b/scan", "/input", "/x/3d"):

@@ -53,6 +53,17 @@ class ProposedPort:
         return f"output {self.name}{own}" if self.endpoint.output else f"input {self.name} : {self.contract}{own}"
 
     @property
+    def other_name(self) -> str | None:
+        """What the program may call the topic as well: ``imu/data`` and ``~/data`` are the same for the node ``imu``.
+
+        They are not for its replacement, whose node is ``imu_2``.
+        """
+        node, private = self.endpoint.node, self.own_topic.startswith("~/")
+        if not private or self.endpoint.topic != f"{node}/{self.own_topic.removeprefix('~/')}":
+            return None
+        return f"{node.rpartition('/')[2]}/{self.own_topic.removeprefix('~/')}"
+
+    @property
     def attachment(self) -> str:
         return f"{self.name} {'->' if self.endpoint.output else '<-'} {self.endpoint.topic}"
 
@@ -166,7 +177,11 @@ def component_text(ports: Iterable[ProposedPort], heard: set[str], rates: bool, 
     inputs = [port for port in ports if not port.endpoint.output]
     outputs = [port for port in ports if port.endpoint.output]
 
-    lines = [port.declaration if own_topics else port.declaration.partition(" as ")[0] for port in [*inputs, *outputs]]
+    lines: list[str] = []
+    for port in [*inputs, *outputs]:
+        if own_topics and port.other_name is not None:
+            lines.append(f"# `{port.stated_topic}`, or `{port.other_name}`: see what the program calls it")
+        lines.append(port.declaration if own_topics else port.declaration.partition(" as ")[0])
     groups: dict[frozenset[str], list[ProposedPort]] = {}
     for port in outputs:
         groups.setdefault(frozenset(each.name for each in inputs if _needs(port, each)), []).append(port)
