@@ -312,6 +312,18 @@ def test_a_parameter_is_set_by_the_request_of_the_command_beside_it(
     assert (parameters["value"], parameters["set_at_run_time"]) == (parse_value(text), True)
 
 
+def test_the_values_of_an_added_node_are_written_as_its_command_reads_them(tuned: System, opened: Opened) -> None:
+    page = opened(tuned)
+    page.get_by_label("What to do").select_option("add")
+    page.get_by_label("Name of the new node").fill("second")
+    page.get_by_label("Component", exact=True).select_option("Talker")
+    page.get_by_label("topic of out").fill("/chatter")
+    page.get_by_label("gain", exact=True).fill("1e-7")
+    asked = sent(page, "/plan", "Plan")
+    assert asked["add"] == [new_node("second", "Talker", ["out=/chatter"], ["gain=1.0e-7"])]
+    expect(page.locator("#change .command")).to_contain_text("--param gain=1.0e-7")
+
+
 def test_a_refused_value_is_refused_in_the_nodes_words(tuned: System, opened: Opened) -> None:
     page = opened(tuned)
     page.get_by_label("What to do").select_option("param")
