@@ -112,7 +112,7 @@ struct entry {
 };
 
 #define ENTRIES 256u
-/* Hashed by the address of the endpoint. The next table is there once this one is full, and stays: `find` takes no lock. */
+/* Hashed by the address of the endpoint. Once this one is full there is a next one, which stays: `find` takes no lock. */
 struct table {
   struct entry entries[ENTRIES];
   _Atomic(struct table *) next;
@@ -251,8 +251,8 @@ static struct port *port_of(const char *topic, uint32_t direction)
   return NULL;
 }
 
-/* Where `topic` is a port of this node, remember the endpoint, and have the helper thread run. False without memory: the
- * endpoint would have no gate. */
+/* Where `topic` is a port of this node, remember the endpoint, and have the helper thread run. False where there is no
+ * memory for that: the endpoint would have no gate. */
 static bool add(const void *endpoint, const char *topic, uint32_t direction, const void *type)
 {
   pthread_mutex_lock(&lock);
