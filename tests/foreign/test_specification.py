@@ -13,7 +13,7 @@ from immutables import Map
 
 from midstride.backends.ros2.foreign_nodes import ForeignNodes, ros_arguments
 from midstride.codec.specification import decode_specification, encode_specification
-from midstride.errors import StepFailed
+from midstride.errors import PlanRefused, StepFailed
 from midstride.foreign.page import Page
 from midstride.foreign.relayed_program import RelayOrder
 from midstride.generate.project import project
@@ -26,8 +26,16 @@ from midstride.model.configuration import Configuration
 from midstride.model.instance_names import full_name
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change_builder import change_between
+from midstride.plan.registry import planner
 from midstride.plan.specification_diff import differences
-from midstride.runtime.agreed_cut import early_publishers, has_gate, publishers_found, require_baton, require_found
+from midstride.runtime.agreed_cut import (
+    early_publishers,
+    has_gate,
+    publishers_found,
+    require_baton,
+    require_batons,
+    require_found,
+)
 from midstride.runtime.backend import Launch
 from midstride.wire.commands import AwaitMatchCommand
 from midstride.wire.replies import Attached
@@ -280,3 +288,15 @@ node listener : Listener { in <- /chat }
     else:
         with pytest.raises(StepFailed, match="has found only 1 of 2 publishers"):
             asyncio.run(scenario())
+
+
+def test_a_plan_is_refused_if_it_hands_over_to_one_that_cannot_be_held_back(tmp_path: Path) -> None:
+    specification = parsed(TEXT.replace('other.py"', 'other.py" gate none'), tmp_path)
+    change = change_between(initial(specification), specification, specification.with_replaced("talker", "Other"))
+    with pytest.raises(PlanRefused, match="talker_2 has `gate none`, so talker_2 cannot be held back for the other"):
+        require_batons(planner("minimal")(change))
+    require_batons(planner("paper")(change))
+    ungated = parsed(TEXT.replace("gate preload", "gate none").replace('other.py"', 'other.py" gate none'), tmp_path)
+    change = change_between(initial(ungated), ungated, ungated.with_replaced("talker", "Other"))
+    with pytest.raises(PlanRefused, match="both have `gate none`, so neither can be held back"):
+        require_batons(planner("minimal")(change))

@@ -16,10 +16,11 @@ from typing import Final
 
 from msgspec import structs
 
-from midstride.errors import CallTimeout, StepFailed, Unreachable
-from midstride.model.action import Swap
-from midstride.model.component import PortRef
+from midstride.errors import CallTimeout, PlanRefused, StepFailed, Unreachable
+from midstride.model.action import Create, Handover, Swap
+from midstride.model.component import ComponentSpec, PortRef
 from midstride.model.configuration import Configuration
+from midstride.plan.plan import Plan
 from midstride.runtime.component_client import ComponentClient
 from midstride.wire.commands import (
     AwaitMatchCommand,
@@ -293,10 +294,35 @@ def written_once(configuration: Configuration, new: PortRef, trigger: Trigger) -
 
 
 def require_baton(configuration: Configuration, old: str, new: str) -> None:
-    """Raises StepFailed where the gates of the two are of different kinds, and one of them knows no baton."""
+    """Raises StepFailed where the gates of the two do not fit: one of them knows no baton, or neither has a gate."""
     components = {name: configuration.component(name) for name in (old, new)}
+    if (because := _misfit(components, old, new)) is not None:
+        raise StepFailed(because)
+
+
+def require_batons(plan: Plan) -> None:
+    """Raises PlanRefused where :func:`require_baton` would fail a step of ``plan``.
+
+    By then the new program would run, and one that nothing holds back would publish beside the old one.
+    """
+    instances = {
+        step.action.instance.name: step.action.instance for step in plan.steps if isinstance(step.action, Create)
+    }
+    for step in plan.steps:
+        for swap in step.action.swaps if isinstance(step.action, Handover) else ():
+            pair = swap.old.instance, swap.new.instance
+            found = {name: (instances.get(name) or plan.change.start.instances[name]).component for name in pair}
+            if (because := _misfit(found, *pair)) is not None:
+                raise PlanRefused(because)
+
+
+def _misfit(components: Mapping[str, ComponentSpec], old: str, new: str) -> str | None:
+    """Why ``old`` cannot hand over to ``new``, because of the kinds of their gates."""
+    if components[old].gate == components[new].gate == "none":
+        words = "both have `gate none`, so neither can be held back; use `--strategy paper`"
+        return f"{old} cannot hand over to {new}: {words}"
     if components[old].gate == components[new].gate:
-        return
+        return None
     for name, component in components.items():
         if not component.has_agent and not component.preloads:
             kinds = " and ".join(
@@ -304,4 +330,5 @@ def require_baton(configuration: Configuration, old: str, new: str) -> None:
                 for each, found in components.items()
             )
             words = f"{kinds}, so {name} cannot be held back for the other; use `--strategy paper`"
-            raise StepFailed(f"{old} cannot hand over to {new}: {words}")
+            return f"{old} cannot hand over to {new}: {words}"
+    return None

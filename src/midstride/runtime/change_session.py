@@ -33,6 +33,7 @@ from midstride.plan.restore import restore
 from midstride.plan.runtime_values import Values, of_change
 from midstride.plan.sensitivity import sensitivity
 from midstride.runtime.action_driver import ActionDriver
+from midstride.runtime.agreed_cut import require_batons
 from midstride.runtime.change_report import ChangeTimeline
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
@@ -119,6 +120,7 @@ class ChangeSession:
         plan, target = await asyncio.to_thread(
             _plan, request, system.specification, system.configuration, values, measured, orders
         )
+        require_batons(plan)
         return replace(plan, remarks=(*remarks, *plan.remarks)), target
 
     async def change(
