@@ -34,7 +34,8 @@ from midstride.cli.example import Demo, matching
 from midstride.errors import MidstrideError
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Outcome, Status
+from midstride.runtime.reports import Outcome
+from midstride.runtime.status_forms import Status
 from midstride.simulation.lives import Life
 
 # How long each event is watched at least, and the robot before the first (s); how often it is looked at.

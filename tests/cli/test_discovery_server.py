@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
+import json
 import os
 import re
 import socket
@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from midstride.runtime.reports import Outcome
-from midstride.wire.replies import Receipt
-from tests.acceptance.support import PERIOD, Recorder, ended, managed, other_source, swap_specification
-from tests.backends.ros2_support import run, without_midstride
+from midstride.codec.specification import encode_specification
+from tests.acceptance.support import Recorder, ended, swap_specification
+from tests.backends.ros2_support import without_midstride
+from tests.cli.conftest import Midstride
 
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
@@ -47,28 +47,33 @@ def discovery_server() -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
 
 
 def test_no_message_is_lost_where_nodes_find_each_other_by_a_discovery_server(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    midstride: Midstride, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A reader outside, too, hears each new publisher from its first message. Without the server a new node finds
-    nobody: the change is rolled back, and those that had found each other go on."""
+    nobody: the change is rolled back, and those that had found each other go on.
 
-    async def main(server: subprocess.Popen[bytes]) -> tuple[list[Outcome], list[Receipt]]:
-        async with managed(tmp_path / "system", swap_specification()) as (manager, _):
-            recorder = Recorder(tmp_path)
-            await asyncio.to_thread(recorder.wait_until_it_hears)
-            await asyncio.sleep(40 * PERIOD)
-            outcomes = [await manager.change(other_source(manager)) for _ in range(2)]
-            server.kill()
-            server.wait()
-            outcomes.append(await manager.change(other_source(manager)))
-            return outcomes, recorder.stop()
-
+    Fast DDS keeps the server for all that a process does afterwards, so the process of the tests has no part in it.
+    """
+    file = tmp_path / "swap.json"
+    file.write_text(json.dumps(encode_specification(swap_specification())))
     with ended(), discovery_server() as (address, server):
         monkeypatch.setenv("ROS_DISCOVERY_SERVER", address)
-        outcomes, rows = run(main(server), 200)
-    assert [outcome.outcome for outcome in outcomes] == ["done", "done", "rolled_back"], outcomes
-    assert "only 0 of 1 endpoints on /swap were found" in (outcomes[-1].because or "")
-    assert [swap.lost for outcome in outcomes for swap in outcome.swaps] == [0, 0, 0]
+        midstride.environment["ROS_DISCOVERY_SERVER"] = address
+        up = midstride("up", str(file), "-d")
+        assert up.status == 0, up.err
+        recorder = Recorder(tmp_path)
+        recorder.wait_until_it_hears()
+        outcomes = [
+            midstride("replace", "source", component, "--yes", "--json").json for component in ("OtherSource", "Source")
+        ]
+        server.kill()
+        server.wait()
+        outcomes.append(midstride("replace", "source", "OtherSource", "--yes", "--json").json)
+        rows = recorder.stop()
+        assert midstride("down").status == 0
+    assert [outcome["outcome"] for outcome in outcomes] == ["done", "done", "rolled_back"], outcomes
+    assert "only 0 of 1 endpoints on /swap were found" in outcomes[-1]["because"]
+    assert [swap["lost"] for outcome in outcomes for swap in outcome["swaps"]] == [0, 0, 0]
     numbers = [row.number for row in rows]
     begins = [number for before, number in pairwise(numbers) if before is None or number != before + 1]
     assert begins == [1, 1]  # of the two publishers that replaced another; nothing else is out of sequence
