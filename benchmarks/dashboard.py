@@ -169,7 +169,7 @@ class Manager:
         self.events, clock = EventLog(), SystemClock()
         client = ComponentClient(cast(Any, None), clock, "token")
         none = cast(Any, SimpleNamespace(handles={}, ending=(), status=lambda _: None))
-        monitor = SilenceMonitor(client, clock, self.events, ())
+        monitor = SilenceMonitor(client, clock, self.events, (), ())
         system = RunningSystem(self.specification, initial(self.specification))
         self.watched = WatchedSystem(system, client, monitor, none, none, none, self.events, clock, lambda: None)
         self._report = UpReport
