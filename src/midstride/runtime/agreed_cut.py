@@ -318,17 +318,17 @@ def require_batons(plan: Plan) -> None:
 
 def _misfit(components: Mapping[str, ComponentSpec], old: str, new: str) -> str | None:
     """Why ``old`` cannot hand over to ``new``, because of the kinds of their gates."""
-    if components[old].gate == components[new].gate == "none":
-        words = "both have `gate none`, so neither can be held back; use `--strategy paper`"
-        return f"{old} cannot hand over to {new}: {words}"
-    if components[old].gate == components[new].gate:
+    gates = {name: component.gate for name, component in components.items()}
+    if gates[old] == gates[new] == "none":
+        words = "both have `gate none`, so neither can be held back"
+    elif gates[old] == gates[new]:
         return None
-    for name, component in components.items():
-        if not component.has_agent and not component.preloads:
-            kinds = " and ".join(
-                f"{each} has `gate {found.gate}`" if found.gate else f"{each} uses Midstride's API"
-                for each, found in components.items()
-            )
-            words = f"{kinds}, so {name} cannot be held back for the other; use `--strategy paper`"
-            return f"{old} cannot hand over to {new}: {words}"
-    return None
+    else:
+        loose = next((name for name, each in components.items() if not each.has_agent and not each.preloads), None)
+        if loose is None:
+            return None
+        kinds = " and ".join(
+            f"{name} has `gate {gate}`" if gate else f"{name} uses Midstride's API" for name, gate in gates.items()
+        )
+        words = f"{kinds}, so {loose} cannot be held back for the other"
+    return f"{old} cannot hand over to {new}: {words}; use `--strategy paper`"
