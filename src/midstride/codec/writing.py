@@ -20,7 +20,7 @@ def to_json(form: object) -> bytes:
 
 def expressible(text: str) -> str:
     """``text`` with each lone surrogate as an escape, as in ``\\udcff``."""
-    return text.encode("utf-8", "backslashreplace").decode()
+    return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode()
 
 
 def _expressible(value: Any) -> Any:
