@@ -61,11 +61,11 @@ class Client:
         self._socket = path
 
     def get(self, path: str, timeout: float | None = READ_TIMEOUT, **query: Any) -> Any:
-        return self._request("GET", path + (f"?{urlencode(query)}" if query else ""), None, timeout)
+        return self._request("GET", _with_query(path, query), None, timeout)
 
     def text(self, path: str, timeout: float | None = READ_TIMEOUT, **query: Any) -> str:
         """The answer to a request for a text."""
-        found = self._answer("GET", path + (f"?{urlencode(query)}" if query else ""), None, timeout)
+        found = self._answer("GET", _with_query(path, query), None, timeout)
         return found.decode()
 
     def post(self, path: str, document: Document | None = None) -> Any:
@@ -105,7 +105,7 @@ class Client:
         """Why a functionality is in its mode. Raises PlanRefused for an unknown one."""
         from midstride.runtime.status_forms import Why
 
-        return self._form(Why, "GET", f"/why?{urlencode({'functionality': functionality})}")
+        return self._form(Why, "GET", _with_query("/why", {"functionality": functionality}))
 
     def set_parameters(self, node: str, values: Mapping[str, Any]) -> ParametersReport:
         """Set parameters of a role or an instance, once the commands before are done; all of them or none."""
@@ -194,6 +194,10 @@ class Client:
         if response.status >= 400:
             raise _error(response.read())
         return response
+
+
+def _with_query(path: str, query: Mapping[str, Any]) -> str:
+    return f"{path}?{urlencode(query)}" if query else path
 
 
 # Errors that are constructed from their message alone.
