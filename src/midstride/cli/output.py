@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TextIO, cast
 
 import click
@@ -25,6 +26,12 @@ def json_option(function: Any) -> Any:
     """``--json``, accepted before and after the command's name."""
     summary = "Print one JSON document, and nothing else."
     return click.option("--json", is_flag=True, expose_value=False, callback=_set_json, help=summary)(function)
+
+
+def stride_output(summary: str) -> Callable[[Any], Any]:
+    """``--output FILE.stride``, as ``output``: where a specification is written to."""
+    file = click.Path(path_type=Path, dir_okay=False)
+    return click.option("-o", "--output", type=file, metavar="FILE.stride", help=summary)
 
 
 def _set_json(ctx: click.Context, _: click.Parameter, value: bool) -> None:

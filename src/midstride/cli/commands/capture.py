@@ -24,7 +24,7 @@ from midstride.capture.probe import (
 )
 from midstride.capture.standalone import draft
 from midstride.cli.files import require_file, require_new, write
-from midstride.cli.output import NO, is_interactive, json_option, print_json, wants_json
+from midstride.cli.output import NO, is_interactive, json_option, print_json, stride_output, wants_json
 from midstride.cli.systems import find_workspace, system_option
 from midstride.errors import MidstrideError
 from midstride.foreign.page import GATES_FOLDER, PORTS
@@ -37,13 +37,7 @@ from midstride.model.wording import counted
     "--seconds", type=click.FloatRange(min=0.5), metavar="S", default=10.0, show_default=True, help="How long to look."
 )
 @click.option("--into", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Add the ports to FILE.")
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.stride",
-    help="Write the draft, or FILE with its ports, to this file.",
-)
+@stride_output("Write the draft, or FILE with its ports, to this file.")
 @click.option("--rates", is_flag=True, help="State the proposed rates in the guarantees, instead of as comments.")
 @click.option(
     "--probe", "with_probe", is_flag=True, help="Close inputs of nodes with gates, to find what depends on them."

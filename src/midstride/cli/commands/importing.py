@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from midstride.cli.files import require_file, require_new, write
-from midstride.cli.output import json_option, print_json, wants_json
+from midstride.cli.output import json_option, print_json, stride_output, wants_json
 from midstride.launch_files.importing import Imported, import_launch_file
 from midstride.model.wording import counted
 
@@ -16,13 +16,7 @@ from midstride.model.wording import counted
 @click.command("import")
 @click.argument("file", type=click.Path(path_type=Path), metavar="FILE")
 @click.argument("arguments", nargs=-1, metavar="[NAME:=VALUE]...")
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.stride",
-    help="Write the specification to this file, instead of printing it.",
-)
+@stride_output("Write the specification to this file, instead of printing it.")
 @click.option(
     "--run-python", is_flag=True, help="Carry out launch files in Python, which are programs, by ROS's own `launch`."
 )
