@@ -181,7 +181,7 @@ def test_add_reads_values_as_param_set_does(tuned: Midstride) -> None:
     ],
 )
 def test_what_yaml_reads_as_another_type_is_said_with_what_to_write(text: str, like: Any, hint: str | None) -> None:
-    assert misread(text, like) == hint
+    assert misread("gain", text, {"gain": like}) == hint
 
 
 def test_names_of_parameters_are_completed(tuned: Midstride) -> None:

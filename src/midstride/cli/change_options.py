@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
@@ -91,12 +91,15 @@ def parse_value(text: str) -> Any:
     return value if isinstance(value, (bool, int, float, str)) else text
 
 
-def misread(text: str, like: ParameterValue) -> str | None:
-    """What to write instead of ``text``, where YAML reads a value of another type than ``like``."""
-    from midstride.model.component import value_fits, value_kind
+def misread(name: str, text: str, declared: Mapping[str, ParameterValue]) -> str | None:
+    """What to write instead of ``text``, where YAML reads another type than the parameter ``name`` has.
 
-    value = parse_value(text)
-    if value_fits(value, like):
+    None where it does not, or the parameter is neither ``declared`` nor ROS's own.
+    """
+    from midstride.model.component import ROS_PARAMETERS, value_fits, value_kind
+
+    value, like = parse_value(text), declared.get(name, ROS_PARAMETERS.get(name))
+    if like is None or value_fits(value, like):
         return None
     candidates = [json.dumps(text, ensure_ascii=False), f"[{text}]", json.dumps([text], ensure_ascii=False)]
     with suppress(ValueError):

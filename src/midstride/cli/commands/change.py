@@ -138,12 +138,9 @@ def add_command(
 
 def _check_values(parameters: tuple[str, ...], component: ComponentSpec | None) -> None:
     """Raises PlanRefused, with what to write, for a value that YAML reads as another type than is declared."""
-    from midstride.model.component import ROS_PARAMETERS
-
     declared = {} if component is None else {name: each.value for name, each in component.parameters.items()}
-    declared = {**ROS_PARAMETERS, **declared}
     for name, text in map(change_options.parse_parameter, parameters):
-        if name in declared and (hint := change_options.misread(text, declared[name])) is not None:
+        if (hint := change_options.misread(name, text, declared)) is not None:
             raise PlanRefused(f"--param {name}: {hint}")
 
 

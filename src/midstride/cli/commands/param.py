@@ -93,12 +93,10 @@ def set_command(node: str, name: str, value: str, system: str | None) -> int:
         report = client.set_parameters(node, {name: parse_value(value)})
     except CommandRefused as error:
         from midstride.codec.parameter import value_of
-        from midstride.model.component import ROS_PARAMETERS
 
         found = [each for each in client.status().components if node in (each.name, each.role)]
         declared = {parameter.name: value_of(parameter.declared) for each in found for parameter in each.parameters}
-        declared = {**ROS_PARAMETERS, **declared}
-        hint = misread(value, declared[name]) if name in declared else None
+        hint = misread(name, value, declared)
         raise CommandRefused(f"{error}; {hint}" if hint else str(error)) from None
     if wants_json():
         print_json(report)

@@ -47,6 +47,8 @@ def status_command(nodes: tuple[str, ...], verbose: bool, system: str | None) ->
 
 def _narrowed(status: Status, nodes: Sequence[str]) -> Status:
     """The status with these nodes and their topics only. Raises PlanRefused for a node that does not run."""
+    from msgspec import structs
+
     live = [(each.name, each.role) for each in status.components]
     crashed = [(each.name, each.role) for each in status.crashed if each.role]
     known = {name for names in [*live, *crashed] for name in names}
@@ -56,8 +58,6 @@ def _narrowed(status: Status, nodes: Sequence[str]) -> Status:
     components = [each for each in status.components if {each.name, each.role} & {*nodes}]
     attached = {attachment.connector for each in components for attachment in each.attachments}
     topics = [topic for topic in status.topics if topic.name in attached]
-    from msgspec import structs
-
     return structs.replace(status, components=components, topics=topics)
 
 
