@@ -50,7 +50,7 @@ def test_no_message_is_lost_where_nodes_find_each_other_by_a_discovery_server(
     midstride: Midstride, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A reader outside, too, hears each new publisher from its first message. Without the server a new node finds
-    nobody: the change is rolled back, and those that had found each other go on.
+    nobody: the change is rolled back, and nodes that are connected already go on communicating.
 
     Fast DDS keeps the server for all that a process does afterwards, so the process of the tests has no part in it.
     """
