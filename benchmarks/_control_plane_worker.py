@@ -38,7 +38,7 @@ class Plane:
 
     def connect(self, backend: Any, token: str) -> None:
         """Use ``backend`` without a manager."""
-        from midstride.runtime.component_client import ComponentClient
+        from midstride.runtime.process.component_client import ComponentClient
 
         self._client = ComponentClient(backend.transport, backend.clock, token)
 
@@ -146,7 +146,7 @@ async def until(attempt: Callable[[], Awaitable[None]], deadline: float) -> floa
 
 async def first_reply(plane: Any, name: str, folder: Path, times: int) -> Samples:
     """Components started one after another, each asked until it replies."""
-    from midstride.runtime.backend import Launch
+    from midstride.runtime.backend_protocol import Launch
     from midstride.runtime.workspace import Workspace
 
     found: Samples = {"first reply after process start": [], "first reply after end of imports": []}

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from midstride.testing.systems import chain
+from midstride.testing.large_systems import chain
 
 RESULTS = Path(__file__).parent / "results" / "check.json"
 

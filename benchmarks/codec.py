@@ -53,7 +53,7 @@ def import_only(library: str) -> dict[str, float]:
 
 def read(library: str, nodes: int) -> dict[str, float]:
     """Seconds to make a reader for the forms and to read, and the memory that the value takes (MiB)."""
-    from midstride.codec.specification import SpecificationForm
+    from midstride.codec.specification_form import SpecificationForm
 
     text = document(nodes)
     begun = time.perf_counter()

@@ -29,13 +29,13 @@ from _conflict_core_systems import SEEDS, instance
 from midstride.model.specification import initial
 from midstride.plan.change import Change
 from midstride.plan.change_builder import change_between
-from midstride.plan.core import Part, Topic, parts
-from midstride.plan.core_bounds import RoleBounds
-from midstride.plan.core_losses import PartLosses, fullest
-from midstride.plan.core_plan import Budget
-from midstride.plan.core_search import PartResult, PartSearch
+from midstride.plan.core.conflict_core import Part, Topic, parts
+from midstride.plan.core.core_bounds import RoleBounds
+from midstride.plan.core.core_losses import PartLosses, fullest
+from midstride.plan.core.core_plan import Budget
+from midstride.plan.core.core_search import PartResult, PartSearch
 from midstride.plan.disruption import Levels
-from midstride.plan.minimal import minimal
+from midstride.plan.strategies.minimal import minimal
 from midstride.plan.validate import replay
 
 

@@ -107,7 +107,7 @@ class Reports:
         """One node reports, as its control connection would hand it over."""
         from msgspec import structs
 
-        from midstride.runtime.component_client import LatestState
+        from midstride.runtime.process.component_client import LatestState
         from midstride.wire.state import FunctionalityState
 
         state = self._states[index]
@@ -155,15 +155,15 @@ class Manager:
     """Of a system whose components are not there."""
 
     def __init__(self, nodes: int) -> None:
-        from midstride.codec.specification import decode_specification
+        from midstride.codec.specification_form import decode_specification
         from midstride.model.specification import initial
-        from midstride.runtime.clock import SystemClock
-        from midstride.runtime.component_client import ComponentClient
-        from midstride.runtime.events import EventLog
-        from midstride.runtime.reports import UpReport
+        from midstride.runtime.manager_clock import SystemClock
+        from midstride.runtime.process.component_client import ComponentClient
+        from midstride.runtime.records.events import EventLog
+        from midstride.runtime.records.reports import UpReport
         from midstride.runtime.running_system import RunningSystem
-        from midstride.runtime.silence import SilenceMonitor
-        from midstride.runtime.watched import WatchedSystem
+        from midstride.runtime.view.watched_system import WatchedSystem
+        from midstride.runtime.watch.silence import SilenceMonitor
 
         self.specification = decode_specification(document(nodes))
         self.events, clock = EventLog(), SystemClock()
@@ -181,7 +181,7 @@ class Manager:
         return self.events.since(since)
 
     async def history(self, latest: int) -> Any:
-        from midstride.runtime.history import History
+        from midstride.runtime.records.change_history import History
 
         return History([], [], None)
 

@@ -26,7 +26,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-from midstride.server.view.forms import ComponentView  # noqa: E402
+from midstride.server.view.view_forms import ComponentView  # noqa: E402
 from tests.browser.synthetic import MODES, Synthetic, functionality, large, serving  # noqa: E402
 
 RESULTS = ROOT / "benchmarks" / "results" / "dashboard_page.json"

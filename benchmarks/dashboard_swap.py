@@ -31,7 +31,7 @@ sys.path.insert(0, str(HERE))
 from dashboard import spent  # noqa: E402
 from swap import TAIL, Platform, Way, recorded, specification, summary  # noqa: E402
 
-from midstride.codec.specification import encode_specification  # noqa: E402
+from midstride.codec.specification_form import encode_specification  # noqa: E402
 
 SYSTEM = "swap_benchmark"
 COLUMNS = ("way", "swaps", "gap_median", "gap_p99", "gap_max", "missed", "lost", "duplicates")

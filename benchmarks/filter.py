@@ -50,7 +50,7 @@ def recorder(path: str) -> None:
 
 async def swapped(swaps: int, folder: Path) -> dict[str, Any]:
     from midstride import backends
-    from midstride.codec.specification import decode_specification
+    from midstride.codec.specification_form import decode_specification
     from midstride.plan.request import PlanRequest
     from midstride.runtime.manager import Manager
     from midstride.runtime.workspace import Workspace

@@ -17,9 +17,9 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 from midstride.model.contract import Interval, Predicate, QoS, ValueSet
-from midstride.node.contracts import Guarantee
-from midstride.node.message_times import MessageTimes
-from midstride.node.ports import Input, InputLink, Output, OutputLink
+from midstride.node.author.declared_contracts import Guarantee
+from midstride.node.author.message_times import MessageTimes
+from midstride.node.author.ports import Input, InputLink, Output, OutputLink
 
 RESULTS = Path(__file__).parent / "results" / "measuring.json"
 MESSAGES, RUNS = 50_000, 9

@@ -29,8 +29,8 @@ from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification, structure
 from midstride.plan.change_builder import requested_change
 from midstride.plan.plan import Plan
-from midstride.plan.registry import STRATEGIES
 from midstride.plan.request import PlanRequest
+from midstride.plan.strategies.registry import STRATEGIES
 
 # `stop` replaces every node, so its cost does follow the size of the system.
 NAMES = tuple(sorted(set(STRATEGIES) - {"stop"}))

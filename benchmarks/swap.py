@@ -32,7 +32,7 @@ from midstride.model.component import ComponentSpec, Connector, FunctionalitySpe
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification
 from midstride.plan.request import PlanRequest
-from midstride.runtime.measure import Observation, SwapReport, report
+from midstride.runtime.records.measure import Observation, SwapReport, report
 from midstride.wire.replies import Receipt
 
 HERE = Path(__file__).resolve().parent

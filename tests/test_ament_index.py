@@ -9,7 +9,7 @@ import pytest
 
 from midstride.ament_index import executable
 from midstride.backends.simulator import Simulator
-from midstride.codec.specification import decode_specification, encode_specification
+from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import StartFailed
 from midstride.lang import format_text
 from midstride.lang.catalogue_entry import CHATTER, NODE

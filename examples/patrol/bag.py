@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from midstride.errors import MidstrideError
-from midstride.runtime.reports import Outcome
+from midstride.runtime.records.reports import Outcome
 from midstride.runtime.timeouts import within
 
 FOLDER = Path(__file__).resolve().parent

@@ -34,9 +34,9 @@ from midstride.cli.example import Demo, matching
 from midstride.errors import MidstrideError
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Outcome
-from midstride.runtime.status_forms import Status
-from midstride.simulation.lives import Life
+from midstride.runtime.records.reports import Outcome
+from midstride.runtime.records.status_forms import Status
+from midstride.simulation.killable_manager import Life
 
 # How long each event is watched at least, and the robot before the first (s); how often it is looked at.
 WATCHED, RUN_IN, LOOK = 9.0, 6.0, 0.25

@@ -15,19 +15,19 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from midstride.backends.simulator import Simulator
-from midstride.backends.simulator.process import SimulatedProcess
+from midstride.backends.simulator.simulated_process import SimulatedProcess
 from midstride.lang.load import load
 from midstride.model.component import FunctionalitySpec, InputAlternatives
 from midstride.model.specification import Node, Specification
 from midstride.plan.request import PlanRequest
-from midstride.runtime.backend import Launch
+from midstride.runtime.backend_protocol import Launch
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Outcome
-from midstride.runtime.state_store import StateStore
+from midstride.runtime.records.reports import Outcome
+from midstride.runtime.records.state_store import StateStore
 from midstride.runtime.workspace import Workspace
-from midstride.simulation.disk import SimulatedDisk
-from midstride.simulation.lives import Life
+from midstride.simulation.killable_manager import Life
 from midstride.simulation.loop import SeededLoop, run
+from midstride.simulation.simulated_disk import SimulatedDisk
 from midstride.simulation.threadless import ThreadlessOnceStarted
 
 T = TypeVar("T")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from midstride import backends
 from midstride.runtime.manager import Manager
-from midstride.runtime.state_store import StateStore
+from midstride.runtime.records.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 
 

@@ -3,7 +3,7 @@
 from std_msgs.msg import Bool, String
 
 from midstride import Component, guarantee
-from midstride.node.ports import Output
+from midstride.node.author.ports import Output
 
 comp = Component("mission")
 state = comp.create_input("state", String)

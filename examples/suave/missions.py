@@ -13,14 +13,14 @@ from typing import Any, Final
 from immutables import Map
 
 from midstride.backends.simulator.backend import Simulator
-from midstride.backends.simulator.process import SimulatedProcess
+from midstride.backends.simulator.simulated_process import SimulatedProcess
 from midstride.lang import load
 from midstride.model.specification import Specification
-from midstride.runtime.backend import Handle, Launch
+from midstride.runtime.backend_protocol import Handle, Launch
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
-from midstride.simulation.disk import SimulatedDisk
 from midstride.simulation.loop import SeededLoop, run
+from midstride.simulation.simulated_disk import SimulatedDisk
 from midstride.simulation.threadless import ThreadlessProcess
 
 FOLDER: Final = Path(__file__).parent

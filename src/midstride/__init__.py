@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from midstride.errors import MidstrideError, NodeError
     from midstride.model.contract import QoS
-    from midstride.node.component import Component
-    from midstride.node.contracts import at_least, at_most, between, guarantee
-    from midstride.node.functionality import Functionality
-    from midstride.node.modes import approximate
-    from midstride.node.parameters import Parameter
-    from midstride.node.ports import Input, Output, any_of
+    from midstride.node.author.component_class import Component
+    from midstride.node.author.declared_contracts import at_least, at_most, between, guarantee
+    from midstride.node.author.declared_parameters import Parameter
+    from midstride.node.author.functionality import Functionality
+    from midstride.node.author.modes import approximate
+    from midstride.node.author.ports import Input, Output, any_of
     from midstride.wire.state import Measured
 
 __version__ = "0.1.0"
@@ -46,21 +46,21 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Component": "midstride.node.component",
-    "Functionality": "midstride.node.functionality",
-    "Input": "midstride.node.ports",
+    "Component": "midstride.node.author.component_class",
+    "Functionality": "midstride.node.author.functionality",
+    "Input": "midstride.node.author.ports",
     "Measured": "midstride.wire.state",
     "MidstrideError": "midstride.errors",
     "NodeError": "midstride.errors",
-    "Output": "midstride.node.ports",
-    "Parameter": "midstride.node.parameters",
+    "Output": "midstride.node.author.ports",
+    "Parameter": "midstride.node.author.declared_parameters",
     "QoS": "midstride.model.contract",
-    "any_of": "midstride.node.ports",
-    "approximate": "midstride.node.modes",
-    "at_least": "midstride.node.contracts",
-    "at_most": "midstride.node.contracts",
-    "between": "midstride.node.contracts",
-    "guarantee": "midstride.node.contracts",
+    "any_of": "midstride.node.author.ports",
+    "approximate": "midstride.node.author.modes",
+    "at_least": "midstride.node.author.declared_contracts",
+    "at_most": "midstride.node.author.declared_contracts",
+    "between": "midstride.node.author.declared_contracts",
+    "guarantee": "midstride.node.author.declared_contracts",
 }
 
 

@@ -4,6 +4,6 @@ In Python, ``from midstride.launch import BringUpSystem``; in XML,
 ``<midstride specification="$(dirname)/chat.stride"/>``.
 """
 
-from midstride.backends.ros2.launch_action import BringUpSystem
+from midstride.backends.ros2.manager.launch_action import BringUpSystem
 
 __all__ = ["BringUpSystem"]

@@ -21,11 +21,11 @@ from pathlib import Path
 from typing import Any
 
 from midstride.lang.load import load
+from midstride.plan.forms.step_forms import HandoverStep
 from midstride.plan.request import PlanRequest
-from midstride.plan.step_forms import HandoverStep
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Event
-from midstride.runtime.state_store import StateStore
+from midstride.runtime.records.reports import Event
+from midstride.runtime.records.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import Command, CutOutCommand, DetachCommand
 from tests.acceptance.foreign_support import manager_of

@@ -21,7 +21,7 @@ from midstride.lang.load import load
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Outcome
+from midstride.runtime.records.reports import Outcome
 from midstride.runtime.workspace import Workspace
 from tests.acceptance.support import ROOT
 from tests.backends.ros2_support import Bare, without_midstride

@@ -23,11 +23,11 @@ from typing import Any
 
 from midstride import backends
 from midstride.plan.request import PlanRequest
-from midstride.runtime import reaper
-from midstride.runtime.disk import Database, Disk, Statement
 from midstride.runtime.manager import Manager
 from midstride.runtime.options import SystemOptions
-from midstride.runtime.state_store import StateStore
+from midstride.runtime.process import reaper
+from midstride.runtime.records.disk import Database, Disk, Statement
+from midstride.runtime.records.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import Command
 from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN

@@ -20,11 +20,12 @@ import pytest
 
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
-from midstride.runtime import reaper, recording
 from midstride.runtime.manager import Manager
-from midstride.runtime.measure import Observation, SwapReport, report
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
-from midstride.runtime.reaper import Reaper
+from midstride.runtime.process import reaper
+from midstride.runtime.process.reaper import Reaper
+from midstride.runtime.records.measure import Observation, SwapReport, report
+from midstride.runtime.watch import subscriber_recording
 from midstride.runtime.workspace import Workspace
 from midstride.wire.replies import Receipt
 
@@ -177,5 +178,5 @@ def kept_observations(monkeypatch: pytest.MonkeyPatch) -> list[Observation]:
         seen.append(observation)
         return report(observation)
 
-    monkeypatch.setattr(recording, "report", kept)
+    monkeypatch.setattr(subscriber_recording, "report", kept)
     return seen

@@ -18,9 +18,9 @@ from immutables import Map
 from midstride.model.component import ComponentSpec, Connector, FunctionalitySpec, Mode
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification
-from midstride.plan.forms import encode_plan
+from midstride.plan.forms.plan_forms import encode_plan
 from midstride.plan.request import PlanRequest
-from midstride.runtime.action_driver import ActionDriver
+from midstride.runtime.change.action_driver import ActionDriver
 from midstride.runtime.manager import Manager
 from midstride.wire.state import GateState
 from tests.acceptance.support import Recorder, ended, managed, swap_specification

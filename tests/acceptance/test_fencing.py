@@ -17,9 +17,9 @@ import pytest
 
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
-from midstride.runtime.component_client import STOPPED
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Event, Outcome
+from midstride.runtime.process.component_client import STOPPED
+from midstride.runtime.records.reports import Event, Outcome
 from midstride.wire.replies import Receipt
 from tests.acceptance.support import BENCHMARKS, PERIOD, Recorder, ended, managed, swap_specification
 from tests.backends.ros2_support import run, until_async

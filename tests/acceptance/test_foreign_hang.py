@@ -16,7 +16,7 @@ import pytest
 
 from midstride import backends
 from midstride.lang.load import load
-from midstride.node.shortfall import LONG_FLOOR
+from midstride.node.control.shortfall import LONG_FLOOR
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from tests.acceptance.support import ended

@@ -12,7 +12,7 @@ from midstride import backends
 from midstride.lang.load import load
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Outcome
+from midstride.runtime.records.reports import Outcome
 from midstride.runtime.workspace import Workspace
 from tests.acceptance.support import ended
 from tests.backends.ros2_support import Bare, run

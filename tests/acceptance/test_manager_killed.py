@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from midstride.runtime.agreed_cut import RESUME_PERIODS
+from midstride.runtime.handover.agreed_cut import RESUME_PERIODS
 from midstride.wire.replies import Receipt
 from tests.acceptance.managing import FINISH
 from tests.acceptance.support import PERIOD, ROOT, Recorder, ended

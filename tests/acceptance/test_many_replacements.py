@@ -23,8 +23,8 @@ import pytest
 
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.measure import Observation
-from midstride.runtime.reports import Event
+from midstride.runtime.records.measure import Observation
+from midstride.runtime.records.reports import Event
 from midstride.wire.replies import Receipt
 from tests.acceptance.support import (
     PERIOD,

@@ -13,7 +13,7 @@ from statistics import median
 
 import pytest
 
-from midstride.runtime.measure import Observation, SwapReport, report
+from midstride.runtime.records.measure import Observation, SwapReport, report
 from midstride.wire.commands import GateCommand, RecordCommand, RecordsCommand
 from midstride.wire.replies import Receipt
 from tests.acceptance.support import (

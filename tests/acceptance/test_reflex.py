@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from midstride.node.shortfall import FLOOR
+from midstride.node.control.shortfall import FLOOR
 from tests.acceptance.support import benchmark, ended
 from tests.backends.ros2_support import run
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Outcome
+from midstride.runtime.records.reports import Outcome
 from tests.acceptance.support import ended, managed
 from tests.acceptance.test_state_at_the_cut import lines, recorded
 from tests.runtime.side_by_side import all_replaced, three

@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 from midstride.lang import load_text, render
-from midstride.runtime import recording
 from midstride.runtime.manager import Manager
-from midstride.runtime.measure import Observation, SwapReport
 from midstride.runtime.options import SystemOptions
-from midstride.runtime.simulated_time import report_on_ros_clock
-from midstride.runtime.status_forms import Status
+from midstride.runtime.records.measure import Observation, SwapReport
+from midstride.runtime.records.status_forms import Status
+from midstride.runtime.watch import subscriber_recording
+from midstride.runtime.watch.simulated_time import report_on_ros_clock
 from midstride.wire.replies import ClockMoment, Receipt
 from tests.acceptance.support import (
     PERIOD,
@@ -92,7 +92,7 @@ def test_nothing_is_missed_in_simulated_time_and_a_bare_recorder_agrees(
         seen.append(observation)
         return report_on_ros_clock(observation, moments, **options)
 
-    monkeypatch.setattr(recording, "report_on_ros_clock", kept)
+    monkeypatch.setattr(subscriber_recording, "report_on_ros_clock", kept)
 
     async def scenario() -> tuple[list[SwapReport], list[Receipt]]:
         options = SystemOptions(use_sim_time=True)

@@ -18,7 +18,7 @@ from midstride.lang.load import load_text
 from midstride.model.specification import Specification
 from midstride.runtime.manager import Manager
 from midstride.runtime.options import SystemOptions
-from midstride.runtime.reaper import process_info
+from midstride.runtime.process.reaper import process_info
 from midstride.runtime.workspace import Workspace
 from tests.acceptance.support import BENCHMARKS, ended, other_source, swap_specification
 from tests.backends.ros2_support import TALKER, run, until_async

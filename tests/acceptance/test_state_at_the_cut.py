@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from midstride import backends
-from midstride.codec.specification import decode_specification
+from midstride.codec.specification_form import decode_specification
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from tests.acceptance.support import ended

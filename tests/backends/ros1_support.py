@@ -19,8 +19,8 @@ from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 
 from midstride.backends.ros1 import rpc
-from midstride.runtime import reaper
-from midstride.runtime.reaper import Reaper
+from midstride.runtime.process import reaper
+from midstride.runtime.process.reaper import Reaper
 from midstride.wire.environment import ENV_TOKEN
 from tests.backends.ros2_support import Rig
 

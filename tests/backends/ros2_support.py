@@ -16,10 +16,10 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from pathlib import Path
 from typing import Any, TypeVar
 
-from midstride.runtime import reaper
-from midstride.runtime.backend import Exited, Handle, Launch
-from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.reaper import Reaper, process_info
+from midstride.runtime.backend_protocol import Exited, Handle, Launch
+from midstride.runtime.process import reaper
+from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.process.reaper import Reaper, process_info
 from midstride.wire.channel import Channel
 from midstride.wire.commands import AttachCommand, DetachCommand, ModesCommand, WelcomeCommand
 from midstride.wire.environment import ENV_TOKEN

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from midstride.backends import ros1
-from midstride.cli.files import load
+from midstride.cli.input_files import load
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.reaper import Reaper, remaining_groups
-from midstride.runtime.reports import Outcome
+from midstride.runtime.process.reaper import Reaper, remaining_groups
+from midstride.runtime.records.reports import Outcome
 from midstride.runtime.workspace import Workspace
 from tests.backends.ros1_support import own_master_uri
 from tests.backends.ros2_support import run

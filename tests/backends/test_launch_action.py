@@ -67,7 +67,7 @@ def exposed(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
     frontend.expose_action = expose_action  # type: ignore[attr-defined]
     for name, module in zip(names, (launch, actions, frontend), strict=True):
         monkeypatch.setitem(sys.modules, name, module)
-    own = "midstride.launch", "midstride.backends.ros2.launch_action"
+    own = "midstride.launch", "midstride.backends.ros2.manager.launch_action"
     for name in own:
         monkeypatch.delitem(sys.modules, name, raising=False)
     importlib.import_module("midstride.launch")

@@ -10,7 +10,7 @@ import psutil
 import pytest
 
 from midstride.backends.process_title import ARGUMENT_ROOM, VALUE_ROOM
-from midstride.runtime.reaper import environment_value
+from midstride.runtime.process.reaper import environment_value
 
 CODE = """
 import os, sys

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from midstride.backends.ros2.python_launch import _Visitor
-from midstride.launch_files.importing import import_launch_file
+from midstride.backends.ros2.manager.python_launch import _Visitor
+from midstride.launch_files.launch_import import import_launch_file
 
 LAUNCH = """
 from launch import LaunchDescription

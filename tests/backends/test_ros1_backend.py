@@ -18,9 +18,9 @@ import pytest
 from midstride.backends.ros1 import master_process
 from midstride.backends.ros1.master import Master
 from midstride.errors import CallTimeout, StartFailed, Unreachable
-from midstride.runtime.backend import Handle
-from midstride.runtime.process import Process, spawn
-from midstride.runtime.reaper import environment_value
+from midstride.runtime.backend_protocol import Handle
+from midstride.runtime.process.child_process import Process, spawn
+from midstride.runtime.process.reaper import environment_value
 from midstride.wire.channel import Channel
 from midstride.wire.commands import AwaitWriteCommand, PingCommand
 from midstride.wire.environment import ENV_SYSTEM

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from midstride.runtime import reaper
-from midstride.runtime.reaper import Reaper
+from midstride.runtime.process import reaper
+from midstride.runtime.process.reaper import Reaper
 from midstride.testing.conformance import Check
 from tests.backends.conformance import CHECKS_ON_ROS
 from tests.backends.ros1_support import own_master_uri

@@ -23,7 +23,7 @@ from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, CallTimeout, NodeError, StartFailed, Unreachable
 from midstride.model.component import ComponentSpec
 from midstride.model.contract import QoS
-from midstride.runtime.backend import Exited, Handle, Launch
+from midstride.runtime.backend_protocol import Exited, Handle, Launch
 from tests.backends.ros1_support import free_port
 from tests.backends.ros2_support import run
 

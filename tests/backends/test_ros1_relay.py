@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 from midstride.backends.ros1 import create_backend
-from midstride.codec.component import NamedComponentForm
+from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import CallTimeout
 from midstride.foreign.relayed_program import RelayOrder
 from midstride.lang.load import load

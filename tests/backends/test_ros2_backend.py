@@ -14,13 +14,13 @@ from pathlib import Path
 import pytest
 
 from midstride.backends.ros2 import dds_profiles
-from midstride.backends.ros2.foreign_nodes import ForeignNodes
+from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
 from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.record import ForeignRecord
 from midstride.lang import load_text
-from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
-from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.backend_protocol import Endpoints, Exited, Handle, Launch
+from midstride.runtime.process.component_client import ComponentClient
 from midstride.wire.commands import AttachCommand, AwaitWriteCommand, MeetCommand, PingCommand
 from midstride.wire.environment import ENV_CONTROL, ENV_SYSTEM
 from midstride.wire.folders import COMPONENTS, workspace_folder
@@ -521,9 +521,9 @@ MANAGER = """
 import asyncio, sys
 from pathlib import Path
 from midstride.backends.ros2 import create_backend
-from midstride.runtime.backend import Launch
-from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.reaper import Reaper
+from midstride.runtime.backend_protocol import Launch
+from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.process.reaper import Reaper
 from midstride.wire.environment import ENV_TOKEN
 
 async def main(token):

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from midstride.runtime import reaper
-from midstride.runtime.reaper import Reaper
+from midstride.runtime.process import reaper
+from midstride.runtime.process.reaper import Reaper
 from midstride.testing.conformance import Check
 from midstride.testing.conformance.walks import walk
 from tests.backends.conformance import CHECKS_ON_ROS

@@ -13,7 +13,7 @@ def test_a_parameter_may_be_undeclared_while_it_is_reported() -> None:
     """By the author's code, on the other thread: the next report is not to be the last one."""
     from rclpy.exceptions import ParameterNotDeclaredException
 
-    from midstride.backends.ros2.data_node import NodeParameter
+    from midstride.backends.ros2.component.data_node import NodeParameter
 
     node = Mock()
     node.get_parameter.return_value.value = 3

@@ -10,7 +10,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from midstride.backends.ros2.diagnostics import DiagnosticsPublisher
+from midstride.backends.ros2.component.diagnostics_publisher import DiagnosticsPublisher
 from midstride.wire.commands import AnswerCommand, SetParametersCommand
 from tests.backends.ros2_support import Bare, Rig, rig, run
 

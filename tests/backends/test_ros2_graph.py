@@ -19,7 +19,7 @@ def test_the_endpoints_of_every_node_of_a_name_are_found() -> None:
     """A node that has ended stays for a while, beside its replacement. What rclpy lists by name is of one of them."""
     from std_msgs.msg import String
 
-    from midstride.backends.ros2.graph import Graph
+    from midstride.backends.ros2.manager.graph import Graph
 
     async def scenario() -> None:
         with ExitStack() as nodes:
@@ -98,7 +98,7 @@ class ListedGraph:
 
 
 def test_what_is_looked_up_by_name_is_what_a_look_at_every_endpoint_finds() -> None:
-    from midstride.backends.ros2.graph import Graph
+    from midstride.backends.ros2.manager.graph import Graph
 
     found = 0
     for seed in range(300):

@@ -520,7 +520,7 @@ def test_a_second_component_of_the_same_name_says_so_and_ends(tmp_path: Path, st
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             await r.start("talker", TALKER)
-            from midstride.backends.ros2.nodes import LOOK_AFTER
+            from midstride.backends.ros2.component.node_threads import LOOK_AFTER
 
             await asyncio.sleep(LOOK_AFTER)  # of two that join together, either may give way
             environment, words = without_midstride(), "a node /talker is running already"
@@ -711,7 +711,7 @@ def test_the_ros_actions_of_this_process_are_listed_and_none_of_another_with_a_n
     from rclpy.node import Node
     from std_msgs.msg import String
 
-    from midstride.backends.ros2.node_parameters import endpoints
+    from midstride.backends.ros2.component.node_parameters import endpoints
 
     async def scenario() -> None:
         with Bare("acting") as bare, Bare("acting") as other:

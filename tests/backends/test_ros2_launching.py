@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from midstride.backends import processes
-from midstride.backends.ros2 import launching
 from midstride.backends.ros2.dds_profiles import PROFILES, RANGE, TRANSPORTS, DdsSettings, choose
+from midstride.backends.ros2.manager import launching
 from midstride.errors import StartFailed
-from midstride.runtime.backend import Launch
+from midstride.runtime.backend_protocol import Launch
 
 HERE = Path.cwd()
 

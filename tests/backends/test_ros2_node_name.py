@@ -126,7 +126,7 @@ def test_a_foreign_node_of_the_roles_name_is_found_although_an_instance_has_it(t
         (tmp_path / "theirs").mkdir()
         async with rig(tmp_path / "ours") as r, rig(tmp_path / "theirs") as other:
             if foreign == "a node":
-                from midstride.backends.ros2.nodes import LOOK_AFTER
+                from midstride.backends.ros2.component.node_threads import LOOK_AFTER
 
                 await r.start("counter", COUNTING, node="counter")
                 await asyncio.sleep(LOOK_AFTER)  # of two that join together, either may give way
@@ -172,7 +172,7 @@ def test_a_component_started_by_hand_is_replaced_under_its_name(tmp_path: Path) 
 
 def test_requests_to_a_ros_action_are_handled_by_one_server_each() -> None:
     """No package with a ROS action's type is part of the test environment, so the servers and requests are planted."""
-    from midstride.backends.ros2.gated_node import guard_action
+    from midstride.backends.ros2.component.gated_node import guard_action
 
     class Server:
         def __init__(self, *, is_open: bool) -> None:
@@ -206,7 +206,7 @@ def test_a_node_with_ros_actions_leaves_the_graph_when_it_is_destroyed() -> None
     actions = pytest.importorskip("test_msgs.action", reason="no package with a ROS action is installed")
     from rclpy.action import ActionClient, ActionServer
 
-    from midstride.backends.ros2.gated_node import GatedNode
+    from midstride.backends.ros2.component.gated_node import GatedNode
 
     with Bare() as bare:
         gate = ServiceGate(time.monotonic_ns)

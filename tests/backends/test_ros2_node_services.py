@@ -15,7 +15,7 @@ pytestmark = pytest.mark.ros2
 @pytest.mark.parametrize("fails", ["create", "ready", "send", "take"])
 def test_what_rclpy_raises_is_no_answer(fails: str) -> None:
     """Those that ask expect that, and go on asking."""
-    from midstride.backends.ros2.node_services import RosNodeServices
+    from midstride.backends.ros2.manager.node_services import RosNodeServices
 
     error, client, node = RuntimeError("error not set"), MagicMock(), Mock()
     node.create_client = Mock(return_value=client, side_effect=error if fails == "create" else None)

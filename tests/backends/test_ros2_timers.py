@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from midstride.backends.ros2.timers import TOLERANCE, Ros2GridTimer, SetBackWatch
+from midstride.backends.ros2.component.timers import TOLERANCE, Ros2GridTimer, SetBackWatch
 
 PERIOD = 20_000_000
 START = 1_000_000_000_000

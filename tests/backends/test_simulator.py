@@ -16,9 +16,9 @@ from typing import Any
 
 import pytest
 
-from midstride.backends.simulator import Simulator, VirtualLoop, cooperative_thread, loop, messages
+from midstride.backends.simulator import Simulator, VirtualLoop, cooperative_thread, messages, virtual_loop
 from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
-from midstride.runtime.backend import Exited, Launch
+from midstride.runtime.backend_protocol import Exited, Launch
 from midstride.testing.conformance import puppets
 from midstride.testing.conformance.lab import TOKEN, Lab
 from midstride.wire.frames import Reply
@@ -54,7 +54,7 @@ def test_an_hour_takes_no_time() -> None:
         return asyncio.get_running_loop().time() - begun
 
     before = time.monotonic()
-    assert loop.run(main()) == 3600
+    assert virtual_loop.run(main()) == 3600
     assert time.monotonic() - before < 5
 
 
@@ -63,7 +63,7 @@ def test_a_deadlock_is_an_error() -> None:
         await asyncio.get_running_loop().create_future()
 
     with pytest.raises(BackendError, match=r"deadlock at 0\.0+ s: every task waits"):
-        loop.run(main())
+        virtual_loop.run(main())
 
 
 def test_real_sockets_work_beside_virtual_time() -> None:
@@ -80,14 +80,14 @@ def test_real_sockets_work_beside_virtual_time() -> None:
         writer.write(await reader.readline())
         writer.close()
 
-    assert loop.run(main()) == b"hello\n"
+    assert virtual_loop.run(main()) == b"hello\n"
 
 
 def test_what_goes_to_an_executor_is_done_at_once() -> None:
     async def main() -> tuple[int, float]:
         return await asyncio.to_thread(threading.get_ident), asyncio.get_running_loop().time()
 
-    assert loop.run(main()) == (threading.get_ident(), 0.0)
+    assert virtual_loop.run(main()) == (threading.get_ident(), 0.0)
     virtual = VirtualLoop()
     virtual.close()
 

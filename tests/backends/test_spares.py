@@ -15,8 +15,8 @@ import pytest
 
 from midstride.backends import fork_client
 from midstride.backends.spares import Spares, fits
-from midstride.runtime.process import Process, spawn
-from midstride.runtime.reaper import environment_value, process_info
+from midstride.runtime.process.child_process import Process, spawn
+from midstride.runtime.process.reaper import environment_value, process_info
 from midstride.wire.environment import ENV_INSTANCE
 
 SHOW = """

@@ -18,10 +18,10 @@ import uvicorn
 from fastapi import FastAPI, Response
 from fastapi.responses import StreamingResponse
 
-from midstride.runtime.reports import Event
-from midstride.runtime.status_forms import ParameterStatus
+from midstride.runtime.records.reports import Event
+from midstride.runtime.records.status_forms import ParameterStatus
 from midstride.server.static import dashboard
-from midstride.server.view.forms import (
+from midstride.server.view.view_forms import (
     ComponentView,
     CrashView,
     FunctionalityView,

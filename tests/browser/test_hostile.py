@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from midstride.runtime.reports import Event
-from midstride.server.view.forms import CrashView, EndpointView
+from midstride.runtime.records.reports import Event
+from midstride.server.view.view_forms import CrashView, EndpointView
 from tests.browser.conftest import PATIENCE
 from tests.browser.synthetic import Synthetic, component, functionality, parameter, port, serving
 

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from midstride.server.view.forms import ComponentView
+from midstride.server.view.view_forms import ComponentView
 from tests.browser.conftest import PATIENCE
 from tests.browser.synthetic import Synthetic, component, functionality, large, port, serving
 

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
+from midstride.capture.graph_draft import draft
 from midstride.capture.insertion import insert, without_remaps
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
 from midstride.capture.probe import Dependence, Verdict
 from midstride.capture.rates import measured
-from midstride.capture.standalone import draft
 from midstride.errors import SpecificationError
 from midstride.lang import format_text, load
-from midstride.launch_files.importing import import_launch_file
+from midstride.launch_files.launch_import import import_launch_file
 from midstride.model.component import ComponentSpec
 from midstride.model.specification import Specification
 from tests.capture.simulated import SENSOR, SimulatedGraph, twenty

@@ -10,7 +10,7 @@ import click
 import pytest
 
 from midstride.backends import ros2
-from midstride.backends.ros2 import probed_page
+from midstride.backends.ros2.manager import probed_page
 from midstride.capture.observed import ObservedGraph
 from midstride.capture.probe import Count, ProbedPort
 from midstride.cli import main

@@ -12,7 +12,7 @@ import pytest
 from midstride.capture.insertion import insert
 from midstride.capture.observed import ObservedGraph
 from midstride.capture.rates import measured
-from midstride.launch_files.importing import import_launch_file
+from midstride.launch_files.launch_import import import_launch_file
 from midstride.model.contract import QoS
 from tests.capture.test_capture import checked, of, ports
 
@@ -40,7 +40,7 @@ def launch_file(folder: Path) -> Path:
 @pytest.mark.ros2
 @pytest.mark.full
 def test_a_planted_system_is_captured_exactly(tmp_path: Path, planted: None) -> None:
-    from midstride.backends.ros2.observer import observe
+    from midstride.backends.ros2.manager.observer import observe
 
     def done(graph: ObservedGraph) -> bool:
         """Every endpoint has been seen, and every sensor has been heard for a while."""

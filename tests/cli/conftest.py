@@ -19,8 +19,8 @@ from unittest import mock
 import pytest
 
 from midstride.cli import main
-from midstride.runtime.reaper import process_info
-from midstride.runtime.state_store import SavedState, StateStore
+from midstride.runtime.process.reaper import process_info
+from midstride.runtime.records.state_store import SavedState, StateStore
 from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
 ROOT = Path(__file__).parents[2]

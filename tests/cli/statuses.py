@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from midstride.runtime.status_forms import Status
+from midstride.runtime.records.status_forms import Status
 
 Document = dict[str, Any]
 

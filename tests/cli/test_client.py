@@ -17,7 +17,7 @@ import pytest
 
 from midstride.cli.client import Client
 from midstride.errors import ManagerError, NoManager
-from midstride.runtime.status_forms import Status
+from midstride.runtime.records.status_forms import Status
 from midstride.runtime.workspace import Workspace
 from tests.cli import statuses
 from tests.cli.conftest import Midstride

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from midstride.cli import main
-from midstride.cli.app import COMMANDS
+from midstride.cli.command_list import COMMANDS
 from tests.cli.conftest import EXAMPLES, Midstride, running
 
 TALKER = str(EXAMPLES / "talker" / "talker.stride")

@@ -11,8 +11,8 @@ import pytest
 from midstride.cli import main
 from midstride.cli.client import Client
 from midstride.cli.commands import up
-from midstride.cli.files import load
-from midstride.codec.specification import encode_specification
+from midstride.cli.input_files import load
+from midstride.codec.specification_form import encode_specification
 from tests.cli.conftest import EXAMPLES, Midstride
 from tests.runtime.systems import rewritten
 

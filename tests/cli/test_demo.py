@@ -14,7 +14,7 @@ import psutil
 import pytest
 from rich.console import Console
 
-from midstride.backends.simulator import loop
+from midstride.backends.simulator import virtual_loop
 from midstride.cli import example as examples
 from midstride.cli.demo_runner import run_demo
 from midstride.cli.log_excerpt import excerpt, parse
@@ -33,7 +33,7 @@ def in_virtual_time(name: str) -> tuple[list[examples.DemoStep], list[dict[str, 
     """An example on the simulator: its acts, what came of each, and what was shown."""
     example = examples.find(name)
     out = Console(file=io.StringIO(), width=1000)
-    outcomes = loop.run(run_demo(example, "sim", out))
+    outcomes = virtual_loop.run(run_demo(example, "sim", out))
     assert isinstance(out.file, io.StringIO)
     return list(example.steps), outcomes, out.file.getvalue()
 

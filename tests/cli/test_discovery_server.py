@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from midstride.codec.specification import encode_specification
+from midstride.codec.specification_form import encode_specification
 from tests.acceptance.support import Recorder, ended, swap_specification
 from tests.backends.ros2_support import without_midstride
 from tests.cli.conftest import Midstride

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from midstride.cli.systems import find_records, find_workspace
+from midstride.cli.running_systems import find_records, find_workspace
 from midstride.errors import NoManager
-from midstride.runtime.disk import DISK
-from midstride.runtime.journal_records import SCHEMA
+from midstride.runtime.records.disk import DISK
+from midstride.runtime.records.journal_records import SCHEMA
 from midstride.runtime.workspace import Workspace
 from tests.cli.conftest import EXAMPLES, Midstride
 

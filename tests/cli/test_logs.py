@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from midstride.cli.logs import LONGEST_TAIL, Appended, last_lines, log_files
+from midstride.cli.component_logs import LONGEST_TAIL, Appended, last_lines, log_files
 from midstride.runtime.workspace import Workspace
 from tests.cli.conftest import Midstride
 from tests.cli.statuses import component, crash, status

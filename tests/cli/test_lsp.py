@@ -17,7 +17,7 @@ pytest.importorskip("pygls", reason="the extra `lsp` is not installed")
 from lsprotocol import types
 from pygls.lsp.client import LanguageClient
 
-from midstride.cli.lsp import _column, _units
+from midstride.cli.language_server import _column, _units
 
 PATROL = Path(__file__).parents[1] / "lang" / "seeds" / "patrol.stride"
 

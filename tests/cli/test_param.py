@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from midstride.cli.change_options import misread, parse_value
-from midstride.cli.systems import not_running
+from midstride.cli.running_systems import not_running
 from tests.cli.conftest import Midstride, running
 from tests.cli.statuses import component, crash, status
 

@@ -10,8 +10,8 @@ import pytest
 from rich.console import Console, RenderableType
 
 from midstride.cli import render, render_status
-from midstride.cli.files import as_typed_here
-from midstride.runtime.status_forms import Status
+from midstride.cli.input_files import as_typed_here
+from midstride.runtime.records.status_forms import Status
 from tests.cli.statuses import component, crash, functionality, status
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from midstride.codec.specification import encode_specification
+from midstride.codec.specification_form import encode_specification
 from midstride.foreign.page import PAGE, VERSION, PageLayout
 from tests.acceptance.foreign_support import declared_talker, programs_of_the_page
 from tests.acceptance.support import PERIOD, Recorder, ended, swap_specification

@@ -18,13 +18,13 @@ import pytest
 import midstride as package
 from midstride.backends import NAMES
 from midstride.cli import main, render, render_status
-from midstride.cli.app import COMMANDS, GROUPS
 from midstride.cli.change_options import parse_value
-from midstride.cli.files import read_json, write
+from midstride.cli.command_list import COMMANDS, GROUPS
+from midstride.cli.input_files import read_json, write
 from midstride.cli.output import console
 from midstride.errors import MidstrideError
 from midstride.model.specification import Specification
-from midstride.runtime.state_store import StateStore
+from midstride.runtime.records.state_store import StateStore
 from tests.cli import statuses
 from tests.cli.conftest import EXAMPLES, Midstride
 

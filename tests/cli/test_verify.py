@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from midstride.plan.forms import encode_plan
+from midstride.plan.forms.plan_forms import encode_plan
 from tests.cli.conftest import EXAMPLES, Midstride, nothing_lost
 from tests.verify.systems import ROVER, TALKER, plan, specification
 

@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import UNSET, UnsetType, inspect
 
-from midstride.codec.component import NamedComponentForm, decode_component, encode_component
-from midstride.codec.configuration import ConfigurationForm, decode_configuration
+from midstride.codec.component_form import NamedComponentForm, decode_component, encode_component
+from midstride.codec.configuration_form import ConfigurationForm, decode_configuration
 from midstride.codec.fault_finder import FaultFinder
 from midstride.codec.form import Form, encode, field
 from midstride.codec.reading import decode_form, parse_json
-from midstride.codec.specification import SpecificationForm, TimingForm, encode_specification
+from midstride.codec.specification_form import SpecificationForm, TimingForm, encode_specification
 from midstride.errors import SpecificationError
 from midstride.model.specification import TIMING, Specification, initial
 from midstride.testing.strategies import components, specifications

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from midstride.codec.schema import specification_schema
-from midstride.codec.specification import decode_specification, encode_specification
+from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import SpecificationError
 from midstride.lang import load
 from midstride.model.specification import Specification

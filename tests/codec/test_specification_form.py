@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from midstride.codec.component import decode_component, encode_component
+from midstride.codec.component_form import decode_component, encode_component
 from midstride.codec.reading import parse_json
-from midstride.codec.specification import decode_specification, encode_specification
+from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import SpecificationError
 from midstride.model.component import Connector, InputAlternatives
 from midstride.model.contract import Interval, OneOf

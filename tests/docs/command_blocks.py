@@ -12,7 +12,7 @@ from typing import Final
 
 import click
 
-from midstride.cli.app import COMMANDS, GROUPS, cli
+from midstride.cli.command_list import COMMANDS, GROUPS, cli
 
 BLOCK: Final = re.compile(r"<!-- midstride (?P<name>[^>]*) -->\n(?P<text>.*?)<!-- end -->", re.DOTALL)
 CHANGES: Final = "Changes to the running system"

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 import pytest
 
-from midstride.cli.app import COMMANDS, cli
+from midstride.cli.command_list import COMMANDS, cli
 from midstride.lang import format_text, render
 from midstride.lang.catalogue import reference
 from midstride.lang.token_stream import RESERVED

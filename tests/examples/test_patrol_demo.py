@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import pytest
 from rich.console import Console
 
-from midstride.backends.simulator import Simulator, loop
+from midstride.backends.simulator import Simulator, virtual_loop
 from midstride.cli import example as examples
 from midstride.lang.load import load
 from midstride.plan.request import PlanRequest
@@ -60,7 +60,7 @@ def test_in_virtual_time(monkeypatch: pytest.MonkeyPatch, patrol: Callable[[str]
     monkeypatch.setenv("MIDSTRIDE_DEMO", "")
     out = Console(file=io.StringIO(), width=160)
     run: Callable[..., Coroutine[Any, Any, list[dict[str, Any]]]] = patrol("demo").run
-    rows = loop.run(run(examples.find("patrol"), "sim", out))
+    rows = virtual_loop.run(run(examples.find("patrol"), "sim", out))
     assert [row["outcome"] for row in rows] == ["done"] * 8, rows
     for row in rows:
         degrades = row["name"] not in NOTHING_LOST

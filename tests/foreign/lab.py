@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from midstride.foreign.page import OPEN, OUTPUT, Page, PagePort, PortFlag
-from midstride.node.baton import BatonWord
+from midstride.node.handover.baton import BatonWord
 
 RECORD = struct.Struct("QQq")
 LOG_SIZE = 16 + 4_000_000 * RECORD.size

@@ -14,18 +14,18 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar, TypeVar
 
-from midstride.backends.ros2.foreign_nodes import ForeignNodes
+from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.simulator import Simulator
-from midstride.backends.simulator.clock import SimulatedTimer
+from midstride.backends.simulator.virtual_clock import SimulatedTimer
 from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.relay import RelayComponent, RelayPlatform
 from midstride.foreign.relayed_program import RelayOrder
 from midstride.lang.load import load
 from midstride.model.contract import QoS
 from midstride.model.instance_names import full_name
-from midstride.node.host import Host
+from midstride.node.component_host import Host
 from midstride.node.process_context import ProcessContext, find
-from midstride.runtime.backend import Handle, Launch
+from midstride.runtime.backend_protocol import Handle, Launch
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 

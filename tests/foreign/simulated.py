@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from midstride.backends.ros2.foreign_nodes import ForeignNodes
+from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.control import SimulatedControl
-from midstride.foreign.lifecycle import ACTIVE, FINALIZED, INACTIVE, UNCONFIGURED
+from midstride.foreign.lifecycle_transitions import ACTIVE, FINALIZED, INACTIVE, UNCONFIGURED
 from midstride.foreign.services import NoAnswer
 from midstride.lang.load import load
 from midstride.model.instance_names import full_name
-from midstride.runtime.backend import Exited, Handle, Launch
+from midstride.runtime.backend_protocol import Exited, Handle, Launch
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from midstride.wire.transport import Connection, Serve, StopListening

@@ -13,19 +13,19 @@ from pathlib import Path
 import pytest
 from msgspec import structs
 
-from midstride.codec.component import NamedComponentForm
+from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import CommandRefused, StepFailed
 from midstride.foreign import reported_clock
-from midstride.foreign.agent import ForeignAgent
+from midstride.foreign.gated_agent import ForeignAgent
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import NodeGraph
 from midstride.foreign.page import Page
 from midstride.foreign.record import ForeignRecord
 from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode, PortRef
 from midstride.model.contract import Predicate
-from midstride.runtime.clock import SystemClock
-from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.probation import default_probation, require_rate
+from midstride.runtime.handover.probation import default_probation, require_rate
+from midstride.runtime.manager_clock import SystemClock
+from midstride.runtime.process.component_client import ComponentClient
 from midstride.wire import commands, replies
 from midstride.wire.sockets import SocketFolder
 from tests.foreign.lab import Lab

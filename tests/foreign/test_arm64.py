@@ -11,7 +11,7 @@ import pytest
 
 from midstride.foreign import build
 from midstride.foreign.page import OPEN, PortFlag
-from midstride.node.baton import BatonStep
+from midstride.node.handover.baton import BatonStep
 from tests.foreign.conftest import fake_programs
 from tests.foreign.lab import Lab, until
 

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from midstride.foreign.page import PortFlag, load_library
-from midstride.node.baton import BatonState, BatonStep, BatonWord
+from midstride.node.handover.baton import BatonState, BatonStep, BatonWord
 
 PASS, HOLD_BACK, SKIP, ASK, BUSY = range(5)
 OLD, NEW = 1, 2

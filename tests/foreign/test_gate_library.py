@@ -33,7 +33,7 @@ from midstride.foreign.page import (
     PagePort,
     PortFlag,
 )
-from midstride.node.baton import BatonState, BatonStep, TakenSeat
+from midstride.node.handover.baton import BatonState, BatonStep, TakenSeat
 from midstride.wire.replies import Seat
 from tests.foreign.lab import LOG_SIZE, Lab, until
 

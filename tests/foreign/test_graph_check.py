@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from midstride.codec.component import NamedComponentForm
+from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import CommandRefused
-from midstride.foreign import agent as agent_module
-from midstride.foreign.agent import ForeignAgent
+from midstride.foreign import gated_agent as agent_module
+from midstride.foreign.gated_agent import ForeignAgent
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import GraphEndpoint, differences, lacking, shown, undeclared
 from midstride.foreign.page import Page
@@ -22,8 +22,8 @@ from midstride.foreign.services import NoAnswer
 from midstride.lang.load import load
 from midstride.model.component import ComponentSpec
 from midstride.model.contract import QoS
-from midstride.runtime.clock import SystemClock
-from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.manager_clock import SystemClock
+from midstride.runtime.process.component_client import ComponentClient
 from midstride.wire import commands
 from midstride.wire.sockets import SocketFolder
 from tests.foreign.test_agent import TALKER, TOKEN, Nodes

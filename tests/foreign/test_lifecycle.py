@@ -9,15 +9,15 @@ from typing import Any, TypeVar
 
 import pytest
 
-from midstride.backends.simulator import loop as virtual
+from midstride.backends.simulator import virtual_loop as virtual
 from midstride.errors import CommandRefused
-from midstride.foreign.lifecycle import NodeLifecycle
+from midstride.foreign.lifecycle_transitions import NodeLifecycle
 from midstride.foreign.record import ForeignRecord
 from midstride.model.rules import violations
 from midstride.plan.request import PlanRequest
-from midstride.runtime.backend import Handle
+from midstride.runtime.backend_protocol import Handle
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Outcome
+from midstride.runtime.records.reports import Outcome
 from midstride.runtime.workspace import Workspace
 from tests.foreign import simulated
 from tests.foreign.chat import chat

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from midstride.codec.specification import decode_specification, encode_specification
+from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.lang import format_text
 from midstride.lang.load import load
 from midstride.model.rules import violations

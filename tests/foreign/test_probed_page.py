@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from midstride.backends.ros2.probed_page import probing
+from midstride.backends.ros2.manager.probed_page import probing
 from midstride.capture.probe import ProbedPort
-from midstride.codec.component import NamedComponentForm
+from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import BackendError
 from midstride.foreign.gates import Gates
 from midstride.foreign.page import INPUT, OPEN, OUTPUT, PagePort, PortFlag
@@ -30,7 +30,7 @@ IN, OUT = ProbedPort("/relay", "/in", False), ProbedPort("/relay", "/chat", True
 PROBER = """
 import sys
 from pathlib import Path
-from midstride.backends.ros2 import probed_page
+from midstride.backends.ros2.manager import probed_page
 from midstride.capture.probe import ProbedPort
 
 probed_page.LEASE = 0.3
@@ -114,7 +114,9 @@ def test_what_an_output_writes_behind_its_own_gate_counts_as_well(relay: Relay) 
 def test_a_node_that_ends_meanwhile_is_left_out(relay: Relay, monkeypatch: pytest.MonkeyPatch) -> None:
     with probing(relay.folder) as gates:
         counted = gates.ports()
-        monkeypatch.setattr("midstride.backends.ros2.probed_page.time.sleep", lambda _: relay.lab.kill(relay.index))
+        monkeypatch.setattr(
+            "midstride.backends.ros2.manager.probed_page.time.sleep", lambda _: relay.lab.kill(relay.index)
+        )
         assert counted == {IN, OUT} and gates.watch(None, 0.0, 0.01) == {}
 
 

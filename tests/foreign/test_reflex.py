@@ -8,20 +8,20 @@ from pathlib import Path
 
 import pytest
 
-from midstride.codec.component import NamedComponentForm
-from midstride.foreign import agent as agent_module
-from midstride.foreign import reflex
-from midstride.foreign.agent import ForeignAgent
+from midstride.codec.component_form import NamedComponentForm
+from midstride.foreign import gated_agent as agent_module
+from midstride.foreign import gated_reflex
+from midstride.foreign.gated_agent import ForeignAgent
+from midstride.foreign.gated_reflex import broken_assumptions
 from midstride.foreign.gates import Gates
 from midstride.foreign.node import ForeignNode
 from midstride.foreign.page import Page
 from midstride.foreign.record import ForeignRecord
-from midstride.foreign.reflex import broken_assumptions
 from midstride.foreign.reported_writes import FRESH, ReportedWrites
 from midstride.lang.load import load
-from midstride.node.baton import BatonStep
-from midstride.runtime.clock import SystemClock
-from midstride.runtime.component_client import ComponentClient
+from midstride.node.handover.baton import BatonStep
+from midstride.runtime.manager_clock import SystemClock
+from midstride.runtime.process.component_client import ComponentClient
 from midstride.wire import commands
 from midstride.wire.sockets import SocketFolder
 from midstride.wire.state import ComponentState, GateState, LinkState, Measured
@@ -211,7 +211,7 @@ def test_on_simulated_time_nothing_is_judged(robot: Robot) -> None:
 def test_on_a_full_disk_the_gate_closes_and_the_reflex_goes_on(
     robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reflex, "tolerated_periods", lambda *_: 0.0)
+    monkeypatch.setattr(gated_reflex, "tolerated_periods", lambda *_: 0.0)
     monkeypatch.setattr(agent_module, "HEARTBEAT", 0.01)
     gates = robot.gates["Driver"]
     full = tmp_path / "driver.new"
@@ -243,7 +243,7 @@ def test_on_a_full_disk_the_gate_closes_and_the_reflex_goes_on(
 
 def test_the_agent_enters_the_mode_and_says_why(robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """So does the agent of the next manager, until a command enters another mode."""
-    monkeypatch.setattr(reflex, "tolerated_periods", lambda *_: 0.0)
+    monkeypatch.setattr(gated_reflex, "tolerated_periods", lambda *_: 0.0)
 
     async def scenario() -> None:
         transport = SocketFolder(tmp_path / "components")

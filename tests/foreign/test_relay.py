@@ -11,16 +11,16 @@ from pathlib import Path
 
 import pytest
 
-from midstride.codec.component import NamedComponentForm
+from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import MidstrideError, NodeError
 from midstride.foreign.relay import patient
 from midstride.foreign.relayed_program import RelayedProgram, RelayOrder, differing, private_topics
 from midstride.lang.load import load
 from midstride.model.contract import QoS
 from midstride.plan.request import PlanRequest
-from midstride.runtime.handover import LEADS
+from midstride.runtime.handover.live_handover import LEADS
 from midstride.runtime.manager import Manager
-from midstride.runtime.reaper import process_info
+from midstride.runtime.process.reaper import process_info
 from tests.foreign.chat import chat
 from tests.foreign.lab import until
 from tests.foreign.relayed import Program, SimulatedRelays, managed

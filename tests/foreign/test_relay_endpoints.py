@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from midstride.codec.component import NamedComponentForm
+from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import CallTimeout, NodeError
 from midstride.foreign import relay_endpoints
 from midstride.foreign.graph_check import GraphEndpoint

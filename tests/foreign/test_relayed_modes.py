@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from midstride.codec.component import NamedComponentForm
+from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import NodeError
 from midstride.foreign.relay import RelayComponent, RelayPlatform
 from midstride.foreign.relayed_program import RelayOrder

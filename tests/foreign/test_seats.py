@@ -16,7 +16,7 @@ import pytest
 from midstride.backends.simulator import Simulator
 from midstride.foreign.gates import share_baton
 from midstride.foreign.page import OPEN, OUTPUT, Page
-from midstride.node.baton import BatonState, BatonStep, TakenSeat
+from midstride.node.handover.baton import BatonState, BatonStep, TakenSeat
 from midstride.testing.conformance import puppets
 from midstride.testing.conformance.lab import Lab
 from midstride.wire.replies import Seat

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from immutables import Map
 
-from midstride.backends.ros2.foreign_nodes import ForeignNodes, ros_arguments
-from midstride.codec.specification import decode_specification, encode_specification
+from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes, ros_arguments
+from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import PlanRefused, StepFailed
 from midstride.foreign.page import Page
 from midstride.foreign.relayed_program import RelayOrder
@@ -26,9 +26,10 @@ from midstride.model.configuration import Configuration
 from midstride.model.instance_names import full_name
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change_builder import change_between
-from midstride.plan.registry import planner
 from midstride.plan.specification_diff import differences
-from midstride.runtime.agreed_cut import (
+from midstride.plan.strategies.registry import planner
+from midstride.runtime.backend_protocol import Launch
+from midstride.runtime.handover.agreed_cut import (
     early_publishers,
     has_gate,
     publishers_found,
@@ -36,7 +37,6 @@ from midstride.runtime.agreed_cut import (
     require_batons,
     require_found,
 )
-from midstride.runtime.backend import Launch
 from midstride.wire.commands import AwaitMatchCommand
 from midstride.wire.replies import Attached
 from midstride.wire.sockets import SocketFolder

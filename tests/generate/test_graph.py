@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 
 from midstride.generate.drawing import to_dot, to_mermaid
+from midstride.generate.drawn_system import Edge, view
 from midstride.generate.layout import layout
-from midstride.generate.view import Edge, view
 from midstride.lang import load, load_text
 from midstride.model.specification import Specification
 from midstride.testing.strategies import specifications

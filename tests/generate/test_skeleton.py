@@ -18,14 +18,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from midstride.errors import SpecificationError
+from midstride.generate.generated_names import program, snake
 from midstride.generate.merge import BEGIN, END, merge_component, merge_copy, merge_whole
-from midstride.generate.names import program, snake
 from midstride.generate.project import project
 from midstride.lang import load, load_text
 from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import Interval, Predicate
 from midstride.model.specification import Specification
-from midstride.runtime.registration import mismatches
+from midstride.runtime.process.registration import mismatches
 from midstride.testing.strategies import components
 
 SEEDS = Path(__file__).parents[1] / "lang" / "seeds"

@@ -14,9 +14,9 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from midstride.lang.files import Unreadable, decode_utf8
 from midstride.lang.load import load_text
 from midstride.lang.printer import format_text
+from midstride.lang.source_files import Unreadable, decode_utf8
 
 SEEDS = Path(__file__).parent / "seeds"
 SENSORS = (SEEDS / "sensors.stride").read_text(encoding="utf-8")  # what the sample includes

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from midstride.codec.specification import decode_specification, encode_specification
+from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import NodeError
 from midstride.generate.project import project
 from midstride.lang import format_text, load_text
 from midstride.lang.completion import complete
 from midstride.lang.service import LanguageService
 from midstride.lang.source import Source
-from midstride.node.component import Component
+from midstride.node.author.component_class import Component
 from midstride.plan.specification_diff import component_differences
 
 TEXT = """system s

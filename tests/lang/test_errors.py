@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from midstride.lang import load, load_text, render
-from midstride.lang.files import MAX_FILES
+from midstride.lang.source_files import MAX_FILES
 
 from .known import Known
 

@@ -18,19 +18,19 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from midstride.codec.configuration import ConfigurationForm, decode_configuration
+from midstride.codec.configuration_form import ConfigurationForm, decode_configuration
 from midstride.codec.form import encode
 from midstride.codec.reading import parse_json
-from midstride.codec.specification import decode_specification, encode_specification
+from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import MidstrideError, SpecificationError
 from midstride.lang import format_text, load_text, render
-from midstride.lang.diagnostics import Diagnostic
+from midstride.lang.diagnostic_text import Diagnostic
 from midstride.lang.source import Source
 from midstride.model.specification import initial
 from midstride.plan.change_builder import change_between
-from midstride.plan.forms import decode_plan, encode_plan
-from midstride.plan.registry import planner
-from midstride.plan.request_form import decode_request
+from midstride.plan.forms.plan_forms import decode_plan, encode_plan
+from midstride.plan.forms.request_form import decode_request
+from midstride.plan.strategies.registry import planner
 
 from .known import Known
 

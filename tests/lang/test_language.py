@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from immutables import Map
 
-from midstride.codec.specification import decode_specification, encode_specification
+from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.lang import Loaded, load, load_text, render
 from midstride.model.component import InputAlternatives, NodeEndpoint, ParameterSpec
 from midstride.model.contract import Interval, OneOf, Predicate, QoS

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from midstride.lang import format_text, load_text, render
-from midstride.lang.diagnostics import Reporter
+from midstride.lang.diagnostic_text import Reporter
 from midstride.lang.lexer import tokenize
 from midstride.lang.source import Source
 

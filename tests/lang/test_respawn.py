@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from midstride.codec.specification import decode_specification, encode_specification
+from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.lang import format_text, load
 from midstride.lang.service import LanguageService
 from midstride.model.respawn import RespawnPolicy

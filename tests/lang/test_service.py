@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from midstride.lang import load_text
-from midstride.lang.files import Unreadable
 from midstride.lang.service import LanguageService
+from midstride.lang.source_files import Unreadable
 
 SEEDS = Path(__file__).parent / "seeds"
 PATROL = (SEEDS / "patrol.stride").read_text(encoding="utf-8")

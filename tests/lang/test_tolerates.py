@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from midstride.codec.specification import decode_specification, encode_specification
+from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import SpecificationError
 from midstride.generate.project import project
 from midstride.lang import format_text, load_text

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from midstride.lang import format_text, load
-from midstride.launch_files.importing import Imported, import_launch_file
+from midstride.launch_files.launch_import import Imported, import_launch_file
 from midstride.model.specification import Specification
 
 

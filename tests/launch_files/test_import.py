@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from midstride.errors import SpecificationError
-from midstride.lang.files import INCLUDE_PATH
+from midstride.lang.source_files import INCLUDE_PATH
 from midstride.launch_files import interpreter, python_files
 from midstride.launch_files.findings import UnknownValue
-from midstride.launch_files.importing import import_launch_file
+from midstride.launch_files.launch_import import import_launch_file
 from tests.launch_files.support import commands, imported, kinds, of_xml, specification
 
 XML = """<launch>

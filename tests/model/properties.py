@@ -12,11 +12,11 @@ from hypothesis import assume
 from hypothesis import strategies as st
 from immutables import Map
 
-from midstride.codec.component import decode_component, encode_component
-from midstride.codec.contract import PredicateForm
+from midstride.codec.component_form import decode_component, encode_component
+from midstride.codec.contract_form import PredicateForm
 from midstride.codec.form import encode
 from midstride.codec.reading import decode_form
-from midstride.codec.specification import decode_specification, encode_specification
+from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import ActionRefused, SpecificationError
 from midstride.model.action import Action
 from midstride.model.best import best, consumers_of, lowered, rebalanced

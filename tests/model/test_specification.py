@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from immutables import Map
 
-from midstride.codec.specification import decode_specification
+from midstride.codec.specification_form import decode_specification
 from midstride.model.best import best
 from midstride.model.component import (
     ComponentSpec,

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from immutables import Map
 
-from midstride.codec.specification import decode_specification
+from midstride.codec.specification_form import decode_specification
 from midstride.lang.catalogue import CATALOGUE
 from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import Interval, Predicate, QoS

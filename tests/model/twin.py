@@ -13,8 +13,8 @@ from decimal import Decimal
 from itertools import product
 from typing import Any
 
-from midstride.codec.component import encode_component
-from midstride.codec.contract import PredicateForm
+from midstride.codec.component_form import encode_component
+from midstride.codec.contract_form import PredicateForm
 from midstride.codec.form import encode
 from midstride.model.action import (
     Action,

@@ -12,7 +12,7 @@ import msgspec
 
 from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.messages import message_class
-from midstride.runtime.backend import Exited, Launch
+from midstride.runtime.backend_protocol import Exited, Launch
 from midstride.testing.conformance.lab import TOKEN, Lab
 from midstride.wire.frames import Reply
 from midstride.wire.state import ComponentState

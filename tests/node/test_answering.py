@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from midstride.errors import CallTimeout, CommandRefused, Unreachable
-from midstride.node.answering import YIELD_ATTEMPTS, Answering
+from midstride.node.control.service_answering import YIELD_ATTEMPTS, Answering
 from midstride.node.service_gate import HELD, HOLD, REMEMBER, REMEMBERED, ServiceGate
 from midstride.wire.commands import AnswerCommand, Command, YieldCommand
 from midstride.wire.frames import Reply, encode_value

@@ -8,11 +8,11 @@ from typing import Any, cast
 import pytest
 
 from midstride.model.contract import QoS
-from midstride.node.cut import GRACE, IncomingCut, OutgoingCut, belongs_after, source_of
-from midstride.node.host import Host, MessageInfo
-from midstride.node.message_times import MessageTimes
-from midstride.node.ports import Output, OutputLink
-from midstride.node.trigger import InfoSet
+from midstride.node.author.message_times import MessageTimes
+from midstride.node.author.ports import Output, OutputLink
+from midstride.node.component_host import Host, MessageInfo
+from midstride.node.data.trigger import InfoSet
+from midstride.node.handover.cut import GRACE, IncomingCut, OutgoingCut, belongs_after, source_of
 from midstride.wire.pipe import PipeClaim
 
 from .author import String

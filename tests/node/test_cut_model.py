@@ -14,10 +14,10 @@ from typing import Any, TypeAlias, cast
 import pytest
 
 from midstride.errors import CallTimeout, CommandRefused, Unreachable
-from midstride.node import cut_protocol
-from midstride.node.cut import IncomingCut, OutgoingCut
-from midstride.node.cut_protocol import CutInTask, CutOutTask
-from midstride.node.host import Host
+from midstride.node.component_host import Host
+from midstride.node.handover import cut_protocol
+from midstride.node.handover.cut import IncomingCut, OutgoingCut
+from midstride.node.handover.cut_protocol import CutInTask, CutOutTask
 from midstride.wire.pipe import PipeClaim
 from tests.node.test_cut import PERIOD, Clocks, Grid, Owner, T, link_of, write
 

@@ -19,10 +19,10 @@ from midstride import (
     between,
     guarantee,
 )
-from midstride.codec.component import decode_component, encode_component
+from midstride.codec.component_form import decode_component, encode_component
 from midstride.model.component import InputAlternatives
 from midstride.model.contract import NOTHING, Interval, OneOf, Predicate
-from midstride.node.parameters import Parameter
+from midstride.node.author.declared_parameters import Parameter
 
 from .author import Image, String
 

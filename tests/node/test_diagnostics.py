@@ -12,7 +12,7 @@ from msgspec import structs
 from midstride.backends.simulator.host import SimulatedHost
 from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import Interval, Predicate
-from midstride.node.diagnostics import DiagnosticEntry, Level, diagnostics
+from midstride.node.diagnostic_status import DiagnosticEntry, Level, diagnostics
 from midstride.wire.state import ComponentState, FieldSamples, FunctionalityState, LinkState, Measured
 
 from .author import Bench, simulate

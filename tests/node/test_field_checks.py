@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from midstride.model.contract import Interval, OneOf, ValueSet
-from midstride.node.field_checks import LONGEST, SHORTEST, FieldChecks
+from midstride.node.author.field_checks import LONGEST, SHORTEST, FieldChecks
 from midstride.wire.state import FieldSamples
 
 MS = 1_000_000

@@ -11,7 +11,7 @@ import pytest
 
 from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.network import SimulatedWriter
-from midstride.backends.simulator.process import SimulatedProcess
+from midstride.backends.simulator.simulated_process import SimulatedProcess
 from midstride.testing.conformance import puppets
 from midstride.testing.conformance.lab import Lab
 from midstride.wire.pipe import PipeClaim

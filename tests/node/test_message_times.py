@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from midstride.node.message_times import KEPT, MessageTimes, window_of
+from midstride.node.author.message_times import KEPT, MessageTimes, window_of
 from midstride.wire.state import Measured
 
 MS = 1_000_000

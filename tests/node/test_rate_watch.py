@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import pytest
 
-from midstride.node.rate_watch import RateWatch
+from midstride.node.control.rate_watch import RateWatch
 
 RATE, WINDOW = 10.0, 2.0
 

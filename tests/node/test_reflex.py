@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from midstride.node.shortfall import FLOOR, LONG_FLOOR, Shortfall, tolerated_periods
+from midstride.node.control.shortfall import FLOOR, LONG_FLOOR, Shortfall, tolerated_periods
 
 from .author import Bench, simulate
 

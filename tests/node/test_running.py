@@ -13,9 +13,9 @@ import pytest
 from midstride.backends.common import KeptParameters
 from midstride.backends.simulator.host import SimulatedHost
 from midstride.errors import Unreachable
-from midstride.node.agent import Agent
-from midstride.node.reflex import Reflex
-from midstride.runtime.launcher import STOP_GRACE
+from midstride.node.control.component_agent import Agent
+from midstride.node.control.component_reflex import Reflex
+from midstride.runtime.process.launcher import STOP_GRACE
 
 from .author import Bench, simulate
 

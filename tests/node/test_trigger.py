@@ -6,10 +6,10 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from midstride.model.contract import Predicate
-from midstride.node.host import Host
-from midstride.node.modes import Approximate, DeclaredMode
-from midstride.node.ports import Input
-from midstride.node.trigger import InfoSet, OnSet
+from midstride.node.author.modes import Approximate, DeclaredMode
+from midstride.node.author.ports import Input
+from midstride.node.component_host import Host
+from midstride.node.data.trigger import InfoSet, OnSet
 
 from .author import Image
 

@@ -6,7 +6,7 @@ import asyncio
 from types import SimpleNamespace
 from typing import Any, Final
 
-from midstride.node.mode_switch import within
+from midstride.node.data.mode_switch import within
 
 HOST: Final[Any] = SimpleNamespace(sleep=asyncio.sleep)
 

@@ -24,8 +24,8 @@ from midstride.model.specification import Constraint, Node, Specification, initi
 from midstride.plan.change import Change
 from midstride.plan.change_builder import change_between, requested_change
 from midstride.plan.plan import Plan
-from midstride.plan.registry import STRATEGIES
 from midstride.plan.request import PlanRequest
+from midstride.plan.strategies.registry import STRATEGIES
 from midstride.plan.validate import replay
 
 TYPE = "std_msgs/msg/String"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from midstride.model.specification import initial
 from midstride.plan.alternatives import alternatives
 from midstride.plan.change_builder import change_between
-from midstride.plan.forms import encode_plan
-from midstride.plan.registry import planner
+from midstride.plan.forms.plan_forms import encode_plan
+from midstride.plan.strategies.registry import planner
 from tests.plan.cases import replaced, sound, talker
 from tests.plan.test_conflicts import device
 from tests.plan.test_estimates import two_on_one_device

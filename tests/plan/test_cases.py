@@ -20,8 +20,8 @@ from midstride.model.component import (
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change_builder import change_between
-from midstride.plan.quiesce import reachable
-from midstride.plan.registry import STRATEGIES
+from midstride.plan.strategies.quiesce import reachable
+from midstride.plan.strategies.registry import STRATEGIES
 from tests.plan.cases import (
     NEED,
     SLOW,

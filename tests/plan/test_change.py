@@ -23,8 +23,8 @@ from midstride.model.contract import Predicate
 from midstride.model.specification import Keep, Limit, Node, Specification, initial
 from midstride.plan.change_builder import change_between, requested_change
 from midstride.plan.estimate import Estimate
-from midstride.plan.registry import STRATEGIES, planner
 from midstride.plan.request import PlanRequest
+from midstride.plan.strategies.registry import STRATEGIES, planner
 from tests.plan.cases import (
     NEED,
     SLOW,

@@ -14,7 +14,7 @@ from midstride.model.specification import Constraint, Keep, Limit, Node, Order, 
 from midstride.plan.change_builder import change_between
 from midstride.plan.constraints import conflict, in_force, layers
 from midstride.plan.plan import Plan
-from midstride.plan.registry import STRATEGIES
+from midstride.plan.strategies.registry import STRATEGIES
 from midstride.plan.validate import replay
 from tests.plan.cases import (
     SLOW,

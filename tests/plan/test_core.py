@@ -13,13 +13,13 @@ from midstride.model.component import FunctionalityRef
 from midstride.model.specification import Keep, Limit, Order, Specification, initial
 from midstride.plan.change import Change
 from midstride.plan.change_builder import change_between
-from midstride.plan.core import parts
-from midstride.plan.core_losses import PartLosses, fullest
-from midstride.plan.core_plan import Budget, search_core
-from midstride.plan.core_search import PartResult, PartSearch
+from midstride.plan.core.conflict_core import parts
+from midstride.plan.core.core_losses import PartLosses, fullest
+from midstride.plan.core.core_plan import Budget, search_core
+from midstride.plan.core.core_search import PartResult, PartSearch
 from midstride.plan.disruption import Levels
-from midstride.plan.minimal import minimal
 from midstride.plan.plan import Plan
+from midstride.plan.strategies.minimal import minimal
 from midstride.plan.validate import replay
 from tests.plan import systems
 from tests.plan.cases import changed, system, work

@@ -14,10 +14,10 @@ from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change import Change
 from midstride.plan.change_builder import change_between
-from midstride.plan.core import Part, parts
-from midstride.plan.core_ends import Ends
-from midstride.plan.core_losses import PartLosses, fullest
-from midstride.plan.core_search import PartResult, PartSearch
+from midstride.plan.core.conflict_core import Part, parts
+from midstride.plan.core.core_losses import PartLosses, fullest
+from midstride.plan.core.core_search import PartResult, PartSearch
+from midstride.plan.core.lossless_steps import Ends
 from midstride.plan.disruption import Levels
 from tests.plan import systems
 

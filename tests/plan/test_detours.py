@@ -13,17 +13,17 @@ from immutables import Map
 from midstride.errors import PlanRefused
 from midstride.model.component import ComponentSpec, FunctionalityRef
 from midstride.model.specification import Keep, Specification, initial
-from midstride.plan.bound_check import BoundCheck
 from midstride.plan.change import Change, Detour
 from midstride.plan.change_builder import change_between
-from midstride.plan.core_plan import Budget
-from midstride.plan.detour_search import minimal_with_detours
-from midstride.plan.detours import further, with_detours
+from midstride.plan.core.bound_check import BoundCheck
+from midstride.plan.core.core_plan import Budget
+from midstride.plan.core.detours import further, with_detours
 from midstride.plan.estimate import Estimate
-from midstride.plan.forms import decode_plan, encode_plan
-from midstride.plan.minimal import minimal
+from midstride.plan.forms.plan_forms import decode_plan, encode_plan
 from midstride.plan.plan import Plan
-from midstride.plan.registry import STRATEGIES, planner
+from midstride.plan.strategies.detour_search import minimal_with_detours
+from midstride.plan.strategies.minimal import minimal
+from midstride.plan.strategies.registry import STRATEGIES, planner
 from midstride.plan.validate import replay
 from tests.plan import systems
 from tests.plan.cases import NEED, component, functionality, sound, system, told, work

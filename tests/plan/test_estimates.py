@@ -10,11 +10,11 @@ from midstride.model.component import FunctionalityRef, Resource
 from midstride.model.specification import Limit, Specification, initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.estimate import Estimate
-from midstride.plan.forms import decode_plan, encode_plan
+from midstride.plan.forms.plan_forms import decode_plan, encode_plan
 from midstride.plan.overlap import duration
 from midstride.plan.plan import Plan
-from midstride.plan.registry import planner
 from midstride.plan.sensitivity import sensitivity
+from midstride.plan.strategies.registry import planner
 from tests.plan.cases import system, work
 
 

@@ -8,14 +8,14 @@ import msgspec
 import pytest
 
 from midstride.codec.form import encode
-from midstride.codec.specification import SpecificationForm
+from midstride.codec.specification_form import SpecificationForm
 from midstride.errors import SpecificationError
 from midstride.model.specification import Node
-from midstride.plan.forms import PlanForm, PlanPreview, decode_plan, encode_plan
-from midstride.plan.registry import STRATEGIES
+from midstride.plan.forms.plan_forms import PlanForm, PlanPreview, decode_plan, encode_plan
+from midstride.plan.forms.request_form import ChangeRequest, NewNode, Strategy, decode_request
+from midstride.plan.forms.step_forms import AnyStep
 from midstride.plan.request import PlanRequest
-from midstride.plan.request_form import ChangeRequest, NewNode, Strategy, decode_request
-from midstride.plan.step_forms import AnyStep
+from midstride.plan.strategies.registry import STRATEGIES
 from tests.plan.cases import replaced, talker
 
 

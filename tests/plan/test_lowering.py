@@ -13,7 +13,7 @@ from midstride.model.best import best, lowered
 from midstride.model.component import FunctionalityRef, Mode
 from midstride.model.configuration import Configuration
 from midstride.model.specification import initial, structure
-from midstride.plan.mode_ordering import degradations, upgrades
+from midstride.plan.strategies.mode_ordering import degradations, upgrades
 from midstride.plan.strongly_connected import strongly_connected
 from midstride.testing.strategies import configurations
 from tests.plan.cases import SLOW, component, functionality, system, work

@@ -20,7 +20,7 @@ from midstride.plan.change_builder import change_between
 from midstride.plan.disruption import Levels
 from midstride.plan.overlap import CUT, WIDEST, duration, one_by_one, overlap
 from midstride.plan.plan import Plan
-from midstride.plan.registry import STRATEGIES, planner
+from midstride.plan.strategies.registry import STRATEGIES, planner
 from tests.plan import systems
 from tests.plan.cases import changed, sound, system, work
 

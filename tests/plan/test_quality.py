@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from benchmarks.quality import Case, examples, is_least, measured, robots, summary, table
-from midstride.plan.registry import STRATEGIES
+from midstride.plan.strategies.registry import STRATEGIES
 from tests.plan.test_core import two_resources
 
 

@@ -24,9 +24,9 @@ from midstride.model.specification import Constraint, Limit, Order, Specificatio
 from midstride.plan.change import Change
 from midstride.plan.change_builder import change_between, change_of_roles
 from midstride.plan.constraints import in_force
-from midstride.plan.forms import decode_plan, encode_plan
+from midstride.plan.forms.plan_forms import decode_plan, encode_plan
 from midstride.plan.plan import Plan
-from midstride.plan.registry import STRATEGIES
+from midstride.plan.strategies.registry import STRATEGIES
 from midstride.plan.validate import replay
 from midstride.testing.strategies import specifications
 from tests.plan import systems
@@ -348,8 +348,8 @@ def test_minimal_meets_the_constraints_that_can_be_met() -> None:
 SCRIPT = """
 import json, sys
 from tests.plan.test_random import drawn
-from midstride.plan.forms import encode_plan
-from midstride.plan.registry import STRATEGIES
+from midstride.plan.forms.plan_forms import encode_plan
+from midstride.plan.strategies.registry import STRATEGIES
 for seed in (3, 8, 11, 59):
     print(json.dumps([encode_plan(STRATEGIES[name](drawn(seed))) for name in sorted(STRATEGIES)]))
 """

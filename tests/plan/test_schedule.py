@@ -55,7 +55,7 @@ def test_the_makespan_is_computed_once_for_a_plan_without_conflict(monkeypatch: 
         computed.append(len(steps))
         return makespan(steps, levels)
 
-    for module in ("minimal", "plan"):
+    for module in ("strategies.minimal", "plan"):
         monkeypatch.setattr(f"midstride.plan.{module}.makespan", counted)
     plan = replaced(talker(), "talker", "NewTalker", "minimal")
     assert computed == [len(plan.steps)]

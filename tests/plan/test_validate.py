@@ -14,8 +14,8 @@ from midstride.errors import MidstrideError
 from midstride.model.component import FunctionalityRef
 from midstride.model.specification import Keep, Limit, Node, Order, Specification, initial
 from midstride.plan.change_builder import change_between
-from midstride.plan.forms import decode_plan, encode_plan
-from midstride.plan.registry import STRATEGIES
+from midstride.plan.forms.plan_forms import decode_plan, encode_plan
+from midstride.plan.strategies.registry import STRATEGIES
 from midstride.plan.validate import ReplayFinding, ReplayResult, replay
 from tests.plan.cases import component, functionality, replaced, system, talker, work
 

@@ -15,26 +15,26 @@ from typing import Any, Literal, NamedTuple, TypeVar
 
 from msgspec import structs
 
-from midstride.backends.simulator.clock import SimulatedClock
-from midstride.codec.component import NamedComponentForm
+from midstride.backends.simulator.virtual_clock import SimulatedClock
+from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import CallTimeout, CommandRefused, MidstrideError, Unreachable
 from midstride.model.component import ComponentSpec
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import Specification
-from midstride.runtime.action_driver import ActionDriver
-from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
-from midstride.runtime.clock import Clock
-from midstride.runtime.component_client import ComponentClient, LatestState
-from midstride.runtime.events import EventLog
-from midstride.runtime.executor import Executor
-from midstride.runtime.journal import Journal
-from midstride.runtime.launcher import Launcher
-from midstride.runtime.reconciler import Reconciler
+from midstride.runtime.backend_protocol import Endpoints, Exited, Handle, Launch
+from midstride.runtime.change.action_driver import ActionDriver
+from midstride.runtime.change.executor import Executor
+from midstride.runtime.change.reconciler import Reconciler
+from midstride.runtime.manager_clock import Clock
+from midstride.runtime.process.component_client import ComponentClient, LatestState
+from midstride.runtime.process.launcher import Launcher
+from midstride.runtime.records.events import EventLog
+from midstride.runtime.records.journal import Journal
+from midstride.runtime.records.state_store import StateStore
+from midstride.runtime.records.status_forms import Middleware
 from midstride.runtime.running_system import RunningSystem
-from midstride.runtime.silence import SilenceMonitor
-from midstride.runtime.state_store import StateStore
-from midstride.runtime.status_forms import Middleware
-from midstride.testing.clock import run
+from midstride.runtime.watch.silence import SilenceMonitor
+from midstride.testing.virtual_time import run
 from midstride.wire.commands import (
     AnswerCommand,
     AttachCommand,
@@ -247,7 +247,7 @@ class ScriptedClient(ComponentClient):
 
 
 class ScriptedBackend:
-    """Implements :class:`midstride.runtime.backend.Backend`: started components register at once unless told not to."""
+    """A back end (:mod:`midstride.runtime.backend_protocol`) whose components register at once unless told not to."""
 
     def __init__(self, clock: Clock, client: ScriptedClient) -> None:
         self.name = "scripted"

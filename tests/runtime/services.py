@@ -14,8 +14,8 @@ from typing import Any
 
 from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.host import SimulatedHost
-from midstride.backends.simulator.process import SimulatedProcess
-from midstride.node.host import Host
+from midstride.backends.simulator.simulated_process import SimulatedProcess
+from midstride.node.component_host import Host
 
 # Appended to a counter's program: a service that notes each request in the state, and returns all that it has noted.
 SERVICE = """

@@ -11,7 +11,7 @@ from typing import TypeVar
 from immutables import Map
 
 from midstride.backends.simulator import Simulator
-from midstride.codec.specification import decode_specification
+from midstride.codec.specification_form import decode_specification
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager

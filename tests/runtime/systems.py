@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from midstride.backends.simulator import Simulator
-from midstride.codec.specification import decode_specification
+from midstride.codec.specification_form import decode_specification
 from midstride.model.contract import DEFAULT_QOS
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
+from midstride.runtime.change.runtime_verification import Verifier
 from midstride.runtime.manager import Manager
-from midstride.runtime.runtime_verification import Verifier
-from midstride.runtime.state_store import SavedState, StateStore
+from midstride.runtime.records.state_store import SavedState, StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.wire.channel import Channel, result_of
 from midstride.wire.commands import Command, RecordsCommand

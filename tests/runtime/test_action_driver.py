@@ -24,11 +24,11 @@ from midstride.model.action import (
 )
 from midstride.model.component import Connector
 from midstride.model.configuration import Configuration, SystemContext, configure
-from midstride.runtime.backend import Exited
-from midstride.runtime.fencing import DEFAULT_WAIT
-from midstride.runtime.mode_changes import HELD_LONGER
-from midstride.runtime.new_publishers import ATTACH_TIMEOUT, DETACH_TIMEOUT
-from midstride.runtime.reports import ModeSkew
+from midstride.runtime.backend_protocol import Exited
+from midstride.runtime.change.mode_changes import HELD_LONGER
+from midstride.runtime.handover.fences import DEFAULT_WAIT
+from midstride.runtime.handover.new_publishers import ATTACH_TIMEOUT, DETACH_TIMEOUT
+from midstride.runtime.records.reports import ModeSkew
 from midstride.wire.commands import (
     AnswerCommand,
     AttachCommand,

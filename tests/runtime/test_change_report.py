@@ -11,9 +11,9 @@ from msgspec import structs
 from midstride.backends.simulator import Simulator
 from midstride.errors import ManagerError
 from midstride.model.configuration import Configuration, configure
-from midstride.runtime.component_client import Disconnected
 from midstride.runtime.manager import Manager
-from midstride.runtime.mode_recorder import ModeRecorder
+from midstride.runtime.process.component_client import Disconnected
+from midstride.runtime.records.mode_recorder import ModeRecorder
 from midstride.wire.state import ComponentState, FunctionalityState
 from tests.runtime.systems import example, managed, replace
 

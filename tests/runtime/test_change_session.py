@@ -19,13 +19,13 @@ from midstride.model.specification import initial
 from midstride.model.wording import counted
 from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
-from midstride.runtime.backend import Exited
-from midstride.runtime.change_session import ChangeSession
-from midstride.runtime.measure import WINDOW_PERIODS
-from midstride.runtime.reports import Outcome
-from midstride.runtime.runtime_verification import Verifier
-from midstride.runtime.state_store import StateStore
-from midstride.testing.clock import run
+from midstride.runtime.backend_protocol import Exited
+from midstride.runtime.change.change_session import ChangeSession
+from midstride.runtime.change.runtime_verification import Verifier
+from midstride.runtime.records.measure import WINDOW_PERIODS
+from midstride.runtime.records.reports import Outcome
+from midstride.runtime.records.state_store import StateStore
+from midstride.testing.virtual_time import run
 from midstride.verify.verdict import Answer, Verdict
 from midstride.wire import replies
 from midstride.wire.commands import AttachCommand, AwaitWriteCommand, ModesCommand, RecordCommand, RecordsCommand

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from midstride.runtime import clock
-from midstride.runtime.clock import SystemClock
+from midstride.runtime import manager_clock
+from midstride.runtime.manager_clock import SystemClock
 
 STAT = """\
 cpu  400 0 400 9000 7 0 0 0 0 0
@@ -27,7 +27,7 @@ def test_only_the_processors_that_components_run_on_count(
 ) -> None:
     """`taskset`, or a container: the others may be idle while these are busy."""
     (tmp_path / "stat").write_text(STAT)
-    monkeypatch.setattr(clock, "STAT", tmp_path / "stat", raising=False)
+    monkeypatch.setattr(manager_clock, "STAT", tmp_path / "stat", raising=False)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: allowed)
     assert SystemClock().processors() == len(allowed)
     assert SystemClock().idle() == ticks / os.sysconf("SC_CLK_TCK")

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from midstride.backends.simulator.clock import SimulatedClock
+from midstride.backends.simulator.virtual_clock import SimulatedClock
 from midstride.errors import CallTimeout, CommandRefused, ProtocolError, RevisionChanged, Superseded, Unreachable
-from midstride.runtime.component_client import (
+from midstride.runtime.process.component_client import (
     ANSWER_TIMEOUT,
     REOPEN_INTERVAL,
     SILENCE,
@@ -19,7 +19,7 @@ from midstride.runtime.component_client import (
     ComponentEvent,
     Disconnected,
 )
-from midstride.testing.clock import run
+from midstride.testing.virtual_time import run
 from midstride.wire.command_server import CommandServer
 from midstride.wire.commands import AttachCommand, GateCommand, GridCommand, ObserveCommand
 from midstride.wire.frames import (

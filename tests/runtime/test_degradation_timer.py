@@ -13,8 +13,8 @@ from midstride.plan.change import Change
 from midstride.plan.change_builder import change_between
 from midstride.plan.disruption import Levels
 from midstride.plan.plan import Plan
-from midstride.plan.registry import STRATEGIES, planner
-from midstride.runtime.degradation_timer import DegradationTimer
+from midstride.plan.strategies.registry import STRATEGIES, planner
+from midstride.runtime.watch.degradation_timer import DegradationTimer
 from tests.plan.cases import replacing
 from tests.runtime.systems import example
 

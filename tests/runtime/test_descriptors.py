@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from midstride.runtime import descriptors
-from midstride.runtime.process import spawn
+from midstride.runtime.process import descriptors
+from midstride.runtime.process.child_process import spawn
 
 SOFT = 200
 

@@ -10,8 +10,8 @@ import pytest
 
 from midstride.backends.simulator import Simulator
 from midstride.plan.request import PlanRequest
-from midstride.runtime.discovery_watch import INTERVAL, PATIENCE, SOON
 from midstride.runtime.manager import Manager
+from midstride.runtime.watch.discovery_watch import INTERVAL, PATIENCE, SOON
 from tests.runtime.systems import managed, replace
 
 NOTICED = INTERVAL + SOON + sum(PATIENCE) + 1

@@ -11,13 +11,13 @@ from typing import Any
 import pytest
 from immutables import Map
 
-from midstride.backends.simulator.clock import PROCESSORS, SimulatedClock
+from midstride.backends.simulator.virtual_clock import PROCESSORS, SimulatedClock
 from midstride.errors import BackendError, StartFailed, StepFailed
 from midstride.model.action import Attach, Create, Degrade, Detach, Remove, SetParameters
 from midstride.model.component import ParameterSpec
 from midstride.model.configuration import Configuration
-from midstride.runtime import launcher, pacing
-from midstride.runtime.backend import Exited
+from midstride.runtime.backend_protocol import Exited
+from midstride.runtime.process import launcher, pacing
 from midstride.wire.commands import AttachCommand, Command, DetachCommand, ModesCommand, SetParametersCommand
 from midstride.wire.replies import Attached, Detached
 from tests.model import build

@@ -13,17 +13,17 @@ import pytest
 
 from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.network import SimulatedWriter
-from midstride.codec.specification import decode_specification
+from midstride.codec.specification_form import decode_specification
 from midstride.model.contract import DEFAULT_QOS
 from midstride.model.rules import violations
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
-from midstride.runtime.backend import Handle, Launch
-from midstride.runtime.component_client import STOPPED
-from midstride.runtime.fencing import DEFAULT_WAIT, PATIENCE
-from midstride.runtime.launcher import STOP_GRACE
+from midstride.runtime.backend_protocol import Handle, Launch
+from midstride.runtime.handover.fences import DEFAULT_WAIT, PATIENCE
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Event, Outcome
+from midstride.runtime.process.component_client import STOPPED
+from midstride.runtime.process.launcher import STOP_GRACE
+from midstride.runtime.records.reports import Event, Outcome
 from midstride.runtime.workspace import Workspace
 from tests.runtime.systems import last_said, managed, replace, stateful_talkers
 

@@ -14,9 +14,9 @@ from midstride.errors import CommandRefused, StepFailed, Unreachable
 from midstride.model.action import Swap
 from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode, PortRef
 from midstride.model.configuration import Configuration
-from midstride.runtime.agreed_cut import FIND_TIMEOUT, RESUME_PERIODS, RESUME_WITHOUT_RATE, SHORTEST_RESUME
-from midstride.runtime.handover import LEADS, MEET_ATTEMPTS, MEET_TIMEOUT, LiveHandover
-from midstride.runtime.new_publishers import (
+from midstride.runtime.handover.agreed_cut import FIND_TIMEOUT, RESUME_PERIODS, RESUME_WITHOUT_RATE, SHORTEST_RESUME
+from midstride.runtime.handover.live_handover import LEADS, MEET_ATTEMPTS, MEET_TIMEOUT, LiveHandover
+from midstride.runtime.handover.new_publishers import (
     ATTACH_TIMEOUT,
     CALLS,
     CALLS_PATIENCE,
@@ -24,8 +24,8 @@ from midstride.runtime.new_publishers import (
     OUTSIDE_READERS_TIMEOUT,
     PROBATION,
 )
-from midstride.runtime.simulated_time import LONGEST_STRETCH
-from midstride.runtime.state_transfers import StateTransfers
+from midstride.runtime.handover.state_transfers import StateTransfers
+from midstride.runtime.watch.simulated_time import LONGEST_STRETCH
 from midstride.wire.commands import (
     AttachCommand,
     AwaitCutCommand,

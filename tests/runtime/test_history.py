@@ -12,9 +12,9 @@ from midstride.backends.simulator import Simulator
 from midstride.errors import ManagerError
 from midstride.model.action import Create
 from midstride.plan.request import PlanRequest
-from midstride.runtime.history import ChangeRecord
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Outcome
+from midstride.runtime.records.change_history import ChangeRecord
+from midstride.runtime.records.reports import Outcome
 from midstride.runtime.workspace import Workspace
 from tests.runtime.systems import EXAMPLES, example, managed, replace
 from tests.runtime.test_parameters import tuned

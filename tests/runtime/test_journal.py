@@ -18,14 +18,14 @@ import pytest
 from midstride.errors import ManagerError, Superseded
 from midstride.model.specification import Order, Specification
 from midstride.plan.estimate import Estimate
-from midstride.runtime import journal_records
-from midstride.runtime.change_report import ChangeTimeline
-from midstride.runtime.disk import Database, Disk, Statement
-from midstride.runtime.history import ChangeRecord
-from midstride.runtime.journal import Journal
-from midstride.runtime.journal_records import CHANGES, INCIDENTS, NewChange
-from midstride.runtime.measure import SwapReport
-from midstride.runtime.reports import Event, Outcome
+from midstride.runtime.records import journal_records
+from midstride.runtime.records.change_history import ChangeRecord
+from midstride.runtime.records.change_report import ChangeTimeline
+from midstride.runtime.records.disk import Database, Disk, Statement
+from midstride.runtime.records.journal import Journal
+from midstride.runtime.records.journal_records import CHANGES, INCIDENTS, NewChange
+from midstride.runtime.records.measure import SwapReport
+from midstride.runtime.records.reports import Event, Outcome
 from tests.runtime.systems import example
 
 FIRST = example("talker")

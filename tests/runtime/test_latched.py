@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from midstride.backends.simulator import Simulator
-from midstride.codec.specification import decode_specification
+from midstride.codec.specification_form import decode_specification
 from midstride.model.contract import QoS
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Outcome
+from midstride.runtime.records.reports import Outcome
 from midstride.runtime.workspace import Workspace
 from tests.runtime.systems import replace
 

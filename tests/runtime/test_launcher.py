@@ -14,9 +14,15 @@ from immutables import Map
 from midstride.errors import BackendError, NodeError, StartFailed, Unreachable
 from midstride.model.component import ComponentSpec, ParameterSpec
 from midstride.model.configuration import Instance
-from midstride.runtime.backend import Exited, Handle, Launch
-from midstride.runtime.launcher import ADOPT_TIMEOUT, REGISTRATION_TIMEOUT, RELEASE_TIMEOUT, STOP_GRACE, Launcher
+from midstride.runtime.backend_protocol import Exited, Handle, Launch
 from midstride.runtime.options import SystemOptions
+from midstride.runtime.process.launcher import (
+    ADOPT_TIMEOUT,
+    REGISTRATION_TIMEOUT,
+    RELEASE_TIMEOUT,
+    STOP_GRACE,
+    Launcher,
+)
 from midstride.wire.commands import ObserveCommand, ReleaseCommand, WelcomeCommand
 from midstride.wire.state import Endpoint
 from tests.model import build

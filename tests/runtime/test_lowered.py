@@ -12,7 +12,7 @@ from midstride.model.configuration import Instance
 from midstride.model.specification import Node, Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import LoweredFunctionality, Outcome, UpReport
+from midstride.runtime.records.reports import LoweredFunctionality, Outcome, UpReport
 from midstride.runtime.workspace import Workspace
 from tests.runtime.systems import EXAMPLES, example, managed, replace, rewritten
 

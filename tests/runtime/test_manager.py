@@ -16,10 +16,10 @@ from midstride.model.contract import DEFAULT_QOS
 from midstride.model.rules import violations
 from midstride.model.specification import Node
 from midstride.plan.request import PlanRequest
-from midstride.runtime.backend import Launch
+from midstride.runtime.backend_protocol import Launch
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Event, Outcome
-from midstride.runtime.status_forms import Why
+from midstride.runtime.records.reports import Event, Outcome
+from midstride.runtime.records.status_forms import Why
 from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import RecordCommand
 from tests.runtime.systems import EXAMPLES, example, kept, managed, replace, request, rewritten, saved

@@ -19,12 +19,12 @@ from midstride.model.component import Connector
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.overlap import overlap
-from midstride.plan.registry import planner
 from midstride.plan.request import PlanRequest
-from midstride.runtime.disk import Database, Disk, Statement
+from midstride.plan.strategies.registry import planner
 from midstride.runtime.manager import Manager
 from midstride.runtime.options import SystemOptions
-from midstride.runtime.state_store import SavedState, StateStore
+from midstride.runtime.records.disk import Database, Disk, Statement
+from midstride.runtime.records.state_store import SavedState, StateStore
 from midstride.runtime.workspace import Workspace
 from tests.runtime.side_by_side import all_replaced, three
 from tests.runtime.systems import EXAMPLES, example

@@ -9,7 +9,7 @@ import pytest
 from msgspec import structs
 
 from midstride.codec.form import encode
-from midstride.runtime.measure import Observation, SwapReport, report
+from midstride.runtime.records.measure import Observation, SwapReport, report
 from midstride.wire.replies import Receipt
 
 MS = 1_000_000

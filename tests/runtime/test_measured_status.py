@@ -9,7 +9,7 @@ import pytest
 
 from midstride.backends.simulator import Simulator
 from midstride.runtime.manager import Manager
-from midstride.runtime.status_forms import MeasuredStatus
+from midstride.runtime.records.status_forms import MeasuredStatus
 from tests.runtime.systems import managed, replace, rewritten
 
 

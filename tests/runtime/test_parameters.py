@@ -17,7 +17,7 @@ from midstride.model.component import ParameterSpec, ParameterValue, Resource
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Outcome
+from midstride.runtime.records.reports import Outcome
 from midstride.runtime.workspace import Workspace
 from tests.runtime.systems import EXAMPLES, example, managed, replace, saved
 

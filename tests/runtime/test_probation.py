@@ -10,7 +10,7 @@ import pytest
 from midstride.backends.simulator import Simulator
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Outcome
+from midstride.runtime.records.reports import Outcome
 from tests.runtime.systems import example, managed, rewritten
 
 RESTART = PlanRequest(restart=("talker",))

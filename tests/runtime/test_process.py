@@ -18,10 +18,10 @@ import pytest
 
 from midstride.backends import processes
 from midstride.errors import BackendError, StartFailed
-from midstride.runtime import process as process_module
-from midstride.runtime import reaper
-from midstride.runtime.process import Process, end_orphans, find, shorten, spawn, tail
-from midstride.runtime.reaper import Reaper, group_members, process_info
+from midstride.runtime.process import child_process as process_module
+from midstride.runtime.process import reaper
+from midstride.runtime.process.child_process import Process, end_orphans, find, shorten, spawn, tail
+from midstride.runtime.process.reaper import Reaper, group_members, process_info
 from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
 VARIABLE = "MIDSTRIDE_TOKEN"
@@ -427,7 +427,7 @@ def test_the_logs_of_running_components_are_kept_short(tmp_path: Path, monkeypat
 
 def test_a_process_of_an_earlier_manager_is_found_and_watched(tmp_path: Path, token: str) -> None:
     starting = (
-        "import asyncio, os, sys; from pathlib import Path; from midstride.runtime.process import spawn\n"
+        "import asyncio, os, sys; from pathlib import Path; from midstride.runtime.process.child_process import spawn\n"
         "async def main():\n"
         "    process = spawn([sys.executable, '-S', '-c', 'import time; time.sleep(600)'], Path.cwd(),"
         " dict(os.environ), Path('log.txt'))\n"
@@ -511,8 +511,8 @@ def test_an_unrecorded_component_is_ended_and_nothing_else(tmp_path: Path, token
 MANAGER = """
 import asyncio, os, sys, time
 from pathlib import Path
-from midstride.runtime.reaper import Reaper
-from midstride.runtime.process import spawn, tail
+from midstride.runtime.process.reaper import Reaper
+from midstride.runtime.process.child_process import spawn, tail
 
 async def main(token, family):
     reaping = Reaper("MIDSTRIDE_TOKEN", token)

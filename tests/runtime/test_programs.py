@@ -16,11 +16,11 @@ import pytest
 
 from midstride.backends.simulator import Simulator
 from midstride.errors import PlanRefused
-from midstride.node import program as node_program
-from midstride.node.program import ProgramFiles, process_started
+from midstride.node import loaded_program as node_program
+from midstride.node.loaded_program import ProgramFiles, process_started
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.status_forms import ProgramStatus
+from midstride.runtime.records.status_forms import ProgramStatus
 from midstride.runtime.workspace import Workspace
 from midstride.wire import program as wire_program
 from midstride.wire.program import FileFingerprint, files_named

@@ -11,7 +11,7 @@ from immutables import Map
 
 from midstride.backends.simulator import Simulator
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Outcome
+from midstride.runtime.records.reports import Outcome
 from tests.runtime.counting import Reader, at_rates, counting, exchanged, settle, system
 
 # How the new component writes: put before its only write. It is called at 20 Hz.

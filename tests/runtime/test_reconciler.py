@@ -11,9 +11,9 @@ import pytest
 
 from midstride.errors import RevisionChanged, StartFailed
 from midstride.model.configuration import Configuration
-from midstride.runtime.backend import Exited
-from midstride.runtime.component_client import Disconnected
-from midstride.testing.clock import run
+from midstride.runtime.backend_protocol import Exited
+from midstride.runtime.process.component_client import Disconnected
+from midstride.testing.virtual_time import run
 from midstride.wire.commands import ModesCommand
 from tests.model import build
 from tests.model.build import work

@@ -11,8 +11,8 @@ import pytest
 
 from midstride.model.action import Action, Attach, Create, Detach, Handover, Remove, Swap
 from midstride.model.component import ComponentSpec, PortRef
-from midstride.runtime.measure import WINDOW_PERIODS, SwapReport
-from midstride.runtime.recording import LONGEST_TAIL, TAIL_WITHOUT_RATE, Exchange, Recording, exchanges
+from midstride.runtime.records.measure import WINDOW_PERIODS, SwapReport
+from midstride.runtime.watch.subscriber_recording import LONGEST_TAIL, TAIL_WITHOUT_RATE, Exchange, Recording, exchanges
 from midstride.wire import replies
 from midstride.wire.commands import GridCommand, RecordCommand, RecordsCommand
 from midstride.wire.replies import Grid, Receipt, Records

@@ -13,9 +13,9 @@ from immutables import Map
 from midstride.errors import BackendError, ProtocolError, Unreachable
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import Node, Specification
-from midstride.runtime.backend import Handle
-from midstride.runtime.recovery import recover
-from midstride.runtime.state_store import SavedInstance
+from midstride.runtime.backend_protocol import Handle
+from midstride.runtime.records.state_store import SavedInstance
+from midstride.runtime.restore.recovery import recover
 from midstride.wire.commands import AnswerCommand, GateCommand, ObserveCommand, RecordCommand, SettleCutsCommand
 from tests.model import build
 from tests.model.build import work

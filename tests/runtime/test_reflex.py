@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from midstride.backends.simulator import Simulator
-from midstride.codec.specification import decode_specification
-from midstride.node.shortfall import FLOOR
+from midstride.codec.specification_form import decode_specification
+from midstride.node.control.shortfall import FLOOR
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace

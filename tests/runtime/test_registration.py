@@ -10,7 +10,7 @@ from immutables import Map
 from midstride.lang import load_text
 from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode, NodeEndpoint
 from midstride.model.contract import Predicate, QoS
-from midstride.runtime.registration import mismatches, unexpected_endpoints
+from midstride.runtime.process.registration import mismatches, unexpected_endpoints
 from midstride.wire.state import Endpoint as ExtraEndpoint
 
 RANGE = "sensor_msgs/msg/Range"

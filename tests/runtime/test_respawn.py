@@ -16,7 +16,7 @@ from midstride.model.rules import violations
 from midstride.model.specification import Node, Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.status_forms import CrashedInstance
+from midstride.runtime.records.status_forms import CrashedInstance
 from midstride.runtime.timeouts import within
 from midstride.runtime.workspace import Workspace
 from tests.runtime.systems import EXAMPLES, example, managed, replace

@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 from msgspec import structs
 
-from midstride.codec.specification import decode_specification
+from midstride.codec.specification_form import decode_specification
 from midstride.model.component import FunctionalityRef
 from midstride.model.specification import initial
 from midstride.plan.request import PlanRequest
-from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.manager import Manager
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
-from midstride.runtime.restoring import lacking
+from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.restore.restoring import lacking
 from midstride.runtime.timeouts import within
 from midstride.runtime.workspace import Workspace
 from midstride.wire.channel import Report

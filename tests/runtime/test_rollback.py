@@ -17,7 +17,7 @@ from midstride.backends.simulator import Simulator
 from midstride.model.rules import violations
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Outcome
+from midstride.runtime.records.reports import Outcome
 from midstride.runtime.workspace import Workspace
 from tests.runtime.systems import (
     kept,

@@ -13,9 +13,9 @@ from midstride.errors import BackendError, StartFailed, StepFailed
 from midstride.model.action import Attach, Create, Remove, Upgrade
 from midstride.model.configuration import Configuration
 from midstride.plan.overlap import Overlap, one_by_one
-from midstride.runtime.backend import Exited, Handle, Launch
-from midstride.runtime.journal import Journal
-from midstride.runtime.journal_records import NewChange
+from midstride.runtime.backend_protocol import Exited, Handle, Launch
+from midstride.runtime.records.journal import Journal
+from midstride.runtime.records.journal_records import NewChange
 from midstride.wire.commands import AttachCommand, DetachCommand, ModesCommand
 from midstride.wire.replies import PreviousModes
 from tests.model import build

@@ -12,7 +12,7 @@ from midstride.backends.simulator import Simulator
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Outcome
+from midstride.runtime.records.reports import Outcome
 from tests.runtime.counting import Reader
 from tests.runtime.side_by_side import NODES, all_replaced, managed, program, three
 

@@ -11,7 +11,7 @@ from msgspec import structs
 
 from midstride.backends.simulator import Simulator
 from midstride.runtime.manager import Manager
-from midstride.runtime.silence import PORT_SILENCE, SILENT_PERIODS, SilenceMonitor
+from midstride.runtime.watch.silence import PORT_SILENCE, SILENT_PERIODS, SilenceMonitor
 from midstride.wire.state import LinkState
 from tests.model.build import work
 from tests.runtime.scripted import Bench, bench, reported, talking

@@ -11,11 +11,11 @@ import pytest
 from msgspec import structs
 
 from midstride.backends.simulator import Simulator
-from midstride.backends.simulator.clock import EPOCH
+from midstride.backends.simulator.virtual_clock import EPOCH
 from midstride.runtime.manager import Manager
-from midstride.runtime.measure import Observation, SwapReport, report
-from midstride.runtime.reports import Outcome
-from midstride.runtime.simulated_time import LONGEST_STRETCH, on_ros_clock, report_on_ros_clock, stretch
+from midstride.runtime.records.measure import Observation, SwapReport, report
+from midstride.runtime.records.reports import Outcome
+from midstride.runtime.watch.simulated_time import LONGEST_STRETCH, on_ros_clock, report_on_ros_clock, stretch
 from midstride.wire.replies import Receipt
 from tests.runtime.scripted import instance, reported
 from tests.runtime.systems import example, managed, replace

@@ -9,7 +9,7 @@ from midstride.backends.simulator import Simulator
 from midstride.model.specification import Node
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Outcome
+from midstride.runtime.records.reports import Outcome
 from tests.runtime.systems import last_said, managed, stateful_talkers
 
 

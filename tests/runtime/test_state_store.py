@@ -20,10 +20,10 @@ from midstride.model.component import ComponentSpec, Connector, EnvironmentGuara
 from midstride.model.configuration import Instance
 from midstride.model.contract import Predicate
 from midstride.model.specification import Order, Specification
-from midstride.runtime.backend import Handle
-from midstride.runtime.disk import Disk
+from midstride.runtime.backend_protocol import Handle
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
-from midstride.runtime.state_store import SavedInstance, StateStore
+from midstride.runtime.records.disk import Disk
+from midstride.runtime.records.state_store import SavedInstance, StateStore
 from tests.runtime.systems import example
 
 SPECIFICATION = example("talker")

@@ -18,10 +18,10 @@ from rich.console import Console, RenderableType
 from midstride.backends.simulator import Simulator
 from midstride.cli import render
 from midstride.errors import Unreachable
-from midstride.plan.forms import encode_plan
+from midstride.plan.forms.plan_forms import encode_plan
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Outcome
+from midstride.runtime.records.reports import Outcome
 from tests.runtime.counting import _SOURCE as SOURCE
 from tests.runtime.counting import STRING, at_rates, counting, settle, system
 

@@ -20,9 +20,9 @@ from midstride.model.component import FunctionalityRef
 from midstride.model.contract import DEFAULT_QOS
 from midstride.model.specification import Keep, Order, Specification, initial
 from midstride.plan.request import PlanRequest
-from midstride.runtime.backend import Launch
+from midstride.runtime.backend_protocol import Launch
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import UpReport
+from midstride.runtime.records.reports import UpReport
 from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import Command
 from tests.runtime.systems import EXAMPLES, example, replace, rewritten, saved

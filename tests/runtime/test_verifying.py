@@ -18,11 +18,11 @@ from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
-from midstride.runtime import runtime_verification
-from midstride.runtime.component_client import SILENCE
+from midstride.runtime.change import runtime_verification
+from midstride.runtime.change.runtime_verification import Verifier
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Event, LiveConfiguration, Outcome
-from midstride.runtime.runtime_verification import Verifier
+from midstride.runtime.process.component_client import SILENCE
+from midstride.runtime.records.reports import Event, LiveConfiguration, Outcome
 from midstride.verify.checking import AlloyOptions
 from midstride.verify.verdict import Answer, Finding, Verdict
 from midstride.wire.state import ComponentState

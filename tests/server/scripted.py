@@ -9,17 +9,17 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
-from midstride.codec.specification import decode_specification
+from midstride.codec.specification_form import decode_specification
 from midstride.model.specification import Specification, initial
 from midstride.plan.request import PlanRequest
-from midstride.runtime.clock import SystemClock
-from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.events import EventLog
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Event, UpReport
+from midstride.runtime.manager_clock import SystemClock
+from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.records.events import EventLog
+from midstride.runtime.records.reports import Event, UpReport
 from midstride.runtime.running_system import RunningSystem
-from midstride.runtime.silence import SilenceMonitor
-from midstride.runtime.watched import WatchedSystem
+from midstride.runtime.view.watched_system import WatchedSystem
+from midstride.runtime.watch.silence import SilenceMonitor
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

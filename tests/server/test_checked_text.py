@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from midstride.codec.specification import decode_specification, encode_specification
+from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.server.checked_text import checked
 from midstride.server.requests import SubmittedText
 from tests.server.scripted import EXAMPLES

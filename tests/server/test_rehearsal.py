@@ -7,12 +7,12 @@ import asyncio
 import pytest
 
 from midstride.codec.form import encode
-from midstride.codec.specification import SpecificationForm
+from midstride.codec.specification_form import SpecificationForm
 from midstride.errors import ManagerError
-from midstride.plan.request_form import ChangeRequest
-from midstride.runtime.rehearsal_forms import RehearsalOrder
-from midstride.server import rehearsal
-from midstride.server.rehearsal import Rehearser
+from midstride.plan.forms.request_form import ChangeRequest
+from midstride.runtime.records.rehearsal_forms import RehearsalOrder
+from midstride.server import rehearsing
+from midstride.server.rehearsing import Rehearser
 from midstride.server.requests import SubmittedRehearsal
 from midstride.simulation.rehearsal import rehearse
 from tests.runtime.systems import example
@@ -43,7 +43,7 @@ def test_no_seed_is_begun_after_the_time() -> None:
 
 
 def test_a_process_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rehearsal, "_STARTING", 0.0)
+    monkeypatch.setattr(rehearsing, "_STARTING", 0.0)
     asked = SubmittedRehearsal(request=SWAP, seeds=1, seconds=0.05)
     with pytest.raises(ManagerError, match=r"has not ended within 0\.05 s"):
         asyncio.run(Rehearser().rehearse(example("talker"), asked))

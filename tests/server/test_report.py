@@ -15,8 +15,8 @@ import pytest
 from midstride.errors import MidstrideError
 from midstride.model.specification import initial
 from midstride.plan.change_builder import change_between
-from midstride.plan.forms import encode_plan
-from midstride.plan.registry import planner
+from midstride.plan.forms.plan_forms import encode_plan
+from midstride.plan.strategies.registry import planner
 from midstride.server.report.documents import plan_file
 from midstride.server.report.file import DASHBOARD, report_file
 from midstride.server.report.modules import inlined

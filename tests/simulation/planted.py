@@ -10,9 +10,14 @@ import pytest
 
 from midstride.errors import CallTimeout
 from midstride.model.action import Create, Remove
-from midstride.node import agent, cut, cut_protocol
-from midstride.runtime import component_client, executor, handover, launcher, reconciler, recovery, state_store
-from midstride.runtime.disk import Database
+from midstride.node.control import component_agent
+from midstride.node.handover import cut, cut_protocol
+from midstride.runtime.change import executor, reconciler
+from midstride.runtime.handover import live_handover
+from midstride.runtime.process import component_client, launcher
+from midstride.runtime.records import state_store
+from midstride.runtime.records.disk import Database
+from midstride.runtime.restore import recovery
 from midstride.wire import commands, replies
 
 Plant = Callable[[pytest.MonkeyPatch], None]
@@ -202,7 +207,7 @@ def _cut_not_cancelled(patch: pytest.MonkeyPatch) -> None:
     async def cancel(self: Any, cuts: Any) -> None:
         pass
 
-    patch.setattr(handover.LiveHandover, "_cancel", cancel)
+    patch.setattr(live_handover.LiveHandover, "_cancel", cancel)
 
 
 def _handover_not_undone(patch: pytest.MonkeyPatch) -> None:
@@ -211,7 +216,7 @@ def _handover_not_undone(patch: pytest.MonkeyPatch) -> None:
     async def undo(self: Any) -> None:
         await self._cancel(self._cuts)
 
-    patch.setattr(handover.LiveHandover, "_undo", undo)
+    patch.setattr(live_handover.LiveHandover, "_undo", undo)
 
 
 def _never_resumes(patch: pytest.MonkeyPatch) -> None:
@@ -225,7 +230,7 @@ def _repetition_carried_out(patch: pytest.MonkeyPatch) -> None:
     async def change(self: Any, request: Any, command: Any, token: str) -> Any:
         return await self._carry_out(request, command, token)
 
-    patch.setattr(agent.Agent, "_change_once", change)
+    patch.setattr(component_agent.Agent, "_change_once", change)
 
 
 def _pending_forgotten(patch: pytest.MonkeyPatch) -> None:

@@ -10,8 +10,8 @@ from midstride.lang import load
 from midstride.model.specification import Specification, initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.plan import Plan
-from midstride.plan.registry import planner
 from midstride.plan.request import PlanRequest
+from midstride.plan.strategies.registry import planner
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 ROVER = Path(__file__).parent / "rover.stride"

@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 from immutables import Map
 
-from midstride.codec.configuration import ConfigurationForm, decode_configuration
+from midstride.codec.configuration_form import ConfigurationForm, decode_configuration
 from midstride.codec.form import encode
 from midstride.lang import load_text
 from midstride.model.component import ComponentSpec, FunctionalityRef, InputAlternatives, PortRef, Resource
 from midstride.model.configuration import Configuration
 from midstride.model.rules import capacity_violation
 from midstride.model.specification import Node, Specification, initial, structure
-from midstride.plan.forms import decode_plan, encode_plan
+from midstride.plan.forms.plan_forms import decode_plan, encode_plan
 from midstride.verify.alloy_atoms import Names
 from midstride.verify.chain import chain
 from midstride.verify.checking import AlloyOptions, verify_configuration, verify_plan, verify_specification

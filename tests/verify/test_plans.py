@@ -10,7 +10,7 @@ import pytest
 
 from midstride.model.action import Action, Create, Degrade, Detach, Handover
 from midstride.model.configuration import Configuration
-from midstride.plan.forms import encode_plan
+from midstride.plan.forms.plan_forms import encode_plan
 from midstride.verify.checking import AlloyOptions, verify_plan
 from midstride.verify.run import Alloy, find
 from midstride.verify.verdict import Answer, Finding, Verdict

@@ -13,7 +13,7 @@ from midstride.cli import main
 from midstride.verify.prove import GOALS, NAMES, Proof, prove_goal
 from midstride.verify.prove import actions as act
 from midstride.verify.prove.goals import Case, Goal
-from midstride.verify.prove.run import script, weakenings
+from midstride.verify.prove.run_proofs import script, weakenings
 from midstride.verify.prove.terms import FALSE, TRUE, and_, implies, not_, or_
 from midstride.verify.prove.theory import SATISFIED, Theory
 from midstride.verify.verdict import Answer
@@ -157,7 +157,7 @@ def test_a_time_out_leaves_the_goal_unknown() -> None:
 
 
 def say_little(monkeypatch: pytest.MonkeyPatch, *goals: Goal) -> None:
-    monkeypatch.setattr("midstride.verify.prove.run.GOALS", goals)
+    monkeypatch.setattr("midstride.verify.prove.run_proofs.GOALS", goals)
 
 
 def test_the_command_shows_each_goal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,7 +12,7 @@ from midstride.model.specification import initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.disruption import Levels
 from midstride.plan.plan import Plan
-from midstride.plan.registry import STRATEGIES
+from midstride.plan.strategies.registry import STRATEGIES
 from midstride.plan.validate import replay
 from midstride.verify.checking import AlloyOptions, verify_plan
 from midstride.verify.run import Alloy, find

@@ -11,9 +11,9 @@ import pytest
 from midstride.cli import main
 from midstride.errors import AlloyFailed, AlloyMissing
 from midstride.verify import library
+from midstride.verify.alloy_checks import Checked, Task, check_specification, tasks
 from midstride.verify.library import MODULES, PRINTED, AlloyCommand, commands
 from midstride.verify.run import Alloy, SolverOutcome, find
-from midstride.verify.specification import Checked, Task, check_specification, tasks
 from midstride.verify.verdict import Answer
 
 SMALL = 3
@@ -200,7 +200,7 @@ def little(monkeypatch: pytest.MonkeyPatch) -> None:
     from midstride.verify.prove import GOALS
 
     goals = [goal for goal in GOALS if (goal.kind, goal.name) == ("fit", "attach input")]
-    monkeypatch.setattr("midstride.verify.prove.run.GOALS", goals)
+    monkeypatch.setattr("midstride.verify.prove.run_proofs.GOALS", goals)
     monkeypatch.setattr(library, "MODULES", ("system",))
 
 

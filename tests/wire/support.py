@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from midstride.codec.component import NamedComponentForm, decode_component
+from midstride.codec.component_form import NamedComponentForm, decode_component
 from midstride.errors import Unreachable
 from midstride.testing.conformance import puppets
 from midstride.wire.command_server import CommandServer, Handler

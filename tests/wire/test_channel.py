@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from midstride.backends.simulator.loop import run
+from midstride.backends.simulator.virtual_loop import run
 from midstride.errors import CallTimeout, ProtocolError, Unreachable
 from midstride.wire.channel import Channel, Report
 from midstride.wire.commands import PingCommand

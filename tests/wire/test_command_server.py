@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
-from midstride.backends.simulator.loop import run
+from midstride.backends.simulator.virtual_loop import run
 from midstride.errors import Unreachable
 from midstride.wire.channel import Channel, Report
 from midstride.wire.command_server import HELLO_TIMEOUT, UNDER_WAY, CommandServer, Handler

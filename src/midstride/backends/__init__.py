@@ -8,8 +8,8 @@ from typing import Final
 from midstride.backends import ros1, ros2
 from midstride.errors import BackendError
 from midstride.node.process_context import installed
-from midstride.runtime.backend import Backend
-from midstride.runtime.reaper import Reaper
+from midstride.runtime.backend_protocol import Backend
+from midstride.runtime.process.reaper import Reaper
 from midstride.runtime.workspace import Workspace
 
 NAMES: Final = ("ros2", "ros1", "sim")

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from midstride.errors import CommandRefused, ManagerError, MidstrideError, NodeError
-from midstride.node.host import HeldParameter
+from midstride.node.component_host import HeldParameter
 from midstride.wire.environment import ENV_CONTROL, ENV_SYSTEM
 from midstride.wire.folders import COMPONENTS, workspace_folder
 from midstride.wire.sockets import SocketFolder
@@ -71,7 +71,7 @@ def drop_paths(environment: dict[str, str], variable: str, unwanted: Callable[[s
 class KeptParameters:
     """The parameters of a component on a platform that does not keep them for its nodes. On the data thread.
 
-    Implements :class:`midstride.node.host.NodeParameters`. ``show(name, value)`` is called with each value.
+    Implements :class:`midstride.node.component_host.NodeParameters`. ``show(name, value)`` is called with each value.
     """
 
     def __init__(self, show: Callable[[str, Any], None] = lambda name, value: None) -> None:

@@ -13,8 +13,8 @@ from midstride.backends.fork_server import NUMBER_BYTES
 from midstride.backends.process_title import ARGUMENT_ROOM, VALUE_ROOM
 from midstride.backends.spare import READY
 from midstride.errors import MidstrideError, StartFailed
-from midstride.runtime import reaper
-from midstride.runtime.process import Process, adopting_orphans, spawn
+from midstride.runtime.process import reaper
+from midstride.runtime.process.child_process import Process, adopting_orphans, spawn
 from midstride.runtime.timeouts import within
 from midstride.wire.environment import ENV_INSTANCE
 

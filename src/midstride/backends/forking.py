@@ -70,7 +70,7 @@ def _reseed() -> None:
 def fork_for_parent() -> bool:
     """Fork a process that leads a session, and is a child of this one's parent; True in it.
 
-    The parent has to adopt orphans meanwhile (:func:`midstride.runtime.process.adopting_orphans`).
+    The parent has to adopt orphans meanwhile (:func:`midstride.runtime.process.child_process.adopting_orphans`).
     """
     if middle := os.fork():
         os.waitpid(middle, 0)

@@ -17,10 +17,10 @@ from midstride.backends import heap
 from midstride.backends.spares import Spares, fits
 from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
 from midstride.model.instance_names import log_file_name
-from midstride.runtime.backend import Handle, Launch
-from midstride.runtime.clock import Clock, SystemClock
-from midstride.runtime.process import Process, end_orphans, find, spawn
-from midstride.runtime.reaper import Reaper, process_info
+from midstride.runtime.backend_protocol import Handle, Launch
+from midstride.runtime.manager_clock import Clock, SystemClock
+from midstride.runtime.process.child_process import Process, end_orphans, find, spawn
+from midstride.runtime.process.reaper import Reaper, process_info
 from midstride.wire import environment as variables
 from midstride.wire.sockets import SocketFolder
 from midstride.wire.transport import Transport

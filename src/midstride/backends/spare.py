@@ -21,7 +21,7 @@ from typing import Final, NoReturn
 import msgspec
 
 from midstride.backends import process_title
-from midstride.node import program
+from midstride.node import loaded_program
 from midstride.wire.environment import ENV_INSTANCE
 
 READY: Final = b"ready\n"
@@ -65,7 +65,7 @@ def _become(own: SpareProgram) -> None:
     os.dup2(log, 1)
     os.dup2(log, 2)
     os.close(log)
-    program.loads_now()
+    loaded_program.loads_now()
     sys.orig_argv = list(own.command)
     sys.modules["__main__"] = main_module = ModuleType("__main__")
     try:

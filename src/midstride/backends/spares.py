@@ -24,7 +24,7 @@ from midstride.backends.fork_server import JOINED, LOADED
 from midstride.backends.process_title import VALUE_ROOM
 from midstride.backends.spare import READY, SpareProgram
 from midstride.errors import StartFailed
-from midstride.runtime.process import Process
+from midstride.runtime.process.child_process import Process
 from midstride.wire.environment import ENV_INSTANCE
 
 log: Final = logging.getLogger(__name__)

@@ -13,11 +13,11 @@ from midstride.capture.observed import ObservedGraph
 from midstride.capture.probe import Dependences
 from midstride.capture.proposal import ProposedPort, component_text, merged, node_block, ports_of, topic_lines
 from midstride.errors import SpecificationError
-from midstride.lang.diagnostics import Reporter
-from midstride.lang.files import resolve_name
+from midstride.lang.diagnostic_text import Reporter
 from midstride.lang.parser import parse
 from midstride.lang.printer import format_text
 from midstride.lang.source import Source
+from midstride.lang.source_files import resolve_name
 from midstride.lang.syntax import ComponentDeclaration, File, Item, NamespaceBlock, NodeDeclaration, TopicDeclaration
 
 

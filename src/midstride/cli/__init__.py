@@ -24,8 +24,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     _replace_closed_streams()
     if (instruction := os.environ.get("_MIDSTRIDE_COMPLETE")) is not None:
-        from midstride.cli.app import cli
-        from midstride.cli.completion import complete
+        from midstride.cli.command_list import cli
+        from midstride.cli.shell_completion import complete
 
         return complete(cli, instruction)
     with printable_output():
@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(words: list[str]) -> int:
     import click
 
-    from midstride.cli.app import cli
+    from midstride.cli.command_list import cli
     from midstride.cli.output import INTERRUPTED
     from midstride.errors import MidstrideError
 
@@ -50,7 +50,7 @@ def _run(words: list[str]) -> int:
         _discard_output()
         return 1
     except (click.UsageError, MidstrideError, OSError) as error:
-        from midstride.cli.errors import report
+        from midstride.cli.error_output import report
 
         if isinstance(error, OSError) and error.filename is None:
             _discard_output()

@@ -18,7 +18,7 @@ from urllib.parse import urlencode
 from midstride import errors
 
 if TYPE_CHECKING:
-    from midstride.runtime.status_forms import ParametersReport, ProgramStatus, Service, Status, Why
+    from midstride.runtime.records.status_forms import ParametersReport, ProgramStatus, Service, Status, Why
 
 F = TypeVar("F")
 Document = dict[str, Any]
@@ -82,7 +82,7 @@ class Client:
 
     def service(self, timeout: float = 2.0) -> Service | None:
         """The manager's description of itself; None if no manager answers in time."""
-        from midstride.runtime.status_forms import Service
+        from midstride.runtime.records.status_forms import Service
 
         try:
             return self._form(Service, "GET", "", timeout=timeout)
@@ -91,25 +91,25 @@ class Client:
 
     def status(self) -> Status:
         """The running system."""
-        from midstride.runtime.status_forms import Status
+        from midstride.runtime.records.status_forms import Status
 
         return self._form(Status, "GET", "/status")
 
     def programs(self) -> list[ProgramStatus]:
         """The files of the programs that run, and which of them have changed on disk since."""
-        from midstride.runtime.status_forms import ProgramStatus
+        from midstride.runtime.records.status_forms import ProgramStatus
 
         return self._form(list[ProgramStatus], "GET", "/programs")
 
     def why(self, functionality: str) -> Why:
         """Why a functionality is in its mode. Raises PlanRefused for an unknown one."""
-        from midstride.runtime.status_forms import Why
+        from midstride.runtime.records.status_forms import Why
 
         return self._form(Why, "GET", _with_query("/why", {"functionality": functionality}))
 
     def set_parameters(self, node: str, values: Mapping[str, Any]) -> ParametersReport:
         """Set parameters of a role or an instance, once the commands before are done; all of them or none."""
-        from midstride.runtime.status_forms import ParametersReport
+        from midstride.runtime.records.status_forms import ParametersReport
 
         return self._form(
             ParametersReport, "POST", "/parameters", {"node": node, "parameters": dict(values)}, timeout=None

@@ -22,10 +22,10 @@ from midstride import backends
 from midstride.backends.simulator import Simulator
 from midstride.cli.example import Demo, repository
 from midstride.model.specification import Specification
-from midstride.runtime.backend import Backend
+from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.manager import Manager
-from midstride.runtime.reaper import Reaper
-from midstride.runtime.reports import UpReport
+from midstride.runtime.process.reaper import Reaper
+from midstride.runtime.records.reports import UpReport
 from midstride.runtime.workspace import Workspace
 
 # How long a real ROS 2 process takes to start and be discovered (s); the simulator must not look faster.

@@ -21,7 +21,7 @@ from midstride.cli.log_excerpt import LogFollower, excerpt
 from midstride.cli.progress import Progress
 from midstride.codec.form import Document, encode
 from midstride.model.instance_names import log_file_name
-from midstride.plan.forms import encode_plan
+from midstride.plan.forms.plan_forms import encode_plan
 
 # How often the latest log line of the subscriber is shown (s).
 LOG_INTERVAL: Final = 0.1

@@ -10,12 +10,12 @@ from typing import Any
 import click
 
 import midstride
-from midstride.cli.files import load, read_json
+from midstride.cli.input_files import load, read_json
 from midstride.errors import SpecificationError
 from midstride.model.diagnostics import suggestion
 from midstride.model.specification import Specification
+from midstride.plan.forms.request_form import decode_request
 from midstride.plan.request import PlanRequest
-from midstride.plan.request_form import decode_request
 
 _PACKAGE = Path(midstride.__file__).resolve().parent
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from midstride.cli.files import written
+from midstride.cli.input_files import written
 from midstride.errors import MidstrideError
 
 # Graphviz is quick on diagrams that a person can read.

@@ -8,14 +8,18 @@ from typing import Any
 
 import click
 
-from midstride.cli import completion
+from midstride.cli import shell_completion
 from midstride.cli.change_options import parse_new_node, parse_pair, strategy_options
 
 
 def planned_change_options(function: Any) -> Any:
     """The options of a change of a specification, with nothing running; :func:`planned_change` reads them."""
-    node: dict[str, Any] = {"metavar": "NODE", "multiple": True, "shell_complete": completion.nodes}
-    pair: dict[str, Any] = {"metavar": "NODE=COMPONENT", "multiple": True, "shell_complete": completion.replacements}
+    node: dict[str, Any] = {"metavar": "NODE", "multiple": True, "shell_complete": shell_completion.nodes}
+    pair: dict[str, Any] = {
+        "metavar": "NODE=COMPONENT",
+        "multiple": True,
+        "shell_complete": shell_completion.replacements,
+    }
     for option in (
         click.option("--remove", "removed", **node, help="Remove a node."),
         click.option("--add", "added", multiple=True, metavar="'NODE COMPONENT PORT=TOPIC...'", help="Add a node."),

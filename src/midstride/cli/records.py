@@ -7,7 +7,7 @@ from contextlib import suppress
 import click
 
 from midstride.cli.client import READ_TIMEOUT, Client, Document
-from midstride.cli.systems import answering, find_records
+from midstride.cli.running_systems import answering, find_records
 from midstride.codec.form import encode
 from midstride.errors import NoManager
 from midstride.runtime.workspace import Workspace
@@ -18,7 +18,7 @@ def history(system: str | None, latest: int) -> tuple[Document, bool]:
     workspace = find_records(system)
     if (manager := _manager(workspace)) is not None:
         return manager.get("/history", latest=latest), True
-    from midstride.runtime.closed_journal import closed_history
+    from midstride.runtime.records.closed_journal import closed_history
 
     return encode(closed_history(workspace.journal, latest)), False
 
@@ -32,7 +32,7 @@ def change(system: str | None, number: int | None) -> Document:
     if (manager := _manager(workspace)) is not None:
         document: Document = manager.get("/change", **_which(number))
         return document
-    from midstride.runtime.closed_journal import closed_report
+    from midstride.runtime.records.closed_journal import closed_report
 
     return encode(closed_report(workspace.journal, number))
 
@@ -42,7 +42,7 @@ def report(system: str | None, number: int | None) -> str:
     workspace = find_records(system)
     if (manager := _manager(workspace)) is not None:
         return manager.text("/report", timeout=3 * READ_TIMEOUT, **_which(number))
-    from midstride.runtime.closed_journal import closed_report
+    from midstride.runtime.records.closed_journal import closed_report
     from midstride.server.report.documents import change_file
 
     return change_file(closed_report(workspace.journal, number), workspace.name)

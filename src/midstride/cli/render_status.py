@@ -8,10 +8,10 @@ from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.text import Text
 
-from midstride.cli.files import as_typed_here
-from midstride.cli.programs import code_words
+from midstride.cli.changed_programs import code_words
+from midstride.cli.input_files import as_typed_here
 from midstride.cli.render import UNKNOWN, hertz, seconds, silence, table
-from midstride.runtime.status_forms import (
+from midstride.runtime.records.status_forms import (
     AttachmentStatus,
     ComponentStatus,
     FunctionalityStatus,

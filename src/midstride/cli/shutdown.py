@@ -8,12 +8,12 @@ import time
 import click
 
 from midstride import backends
-from midstride.cli.systems import find
+from midstride.cli.running_systems import find
 from midstride.errors import BackendError, ManagerBusy, ManagerError, MidstrideError, NoManager
-from midstride.runtime.backend import Backend, Handle
-from midstride.runtime.launcher import STOP_GRACE
-from midstride.runtime.process import end_orphans
-from midstride.runtime.state_store import StateStore
+from midstride.runtime.backend_protocol import Backend, Handle
+from midstride.runtime.process.child_process import end_orphans
+from midstride.runtime.process.launcher import STOP_GRACE
+from midstride.runtime.records.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 
 # How long a manager may take to exit once its system is down (s).

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import msgspec
 
 from midstride.codec.form import LARGEST, ShapedForm
-from midstride.codec.specification import SpecificationForm
+from midstride.codec.specification_form import SpecificationForm
 
 Schema: TypeAlias = dict[str, Any]
 

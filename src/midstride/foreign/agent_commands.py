@@ -10,14 +10,14 @@ from typing import Any, Final
 
 from midstride.errors import CommandRefused
 from midstride.foreign.cuts import PUBLISHING, ForeignCuts
+from midstride.foreign.foreign_parameters import ForeignParameters
 from midstride.foreign.lifecycle_cuts import LifecycleCuts
 from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.node import TICK, ForeignNode
-from midstride.foreign.parameters import ForeignParameters
 from midstride.foreign.services import NoAnswer
-from midstride.node.attachments import SETTLE, not_matched
-from midstride.node.baton import BatonStep
-from midstride.node.rate_watch import RateWatch
+from midstride.node.control.attachments import SETTLE, not_matched
+from midstride.node.control.rate_watch import RateWatch
+from midstride.node.handover.baton import BatonStep
 from midstride.wire import commands, replies
 from midstride.wire.commands import Command
 from midstride.wire.program import Program

@@ -13,7 +13,7 @@ from midstride.errors import CommandRefused
 from midstride.foreign.gates import share_baton
 from midstride.foreign.node import ForeignNode
 from midstride.foreign.page import OPEN, OUTPUT
-from midstride.node.baton import BatonStep
+from midstride.node.handover.baton import BatonStep
 from midstride.wire import commands, replies
 
 # How long a call that is publishing may take to return (s).

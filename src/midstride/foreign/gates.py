@@ -19,7 +19,7 @@ from midstride.foreign.page import (
     PortFlag,
 )
 from midstride.model.component import ComponentSpec
-from midstride.node.baton import BatonState, BatonStep, BatonWord
+from midstride.node.handover.baton import BatonState, BatonStep, BatonWord
 
 # For how long a writer without a rate leaves the baton to its successor (s).
 PATIENCE: Final = 2.0

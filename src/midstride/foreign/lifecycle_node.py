@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from midstride.errors import CommandRefused
-from midstride.foreign.lifecycle import ACTIVE, FINALIZED, INACTIVE, SERVICES_TIMEOUT, NodeLifecycle
+from midstride.foreign.lifecycle_transitions import ACTIVE, FINALIZED, INACTIVE, SERVICES_TIMEOUT, NodeLifecycle
 from midstride.foreign.node import ForeignNode
 from midstride.foreign.services import NoAnswer, NodeServices
 from midstride.wire.state import GateState

@@ -8,7 +8,7 @@ from typing import Any, Final
 from midstride.errors import CommandRefused
 from midstride.foreign.services import NoAnswer, ParameterSetter
 from midstride.model.component import ComponentSpec, ParameterValue
-from midstride.node.parameters import fitted_to
+from midstride.node.author.declared_parameters import fitted_to
 
 # How long the node may take to set its parameters (s).
 SET_TIMEOUT: Final = 4.0

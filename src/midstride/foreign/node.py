@@ -18,7 +18,7 @@ from midstride.foreign.gates import Gates
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.reported_clock import ReportedClock
 from midstride.model.component import ComponentSpec
-from midstride.node.message_times import window_of
+from midstride.node.author.message_times import window_of
 from midstride.wire.state import (
     NOT_WELCOMED,
     THIS_HOST,

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from midstride.errors import BackendError
-from midstride.node.baton import BatonStep, BatonWord
+from midstride.node.handover.baton import BatonStep, BatonWord
 
 MAGIC: Final = 0x4D4944535452444E
 VERSION: Final = 1

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import msgspec
 
-from midstride.codec.component import NamedComponentForm
+from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import BackendError
 from midstride.wire.state import GateState, WireValue
 

@@ -21,24 +21,24 @@ from pathlib import Path
 from typing import Any, Final, NoReturn
 
 from midstride.errors import MidstrideError, NodeError
+from midstride.foreign.gated_reflex import inputs_of
 from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.mode_parameters import on_entry, set_parameters
-from midstride.foreign.reflex import inputs_of
 from midstride.foreign.relay_endpoints import ProgramEndpoints
 from midstride.foreign.relayed_program import RelayedProgram, RelayOrder
 from midstride.foreign.services import ParameterSetter
 from midstride.model.component import FunctionalitySpec, Mode
 from midstride.model.contract import Predicate, QoS
-from midstride.node.agent import Agent
-from midstride.node.contracts import Guarantee
-from midstride.node.declaration import DeclaredParts
-from midstride.node.functionality import Functionality
-from midstride.node.host import Host
-from midstride.node.message_times import MessageTimes
-from midstride.node.modes import DeclaredMode
-from midstride.node.ports import Input, InputLink, Output
+from midstride.node.author.declaration import DeclaredParts
+from midstride.node.author.declared_contracts import Guarantee
+from midstride.node.author.functionality import Functionality
+from midstride.node.author.message_times import MessageTimes
+from midstride.node.author.modes import DeclaredMode
+from midstride.node.author.ports import Input, InputLink, Output
+from midstride.node.component_host import Host
+from midstride.node.control.component_agent import Agent
+from midstride.node.loaded_program import ProgramFiles
 from midstride.node.process_context import ProcessContext, find
-from midstride.node.program import ProgramFiles
 
 # For how long a reliable output with a rate may wait in a relay without loss (s), and of how many messages at most.
 QUEUE: Final = 2.0
@@ -222,7 +222,7 @@ class RelayComponent:
         )
 
     def run(self) -> None:
-        """Until it is stopped, or the program has exited. As :meth:`midstride.node.component.Component.start`.
+        """Until it is stopped, or the program has exited. As :meth:`midstride.Component.start`.
 
         Raises NodeError if the program publishes past the relay.
         """

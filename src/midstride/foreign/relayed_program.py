@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import msgspec
 
-from midstride.codec.component import NamedComponentForm
+from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import BackendError, NodeError
 from midstride.model.component import ComponentSpec
 from midstride.wire.state import WireValue

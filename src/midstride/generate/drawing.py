@@ -7,8 +7,8 @@ from html import escape
 from textwrap import wrap
 from typing import Final
 
+from midstride.generate.drawn_system import Box, Edge, Port, View
 from midstride.generate.layout import GraphLayout, layout
-from midstride.generate.view import Box, Edge, Port, View
 
 _UNBREAKABLE: Final = re.compile(r"(?<=@) | (?=k?Hz)| (?==)|(?<==) ")
 _COLOURS: Final = {"node": "#e8f0fe", "group": "#e6f4ea", "environment": "#fef7e0"}

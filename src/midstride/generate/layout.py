@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
-from midstride.generate.view import Edge, View
+from midstride.generate.drawn_system import Edge, View
 
 # The longest chain of boxes that fits across a page, without and with contracts; longer ones run down the page.
 ACROSS: Final = 4

@@ -11,8 +11,8 @@ from typing import Any, Final, Literal
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from midstride.generate.generated_names import ProgramFile, program, snake
 from midstride.generate.merge import BEGIN, END, with_mark
-from midstride.generate.names import ProgramFile, program, snake
 from midstride.generate.skeleton import skeleton
 from midstride.model.component import ComponentSpec
 from midstride.model.printable import on_one_line

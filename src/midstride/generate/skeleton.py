@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from midstride.errors import SpecificationError
-from midstride.generate.names import AttributeNames
+from midstride.generate.generated_names import AttributeNames
 from midstride.model.component import ComponentSpec, EnvironmentGuarantee, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import OneOf, Predicate, QoS, Scalar, ValueSet, format_number, satisfies
 

@@ -9,7 +9,7 @@ Errors in a file are returned as diagnostics; no file content makes these functi
 
 from __future__ import annotations
 
-from midstride.lang.diagnostics import Diagnostic, has_errors, render
+from midstride.lang.diagnostic_text import Diagnostic, has_errors, render
 from midstride.lang.load import Loaded, load, load_text
 from midstride.lang.printer import Formatted, format_text
 

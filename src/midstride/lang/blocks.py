@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from midstride.lang.diagnostics import Note, Reporter
+from midstride.lang.diagnostic_text import Note, Reporter
 from midstride.lang.lexer import Tokens
 from midstride.lang.token_stream import KEYWORD_PLACES, Panic, TokenStream
 from midstride.model.near_miss import nearest

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from midstride.lang.check import Resolved
-from midstride.lang.contracts import POLICIES, POLICY_WORDS
-from midstride.lang.diagnostics import Reporter
+from midstride.lang.checker import Resolved
+from midstride.lang.contract_builder import POLICIES, POLICY_WORDS
+from midstride.lang.diagnostic_text import Reporter
 from midstride.lang.lexer import Tokens, tokenize
 from midstride.lang.source import Source
 from midstride.lang.syntax import ComponentDeclaration, find

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple, TypeVar
 
 from midstride.lang import syntax
-from midstride.lang.diagnostics import Note, Reporter
-from midstride.lang.files import NamespacedFile, resolve_name
+from midstride.lang.diagnostic_text import Note, Reporter
 from midstride.lang.source import Span
+from midstride.lang.source_files import NamespacedFile, resolve_name
 
 T = TypeVar("T")
 

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 from midstride.lang import syntax
 from midstride.lang.declarations import Declarations, NodeEntry, ancestry, resolve_topic
-from midstride.lang.files import resolve_name
 from midstride.lang.source import Source, Span
+from midstride.lang.source_files import resolve_name
 
 
 class Symbol(NamedTuple):

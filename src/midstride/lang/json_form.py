@@ -6,9 +6,9 @@ import json
 import re
 
 from midstride.codec.reading import parse_json, strict_json
-from midstride.codec.specification import decode_specification
+from midstride.codec.specification_form import decode_specification
 from midstride.errors import SpecificationError
-from midstride.lang.diagnostics import Diagnostic, Reporter, in_order
+from midstride.lang.diagnostic_text import Diagnostic, Reporter, in_order
 from midstride.lang.source import Source, Span
 from midstride.model.diagnostics import Problem
 from midstride.model.specification import Specification

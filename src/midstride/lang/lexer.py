@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass
 from typing import Final
 
-from midstride.lang.diagnostics import Reporter
+from midstride.lang.diagnostic_text import Reporter
 from midstride.lang.source import Source, Span
 
 # The alternatives are tried in this order. A word may contain slashes and letters that are invalid in names: it is

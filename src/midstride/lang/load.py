@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from midstride.errors import SpecificationError
-from midstride.lang.check import Resolved, check_files
-from midstride.lang.diagnostics import Diagnostic, has_errors, in_order
-from midstride.lang.files import FileReader, Unreadable, read_source, read_text
+from midstride.lang.checker import Resolved, check_files
+from midstride.lang.diagnostic_text import Diagnostic, has_errors, in_order
 from midstride.lang.json_form import check_json, places_of
 from midstride.lang.message_types import MessageTypes
-from midstride.lang.programs import missing_programs
+from midstride.lang.program_checks import missing_programs
 from midstride.lang.source import Source
+from midstride.lang.source_files import FileReader, Unreadable, read_source, read_text
 from midstride.lang.source_map import SourceMap
 from midstride.model.specification import Specification
 

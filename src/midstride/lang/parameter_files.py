@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
-from midstride.lang.diagnostics import Reporter
-from midstride.lang.files import resolve_name
+from midstride.lang.diagnostic_text import Reporter
 from midstride.lang.source import Source, Span
+from midstride.lang.source_files import resolve_name
 from midstride.lang.yaml_tree import InvalidYaml, Tree, read_tree
 from midstride.model.component import ParameterValue
 

@@ -11,7 +11,7 @@ from typing import Final
 
 from midstride.lang import syntax
 from midstride.lang.blocks import Handlers
-from midstride.lang.diagnostics import Note, Reporter
+from midstride.lang.diagnostic_text import Note, Reporter
 from midstride.lang.lexer import tokenize
 from midstride.lang.parse_component import ComponentParser
 from midstride.lang.source import Source

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from midstride.lang.diagnostics import Diagnostic, Reporter, in_order
+from midstride.lang.diagnostic_text import Diagnostic, Reporter, in_order
 from midstride.lang.parser import parse
 from midstride.lang.source import Source
 from midstride.lang.syntax import File

@@ -16,8 +16,7 @@ from typing import Final
 
 from midstride.lang.completion import Completion, complete
 from midstride.lang.declarations import Declarations
-from midstride.lang.diagnostics import Diagnostic
-from midstride.lang.files import FileReader, Unreadable, read_text, resolve_name
+from midstride.lang.diagnostic_text import Diagnostic
 from midstride.lang.hover import hover
 from midstride.lang.index import Occurrence, SymbolIndex
 from midstride.lang.lexer import is_topic_name
@@ -25,6 +24,7 @@ from midstride.lang.load import Loaded, load
 from midstride.lang.message_types import MessageTypes
 from midstride.lang.printer import format_text
 from midstride.lang.source import Source, Span
+from midstride.lang.source_files import FileReader, Unreadable, read_text, resolve_name
 
 # How many files per folder are searched for the system that includes a fragment.
 _MAX_SEARCHED: Final = 200

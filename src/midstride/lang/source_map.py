@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from midstride.lang import syntax
 from midstride.lang.declarations import Declarations
-from midstride.lang.respawn import respawn_span
+from midstride.lang.respawn_builder import respawn_span
 from midstride.lang.source import Span
 from midstride.lang.syntax import find
 from midstride.model.diagnostics import Problem

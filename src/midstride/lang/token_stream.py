@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Final, TypeVar
 
-from midstride.lang.diagnostics import Reporter
+from midstride.lang.diagnostic_text import Reporter
 from midstride.lang.lexer import Tokens, string_value, truncated
 from midstride.lang.source import Span
 from midstride.lang.syntax import Name, Number, SourceLayout

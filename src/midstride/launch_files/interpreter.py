@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 from midstride.lang.source import Span
+from midstride.launch_files.allowed_files import ReadableFiles
 from midstride.launch_files.context import Context, ParameterFileName
 from midstride.launch_files.entity import ENDINGS, Entity, NotALaunchFile, read_entity
-from midstride.launch_files.files import ReadableFiles
 from midstride.launch_files.findings import ImportFindings, UnknownValue
 from midstride.launch_files.node_elements import NodeElements
 from midstride.launch_files.python_files import carried_out

@@ -9,12 +9,12 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from midstride.lang.source import Span
+from midstride.launch_files.allowed_files import ReadableFiles
 from midstride.launch_files.context import Context, ParameterFileName, Setting
 from midstride.launch_files.entity import Entity, Value
 from midstride.launch_files.expression import shortened
-from midstride.launch_files.files import ReadableFiles
 from midstride.launch_files.findings import ImportFindings, UnknownValue
-from midstride.launch_files.nodes import LaunchedNode, LaunchedSystem
+from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedSystem
 from midstride.launch_files.substitutions import substituted, truth
 from midstride.launch_files.values import plain, value_of
 from midstride.model.component_rules import MAX_NUMBER

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from midstride.launch_files.findings import UnknownValue
 
-RUNNER: Final = (sys.executable, "-m", "midstride.backends.ros2.python_launch")
+RUNNER: Final = (sys.executable, "-m", "midstride.backends.ros2.manager.python_launch")
 TIMEOUT: Final = 60.0
 _NO_LAUNCH: Final = 3
 

@@ -11,8 +11,8 @@ from typing import Final
 from midstride.lang.printer import format_text
 from midstride.lang.token_stream import RESERVED
 from midstride.launch_files.findings import ImportFindings
-from midstride.launch_files.nodes import LaunchedNode, LaunchedSystem
-from midstride.launch_files.parameters import LaunchedParameters, ParameterReader
+from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedSystem
+from midstride.launch_files.launched_parameters import LaunchedParameters, ParameterReader
 from midstride.model.component import ParameterValue
 from midstride.model.component_rules import MAX_NUMBER
 

@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 from typing import Any, Final, cast
 
 from midstride.errors import NodeError
-from midstride.node.host import HostFactory
-from midstride.node.program import process_started
+from midstride.node.component_host import HostFactory
+from midstride.node.loaded_program import process_started
 from midstride.wire.environment import (
     ENV_BACKEND,
     ENV_DIAGNOSTICS,

@@ -16,7 +16,7 @@ from midstride.model.component import FunctionalityRef
 from midstride.model.specification import Keep
 from midstride.plan.disruption import Levels
 from midstride.plan.plan import Plan
-from midstride.plan.registry import planner
+from midstride.plan.strategies.registry import planner
 
 # For so many functionalities at most, those that are below for longest first: each takes a search.
 TRIED: Final = 8

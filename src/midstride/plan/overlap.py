@@ -17,7 +17,7 @@ from midstride.model.action import Action, Attach, Create, Degrade, Handover, Re
 from midstride.plan.disruption import DIGITS
 from midstride.plan.estimate import Estimate
 from midstride.plan.plan import Plan
-from midstride.plan.state import without_outputs
+from midstride.plan.state_continuity import without_outputs
 
 # How many components answer commands at once, on however small a machine: of attachments, mode changes and hand-overs,
 # so many steps are taken at once.
@@ -99,7 +99,7 @@ class _Neighbours:
 
     def __init__(self, plan: Plan) -> None:
         self._plan, self._change = plan, plan.change
-        # Between two instances without outputs, state moves beside a step of either (midstride.runtime.state_moves).
+        # Between two instances without outputs, state moves beside a step of either (runtime/handover/state_moves.py).
         replaced = without_outputs(plan.change)
         self._partners = {**replaced, **{old: new for new, old in replaced.items()}}
         self._attached: dict[str, set[str]] = defaultdict(set)  # by instance: the connectors that it is attached to

@@ -13,11 +13,11 @@ from immutables import Map
 
 from midstride.errors import PlanRefused
 from midstride.plan.change import Change
-from midstride.plan.core_plan import Budget
+from midstride.plan.core.core_plan import Budget
 from midstride.plan.disruption import Levels
 from midstride.plan.estimate import Estimate
-from midstride.plan.minimal import minimal
 from midstride.plan.plan import Plan
+from midstride.plan.strategies.minimal import minimal
 
 # So many uncertain durations are tried, those with the widest spread first.
 TRIED: Final = 4

@@ -2,8 +2,8 @@
 
 It joins the platform, brings the system up or recovers a running one, and runs one command at a time; others wait.
 Its three parts share its knowledge of the system (:mod:`.running_system`): the change session carries out changes
-(:mod:`.change_session`), the reconciler handles unexpected events (:mod:`.reconciler`), and the state store keeps what
-the next manager needs (:mod:`.state_store`). The robot does not depend on the manager: components keep running without
+(:mod:`.change.change_session`), the reconciler handles unexpected events (:mod:`.change.reconciler`), and the state store keeps what
+the next manager needs (:mod:`.records.state_store`). The robot does not depend on the manager: components keep running without
 it, and the next manager finds them again (docs/semantics.md section 7).
 """
 
@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-from midstride.codec.configuration import ConfigurationForm
+from midstride.codec.configuration_form import ConfigurationForm
 from midstride.errors import BackendError, ManagerError, MidstrideError
 from midstride.model.component import ParameterValue
 from midstride.model.configuration import Configuration
@@ -26,35 +26,35 @@ from midstride.model.specification import Specification, initial
 from midstride.model.wording import counted
 from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
-from midstride.runtime import status
-from midstride.runtime.action_driver import ActionDriver
-from midstride.runtime.backend import Backend
-from midstride.runtime.bring_up import BringUp
-from midstride.runtime.change_report import ChangeReport
-from midstride.runtime.change_session import ChangeSession
-from midstride.runtime.component_client import ComponentClient, ComponentEvent
-from midstride.runtime.discovery_watch import DiscoveryWatch
-from midstride.runtime.disk import DISK, Disk
-from midstride.runtime.events import EventLog
-from midstride.runtime.fencing import DEFAULT_WAIT
-from midstride.runtime.history import History, SpecificationVersion
-from midstride.runtime.journal import Journal
-from midstride.runtime.launcher import Launcher
-from midstride.runtime.lowered import in_words, lowered_functionalities
-from midstride.runtime.observed_configuration import observe
+from midstride.runtime.backend_protocol import Backend
+from midstride.runtime.change.action_driver import ActionDriver
+from midstride.runtime.change.change_session import ChangeSession
+from midstride.runtime.change.reconciler import Reconciler
+from midstride.runtime.change.runtime_verification import Verifier
+from midstride.runtime.handover.fences import DEFAULT_WAIT
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
-from midstride.runtime.programs import Programs
-from midstride.runtime.reconciler import Reconciler
-from midstride.runtime.reports import Event, LiveConfiguration, Outcome, UpReport
-from midstride.runtime.respawn import Respawner
-from midstride.runtime.restoring import Restorer
+from midstride.runtime.process.component_client import ComponentClient, ComponentEvent
+from midstride.runtime.process.launcher import Launcher
+from midstride.runtime.records.change_history import History, SpecificationVersion
+from midstride.runtime.records.change_report import ChangeReport
+from midstride.runtime.records.disk import DISK, Disk
+from midstride.runtime.records.events import EventLog
+from midstride.runtime.records.journal import Journal
+from midstride.runtime.records.reports import Event, LiveConfiguration, Outcome, UpReport
+from midstride.runtime.records.state_store import StateStore
+from midstride.runtime.records.status_forms import ParametersReport, ProgramStatus, RunningCommand, Status, Why
+from midstride.runtime.restore.bring_up import BringUp
+from midstride.runtime.restore.respawner import Respawner
+from midstride.runtime.restore.restoring import Restorer
 from midstride.runtime.running_system import RunningSystem
-from midstride.runtime.runtime_verification import Verifier
-from midstride.runtime.silence import SilenceMonitor
-from midstride.runtime.state_store import StateStore
-from midstride.runtime.status_forms import ParametersReport, ProgramStatus, RunningCommand, Status, Why
-from midstride.runtime.watched import WatchedSystem
-from midstride.runtime.why import Explainer
+from midstride.runtime.view import status
+from midstride.runtime.view.program_files import Programs
+from midstride.runtime.view.watched_system import WatchedSystem
+from midstride.runtime.view.why import Explainer
+from midstride.runtime.watch.degradation_report import in_words, lowered_functionalities
+from midstride.runtime.watch.discovery_watch import DiscoveryWatch
+from midstride.runtime.watch.observed_configuration import observe
+from midstride.runtime.watch.silence import SilenceMonitor
 from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import SetParametersCommand
 from midstride.wire.state import ComponentState

@@ -8,8 +8,8 @@ from midstride.errors import ManagerError
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import Specification
 from midstride.plan.request import require
-from midstride.runtime.backend import Exited
-from midstride.runtime.reported_values import ReportedValues
+from midstride.runtime.backend_protocol import Exited
+from midstride.runtime.watch.reported_values import ReportedValues
 
 
 @dataclass(slots=True)

@@ -1,7 +1,7 @@
 """The workspace of a running system: the files that its next manager needs (socket, state, logs, lock).
 
 ``$XDG_RUNTIME_DIR/midstride/<system>``, a folder only its user can open. The control sockets of its components are in
-a folder below it (:mod:`midstride.wire.sockets`); the state is :mod:`.state_store`'s, the journal :mod:`.journal`'s.
+a folder below it (:mod:`midstride.wire.sockets`); the state is :mod:`.records.state_store`'s, the journal :mod:`.records.journal`'s.
 """
 
 from __future__ import annotations

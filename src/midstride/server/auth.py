@@ -16,7 +16,7 @@ from starlette.datastructures import Headers
 from starlette.responses import HTMLResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from midstride.server.errors import Failure, answer
+from midstride.server.error_answers import Failure, answer
 from midstride.server.static import HEADERS
 
 # Such a client may not keep its connection.

@@ -12,11 +12,11 @@ from typing import Annotated, Any, Final, Literal, TypeAlias
 from msgspec import Meta, convert
 
 from midstride.codec.form import Report
-from midstride.codec.specification import SpecificationForm
-from midstride.lang.files import Unreadable
+from midstride.codec.specification_form import SpecificationForm
 from midstride.lang.load import load_text
 from midstride.lang.message_types import installed
-from midstride.plan.request_form import ChangeRequest
+from midstride.lang.source_files import Unreadable
+from midstride.plan.forms.request_form import ChangeRequest
 from midstride.server.requests import SubmittedText
 
 _HELP: Final = "save the files on the robot, and apply them there with `midstride apply FILE`"

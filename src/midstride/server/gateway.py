@@ -20,7 +20,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from midstride.errors import CallTimeout, ManagerError, Unreachable
 from midstride.server.auth import TokenAuth
 from midstride.server.connections import Server, connection_limit, listen_tcp
-from midstride.server.errors import Failure, answer
+from midstride.server.error_answers import Failure, answer
 from midstride.server.requests import LARGEST_BODY
 from midstride.server.static import dashboard
 from midstride.wire.sockets import open_socket

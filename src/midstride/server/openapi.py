@@ -8,16 +8,16 @@ import msgspec
 from fastapi import FastAPI
 
 from midstride.codec.schema import Schema, schemas
-from midstride.codec.specification import SpecificationForm
-from midstride.plan.request_form import ChangeRequest
-from midstride.runtime import reports, status_forms
-from midstride.runtime.change_report import ChangeReport
-from midstride.runtime.history import History, SpecificationVersion
-from midstride.runtime.rehearsal_forms import Rehearsal
+from midstride.codec.specification_form import SpecificationForm
+from midstride.plan.forms.request_form import ChangeRequest
+from midstride.runtime.records import reports, status_forms
+from midstride.runtime.records.change_history import History, SpecificationVersion
+from midstride.runtime.records.change_report import ChangeReport
+from midstride.runtime.records.rehearsal_forms import Rehearsal
 from midstride.server.checked_text import CheckedText
-from midstride.server.errors import Failure
+from midstride.server.error_answers import Failure
 from midstride.server.requests import LARGEST_BODY, ParameterSetting, SubmittedChange, SubmittedRehearsal, SubmittedText
-from midstride.server.view import forms
+from midstride.server.view import view_forms
 
 Responses: TypeAlias = dict[int | str, dict[str, Any]]
 
@@ -45,9 +45,9 @@ FORMS: Final = (
     status_forms.Status,
     reports.UpReport,
     status_forms.Why,
-    forms.Patch,
-    forms.Timeline,
-    forms.SystemView,
+    view_forms.Patch,
+    view_forms.Timeline,
+    view_forms.SystemView,
 )
 _TEMPLATE: Final = "#/components/schemas/{name}"
 

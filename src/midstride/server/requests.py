@@ -16,9 +16,9 @@ from midstride.codec.reading import decode, parse_json, under
 from midstride.errors import SpecificationError
 from midstride.model.component import ParameterValue
 from midstride.model.diagnostics import Problem
+from midstride.plan.forms.request_form import ChangeRequest, request_names
 from midstride.plan.request import PlanRequest
-from midstride.plan.request_form import ChangeRequest, request_names
-from midstride.runtime.fencing import DEFAULT_WAIT
+from midstride.runtime.handover.fences import DEFAULT_WAIT
 
 F = TypeVar("F", bound=msgspec.Struct)
 T = TypeVar("T")

@@ -16,10 +16,10 @@ from typing import Final
 from midstride.errors import ManagerError
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
-from midstride.server.app import create_app
 from midstride.server.auth import TokenAuth, new_token
 from midstride.server.connections import BACKLOG, Server, connection_limit, listen_tcp
-from midstride.server.lifecycle import Lifecycle
+from midstride.server.http_app import create_app
+from midstride.server.manager_lifecycle import Lifecycle
 from midstride.server.view.live import LiveView
 
 log = logging.getLogger(__name__)

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Final
 
-from midstride.simulation.run import SeedRun, Simulation
 from midstride.simulation.scenario import Scenario, rover
+from midstride.simulation.seed_run import SeedRun, Simulation
 from midstride.simulation.system import System
 
 # How many seeds in succession change one system: the first of them brings it up.

@@ -8,11 +8,11 @@ from typing import Any
 
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.specification import initial
-from midstride.plan.step_forms import AttachStep, DetachStep, HandoverStep
+from midstride.plan.forms.step_forms import AttachStep, DetachStep, HandoverStep
 from midstride.runtime.manager import Manager
-from midstride.runtime.observed_configuration import reported_modes
-from midstride.runtime.state_store import SavedState
-from midstride.simulation.lives import ManagerKilled
+from midstride.runtime.records.state_store import SavedState
+from midstride.runtime.watch.observed_configuration import reported_modes
+from midstride.simulation.killable_manager import ManagerKilled
 from midstride.simulation.platform import Platform
 from midstride.simulation.stand_in import StandIn
 

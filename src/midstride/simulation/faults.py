@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias, cast, get_args
 
-from midstride.backends.simulator.faults import RequestFault
+from midstride.backends.simulator.injected_faults import RequestFault
 from midstride.simulation.platform import Platform
 from midstride.simulation.stand_in import StandIn
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from midstride.backends.simulator.backend import Simulator
-from midstride.backends.simulator.process import SimulatedProcess
-from midstride.runtime.backend import Handle, Launch
+from midstride.backends.simulator.simulated_process import SimulatedProcess
+from midstride.runtime.backend_protocol import Handle, Launch
 from midstride.simulation.stand_in import StandIn
 
 

@@ -13,10 +13,10 @@ from typing import Final
 import msgspec
 
 from midstride.errors import MidstrideError
-from midstride.runtime.rehearsal_forms import Rehearsal, RehearsalOrder, RehearsedSeed
+from midstride.runtime.records.rehearsal_forms import Rehearsal, RehearsalOrder, RehearsedSeed
 from midstride.simulation.campaign import Summary, simulate_many
-from midstride.simulation.run import SeedRun
 from midstride.simulation.scenario import rehearsed
+from midstride.simulation.seed_run import SeedRun
 
 # The ways in which a change, or the recovery from it, ends.
 BRANCHES: Final = ("done", "refused", "rolled_back", "failed", "manager killed", "recovered")

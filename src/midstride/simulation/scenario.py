@@ -13,8 +13,8 @@ from immutables import Map
 from midstride.lang.load import load_text
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change_builder import change_between
-from midstride.plan.registry import planner
 from midstride.plan.request import PlanRequest
+from midstride.plan.strategies.registry import planner
 from midstride.simulation.stand_in import with_stand_ins
 
 # Rate-driven, message-driven and transient-local topics, a chain of three modes, two functionalities in one component,

@@ -17,16 +17,16 @@ from typing import Any, Final
 
 from immutables import Map
 
-from midstride.backends.simulator.clock import SimulatedClock
 from midstride.backends.simulator.cooperative_thread import Yielded
-from midstride.backends.simulator.process import SimulatedProcess
-from midstride.backends.simulator.program import ProcessOutput, SimulatedProgram
-from midstride.codec.component import encode_component
+from midstride.backends.simulator.simulated_process import SimulatedProcess
+from midstride.backends.simulator.simulated_program import ProcessOutput, SimulatedProgram
+from midstride.backends.simulator.virtual_clock import SimulatedClock
+from midstride.codec.component_form import encode_component
 from midstride.model.component import ComponentSpec
 from midstride.model.specification import Specification
-from midstride.node.host import Host
-from midstride.node.ports import Output
-from midstride.runtime.backend import Launch
+from midstride.node.author.ports import Output
+from midstride.node.component_host import Host
+from midstride.runtime.backend_protocol import Launch
 from midstride.simulation.threadless import ThreadlessProcess
 from midstride.testing.puppet import Puppet
 from midstride.wire.state import ComponentState

@@ -12,15 +12,15 @@ from typing import Any, Final
 from midstride.errors import BackendError
 from midstride.model.specification import Specification
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Event
-from midstride.runtime.state_store import SavedState, StateStore
+from midstride.runtime.records.reports import Event
+from midstride.runtime.records.state_store import SavedState, StateStore
 from midstride.runtime.workspace import Workspace
-from midstride.simulation.disk import SimulatedDisk
 from midstride.simulation.invariants import Invariants
-from midstride.simulation.lives import Life
+from midstride.simulation.killable_manager import Life
 from midstride.simulation.loop import SeededLoop
 from midstride.simulation.oracle import Oracle
 from midstride.simulation.platform import Platform
+from midstride.simulation.simulated_disk import SimulatedDisk
 from midstride.simulation.stand_in import StandIn
 
 # Names the files of the simulated disk.

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 from midstride.backends.simulator.cooperative_thread import CooperativeThread, Ended, Yielded
-from midstride.backends.simulator.process import SimulatedProcess
+from midstride.backends.simulator.simulated_process import SimulatedProcess
 
 
 class _Waits(BaseException):

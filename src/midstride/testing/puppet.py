@@ -25,14 +25,14 @@ from collections.abc import Callable
 from typing import Any
 
 from midstride.backends.common_messages import message_class
-from midstride.codec.component import decode_component
+from midstride.codec.component_form import decode_component
 from midstride.model import component as model
 from midstride.model.contract import Predicate, satisfies
-from midstride.node.component import Component
-from midstride.node.contracts import guarantee
-from midstride.node.functionality import Functionality
-from midstride.node.modes import approximate
-from midstride.node.ports import Input, Output, any_of
+from midstride.node.author.component_class import Component
+from midstride.node.author.declared_contracts import guarantee
+from midstride.node.author.functionality import Functionality
+from midstride.node.author.modes import approximate
+from midstride.node.author.ports import Input, Output, any_of
 
 
 class Puppet:

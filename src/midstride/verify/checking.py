@@ -13,7 +13,7 @@ from typing import Any
 from midstride.errors import AlloyFailed, PlanRefused, VerificationError
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification, initial
-from midstride.plan.forms import decode_plan
+from midstride.plan.forms.plan_forms import decode_plan
 from midstride.plan.plan import Plan
 from midstride.plan.specification_diff import differences
 from midstride.verify.alloy_atoms import TooLarge

@@ -12,7 +12,7 @@ from typing import Any, Final, TypeAlias, TypeVar
 
 import msgspec
 
-from midstride.codec.component import NamedComponentForm
+from midstride.codec.component_form import NamedComponentForm
 from midstride.codec.writing import to_json
 from midstride.errors import CommandRefused, ProtocolError
 from midstride.wire.commands import COMMANDS, Command

@@ -12,9 +12,9 @@ from typing import Any, TypeVar
 
 from midstride.backends.simulator import Simulator
 from midstride.runtime.manager import Manager
-from midstride.server.lifecycle import Lifecycle
+from midstride.server.manager_lifecycle import Lifecycle
 from midstride.server.view.live import LiveView
-from midstride.server.view.stream import position, view_events
+from midstride.server.view.view_stream import position, view_events
 from tests.runtime.systems import managed
 
 T = TypeVar("T")

@@ -10,9 +10,9 @@ import pytest
 
 from midstride.model.component import ComponentSpec, NodeEndpoint
 from midstride.model.configuration import Instance
-from midstride.server.view import components
-from midstride.server.view.endpoints import endpoint_views
-from midstride.server.view.forms import EndpointView
+from midstride.server.view import component_views
+from midstride.server.view.endpoint_views import endpoint_views
+from midstride.server.view.view_forms import EndpointView
 from midstride.wire.state import THIS_HOST, ComponentState, Endpoint
 from tests.server.view.support import Viewed, viewed
 
@@ -71,5 +71,5 @@ def test_the_host_is_named_where_it_is_not_the_managers(
         assert system.component("listener")["host"] == (THIS_HOST if elsewhere else None)
 
     if elsewhere:
-        monkeypatch.setattr(components, "THIS_HOST", "base-station")
+        monkeypatch.setattr(component_views, "THIS_HOST", "base-station")
     viewed("talker", tmp_path, body)

@@ -15,7 +15,7 @@ from msgspec import structs
 
 from midstride.errors import MidstrideError
 from midstride.plan.request import PlanRequest
-from midstride.runtime.component_client import LatestState
+from midstride.runtime.process.component_client import LatestState
 from midstride.server.view import timing
 from midstride.server.view.live import LiveView
 from midstride.server.view.timing import LOOK, SOON, TOGETHER

@@ -8,8 +8,8 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from midstride.server.view.recording import ViewRecording
 from midstride.server.view.table import GONE_LIMIT, Part, ViewTable, encode_view
+from midstride.server.view.view_history import ViewRecording
 from tests.server.view.support import Document, patched
 
 _KEYS = st.sampled_from([("components", name) for name in "abcd"] + [("topics", name) for name in "xy"])

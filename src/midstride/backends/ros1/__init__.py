@@ -15,7 +15,7 @@ from midstride.errors import BackendError
 if TYPE_CHECKING:
     from midstride.backends.ros1.backend import Ros1Backend
     from midstride.backends.ros1.host import Ros1Host
-    from midstride.runtime.reaper import Reaper
+    from midstride.runtime.process.reaper import Reaper
 
 __all__ = ["available", "create_backend", "create_host", "load", "prepare"]
 
@@ -30,7 +30,7 @@ def available() -> bool:
 def load() -> None:
     """Import what a component needs; it joins later, since a process has one node on ROS 1."""
     from midstride.backends.ros1 import host  # noqa: F401
-    from midstride.node import component  # noqa: F401
+    from midstride.node.author import component_class  # noqa: F401
 
     list(common_messages.types("rospy"))
 

@@ -1,4 +1,4 @@
-"""The manager's side on ROS 1: see :class:`midstride.runtime.backend.Backend`.
+"""The manager's side on ROS 1: see :class:`midstride.runtime.backend_protocol.Backend`.
 
 The manager is no node of ROS 1. It calls the master's XML-RPC API (:mod:`.rpc`) on its own event loop: it imports no
 ROS library, every call has a deadline, and none blocks a thread.
@@ -18,16 +18,16 @@ from typing import Any, Final
 from midstride.backends import naming, processes
 from midstride.backends.ros1 import launching, master_process, names, rpc
 from midstride.backends.ros1.master import Master
-from midstride.codec.component import NamedComponentForm
+from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.relayed_program import RelayOrder, order_file, private_topics
 from midstride.model.component import ComponentSpec
 from midstride.model.instance_names import full_name, split_name
-from midstride.runtime.backend import RELAY_SUFFIX, Endpoints, Exited, Handle, Launch
-from midstride.runtime.process import Process
-from midstride.runtime.reaper import Reaper
-from midstride.runtime.status_forms import Middleware
+from midstride.runtime.backend_protocol import RELAY_SUFFIX, Endpoints, Exited, Handle, Launch
+from midstride.runtime.process.child_process import Process
+from midstride.runtime.process.reaper import Reaper
+from midstride.runtime.records.status_forms import Middleware
 from midstride.runtime.timeouts import within
 from midstride.wire.state import ComponentState
 

@@ -1,4 +1,4 @@
-"""A component's process on ROS 1: see :class:`midstride.node.host.Host`.
+"""A component's process on ROS 1: see :class:`midstride.node.component_host.Host`.
 
 rospy's own threads receive; the data thread runs user code; the main thread runs the event loop of the agent, which
 also calls the master, so that a master that does not answer blocks nothing here. The agent answers its manager while
@@ -21,7 +21,7 @@ import msgspec
 import rospy
 from std_msgs.msg import String
 
-from midstride.backends import common, diagnostics
+from midstride.backends import common, diagnostic_array
 from midstride.backends.naming import DIAGNOSTICS
 from midstride.backends.ros1 import launching, names, node_parameters, publishing, subscribing
 from midstride.backends.ros1.data_thread import DataThread
@@ -34,8 +34,8 @@ from midstride.errors import BackendError, NodeError
 from midstride.model.contract import QoS
 from midstride.model.instance_names import full_name, split_name
 from midstride.node.clock_history import ClockHistory
-from midstride.node.diagnostics import DiagnosticEntry
-from midstride.node.host import MessageInfo
+from midstride.node.component_host import MessageInfo
+from midstride.node.diagnostic_status import DiagnosticEntry
 from midstride.node.process_context import find
 from midstride.node.service_gate import ServiceGate
 from midstride.wire.environment import ENV_TOKEN
@@ -149,15 +149,17 @@ class Ros1Host:
         self._states.publish(String(msgspec.json.encode(state).decode()))
 
     def publish_diagnostics(self, entries: Callable[[], Sequence[DiagnosticEntry]]) -> None:
-        if diagnostics.MESSAGE is None:
+        if diagnostic_array.MESSAGE is None:
             return
         if self._diagnostics is None:
             try:
-                self._diagnostics = PortPublisher(DIAGNOSTICS, diagnostics.MESSAGE, QoS(), self.now, self._publishers)
+                self._diagnostics = PortPublisher(
+                    DIAGNOSTICS, diagnostic_array.MESSAGE, QoS(), self.now, self._publishers
+                )
             except NodeError:
                 return  # user code publishes there without a port
         if self._diagnostics.matched() > 0:
-            self._diagnostics.publish(diagnostics.message(entries(), self._role, self.instance, self.now()))
+            self._diagnostics.publish(diagnostic_array.message(entries(), self._role, self.instance, self.now()))
 
     def discovers(self, topic: str) -> bool | None:
         return None  # the master does it

@@ -16,8 +16,8 @@ from typing import Final
 from midstride.backends.ros1 import launching, rpc
 from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, StartFailed
-from midstride.runtime.process import find, spawn, tail
-from midstride.runtime.reaper import Reaper, process_info
+from midstride.runtime.process.child_process import find, spawn, tail
+from midstride.runtime.process.reaper import Reaper, process_info
 
 ENV_STARTED: Final = "MIDSTRIDE_ROS1_MASTER"
 # How long a master may take to answer after its start (s).

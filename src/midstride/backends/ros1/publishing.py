@@ -178,7 +178,10 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
 
 
 class PortPublisher:
-    """See :class:`midstride.node.host.Publisher`. ``registrar`` registers new topics and unregisters the others."""
+    """See :class:`midstride.node.component_host.Publisher`.
+
+    ``registrar`` registers new topics and unregisters the others.
+    """
 
     def __init__(
         self, topic: str, type_: Any, qos: QoS, now: Callable[[], int], registrar: Registrar[NumberedTopic]

@@ -18,7 +18,7 @@ from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.relay import RelayPlatform, run_relay
 from midstride.foreign.relayed_program import RelayOrder
 from midstride.model.contract import QoS
-from midstride.node.host import Host
+from midstride.node.component_host import Host
 from midstride.node.process_context import ProcessContext
 
 # What an endpoint of any type is registered with.

@@ -14,7 +14,7 @@ from midstride.backends.ros1.data_thread import DataThread
 from midstride.backends.ros1.publishing import TRAILER
 from midstride.backends.ros1.registrar import Registrar
 from midstride.model.contract import QoS
-from midstride.node.host import MessageInfo
+from midstride.node.component_host import MessageInfo
 
 # A header's time further than this (ns) from the time of receipt is not the time of the message.
 _PLAUSIBLE: Final = 1_000_000_000
@@ -98,7 +98,7 @@ class FramedTopic(_SubscriberImpl):  # type: ignore[misc]  # rospy has no stubs
 
 
 class PortSubscription:
-    """See :class:`midstride.node.host.Subscription`."""
+    """See :class:`midstride.node.component_host.Subscription`."""
 
     def __init__(
         self,

@@ -58,7 +58,7 @@ class RosClock:
 
 
 class Ros1GridTimer:
-    """See :class:`midstride.node.host.Timer`. Everything here runs on the data thread."""
+    """See :class:`midstride.node.component_host.Timer`. Everything here runs on the data thread."""
 
     def __init__(self, clock: RosClock, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> None:
         self._clock = clock

@@ -15,9 +15,9 @@ from typing import Any
 from midstride.backends import common_messages
 from midstride.capture.observed import ObservedGraph
 from midstride.errors import BackendError
-from midstride.node.host import Host
-from midstride.runtime.backend import Backend
-from midstride.runtime.reaper import Reaper
+from midstride.node.component_host import Host
+from midstride.runtime.backend_protocol import Backend
+from midstride.runtime.process.reaper import Reaper
 
 __all__ = ["create_backend", "create_host", "load", "observe", "prepare"]
 
@@ -35,7 +35,7 @@ def _require_rclpy() -> None:
 def create_host(name: str, namespace: str) -> Host:
     """The host of the component ``name``, which joins ROS 2 when it is run. Raises BackendError without ROS 2."""
     _require_rclpy()
-    from midstride.backends.ros2.host import Ros2Host
+    from midstride.backends.ros2.component.host import Ros2Host
 
     return Ros2Host(name, namespace)
 
@@ -45,8 +45,8 @@ def load() -> None:
     _require_rclpy()
     from rclpy.type_support import check_for_type_support
 
-    from midstride.backends.ros2 import host  # noqa: F401
-    from midstride.node import component  # noqa: F401
+    from midstride.backends.ros2.component import host  # noqa: F401
+    from midstride.node.author import component_class  # noqa: F401
 
     for type_ in (*common_messages.types("rclpy"), *_types_of_every_node()):
         check_for_type_support(type_)  # which loads it
@@ -56,7 +56,7 @@ def load() -> None:
 def _types_of_every_node() -> Iterator[Any]:
     from rcl_interfaces.msg import ParameterEvent
 
-    from midstride.backends.ros2.parameter_services import SERVICES
+    from midstride.backends.ros2.component.parameter_services import SERVICES
 
     yield from (ParameterEvent, *SERVICES.values())
     with suppress(ImportError):  # older ROS has no such service
@@ -68,7 +68,7 @@ def _types_of_every_node() -> Iterator[Any]:
 def prepare() -> None:
     """Import it, and join ROS 2. Raises BackendError."""
     load()
-    from midstride.backends.ros2 import early_join
+    from midstride.backends.ros2.component import early_join
 
     early_join.join()
 
@@ -78,14 +78,14 @@ def create_backend(
 ) -> Backend:
     """See :class:`..processes.ProcessBackend` and :mod:`.dds_profiles`. Raises BackendError without ROS 2."""
     _require_rclpy()
-    from midstride.backends.ros2.backend import Ros2Backend
+    from midstride.backends.ros2.manager.backend import Ros2Backend
 
     return Ros2Backend(control, logs=logs, guardian=guardian, middleware_settings=middleware_settings)
 
 
 def observe(seconds: float, nodes: Collection[str] = ()) -> ObservedGraph:
-    """See :func:`.observer.observe`. Raises BackendError without ROS 2."""
+    """See :func:`.manager.observer.observe`. Raises BackendError without ROS 2."""
     _require_rclpy()
-    from midstride.backends.ros2 import observer
+    from midstride.backends.ros2.manager import observer
 
     return observer.observe(seconds, nodes)

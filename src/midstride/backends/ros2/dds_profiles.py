@@ -26,7 +26,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from midstride.runtime.status_forms import Middleware
+from midstride.runtime.records.status_forms import Middleware
 
 PROFILES: Final = Path(__file__).parent / "profiles"
 TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"

@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from midstride.backends.simulator.backend import Simulator
-from midstride.backends.simulator.loop import VirtualLoop
+from midstride.backends.simulator.virtual_loop import VirtualLoop
 
 __all__ = ["Simulator", "VirtualLoop"]

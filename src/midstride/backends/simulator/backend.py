@@ -8,22 +8,22 @@ from contextlib import ExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from midstride.backends.simulator import loop as virtual
 from midstride.backends.simulator import messages
-from midstride.backends.simulator.clock import SimulatedClock
+from midstride.backends.simulator import virtual_loop as virtual
 from midstride.backends.simulator.control import SimulatedControl
 from midstride.backends.simulator.cooperative_thread import simulated_sleep
-from midstride.backends.simulator.faults import Faults
 from midstride.backends.simulator.host import SimulatedHost
+from midstride.backends.simulator.injected_faults import Faults
 from midstride.backends.simulator.network import Network
-from midstride.backends.simulator.process import SimulatedProcess
+from midstride.backends.simulator.simulated_process import SimulatedProcess
+from midstride.backends.simulator.virtual_clock import SimulatedClock
 from midstride.errors import BackendError, StartFailed
 from midstride.model.instance_names import full_name, log_file_name
-from midstride.node.diagnostics import DiagnosticEntry
-from midstride.node.host import Host
-from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
-from midstride.runtime.clock import Clock
-from midstride.runtime.status_forms import Middleware
+from midstride.node.component_host import Host
+from midstride.node.diagnostic_status import DiagnosticEntry
+from midstride.runtime.backend_protocol import Endpoints, Exited, Handle, Launch
+from midstride.runtime.manager_clock import Clock
+from midstride.runtime.records.status_forms import Middleware
 from midstride.wire.state import ComponentState
 from midstride.wire.transport import Transport
 
@@ -36,7 +36,7 @@ EXIT_LATENCY: Final = 0.005
 
 
 class Simulator:
-    """Implements :class:`midstride.runtime.backend.Backend`.
+    """Implements :class:`midstride.runtime.backend_protocol.Backend`.
 
     ``Simulator().run(main())`` runs a coroutine in virtual time and shuts the simulator down after it. On any other
     asyncio loop the simulator runs in real time; call :meth:`shutdown` at the end. All times are in seconds; the same

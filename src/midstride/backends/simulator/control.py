@@ -9,9 +9,9 @@ import asyncio
 from collections import deque
 from collections.abc import Awaitable, Callable
 
-from midstride.backends.simulator.clock import SimulatedClock
-from midstride.backends.simulator.faults import FailingCall, Faults
-from midstride.backends.simulator.process import SimulatedProcess
+from midstride.backends.simulator.injected_faults import FailingCall, Faults
+from midstride.backends.simulator.simulated_process import SimulatedProcess
+from midstride.backends.simulator.virtual_clock import SimulatedClock
 from midstride.errors import NodeError, Unreachable
 from midstride.wire import frames
 from midstride.wire.frames import Reply, Request

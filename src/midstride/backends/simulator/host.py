@@ -10,14 +10,14 @@ from functools import partial
 from typing import Any, TypeVar
 
 from midstride.backends.common import KeptParameters
-from midstride.backends.simulator.clock import SimulatedTimer
 from midstride.backends.simulator.network import Network, SimulatedReader, SimulatedWriter
-from midstride.backends.simulator.process import SimulatedProcess
+from midstride.backends.simulator.simulated_process import SimulatedProcess
+from midstride.backends.simulator.virtual_clock import SimulatedTimer
 from midstride.model.contract import QoS
+from midstride.node.author.declared_contracts import type_name
 from midstride.node.clock_history import ClockHistory
-from midstride.node.contracts import type_name
-from midstride.node.diagnostics import DiagnosticEntry
-from midstride.node.host import MessageInfo, NodeParameters
+from midstride.node.component_host import MessageInfo, NodeParameters
+from midstride.node.diagnostic_status import DiagnosticEntry
 from midstride.node.process_context import find
 from midstride.node.service_gate import ServiceGate
 from midstride.wire.state import ComponentState, Endpoint
@@ -37,7 +37,7 @@ class SimulatedSleep:
 
 
 class SimulatedHost:
-    """Implements :class:`midstride.node.host.Host`."""
+    """Implements :class:`midstride.node.component_host.Host`."""
 
     ros_node = None
     node_name = None

@@ -14,9 +14,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
-from midstride.backends.simulator.clock import SimulatedClock
 from midstride.backends.simulator.message_copy import copied
-from midstride.backends.simulator.process import THAW_INTERVAL, SimulatedProcess
+from midstride.backends.simulator.simulated_process import THAW_INTERVAL, SimulatedProcess
+from midstride.backends.simulator.virtual_clock import SimulatedClock
 from midstride.model.contract import QoS
 
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import click
 
 from midstride.backends import ros2
-from midstride.backends.ros2 import probed_page
+from midstride.backends.ros2.manager import probed_page
+from midstride.capture.graph_draft import draft
 from midstride.capture.insertion import insert, nodes_without_ports
 from midstride.capture.observed import ObservedGraph
 from midstride.capture.probe import (
@@ -22,13 +23,12 @@ from midstride.capture.probe import (
     probe,
     probed_inputs,
 )
-from midstride.capture.standalone import draft
-from midstride.cli.files import require_file, require_new, write
+from midstride.cli.input_files import require_file, require_new, write
 from midstride.cli.output import NO, is_interactive, json_option, print_json, stride_output, wants_json
-from midstride.cli.systems import find_workspace, system_option
+from midstride.cli.running_systems import find_workspace, system_option
 from midstride.errors import MidstrideError
 from midstride.foreign.page import GATES_FOLDER, PORTS
-from midstride.lang.files import read_text
+from midstride.lang.source_files import read_text
 from midstride.model.wording import counted
 
 

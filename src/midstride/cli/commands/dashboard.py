@@ -11,15 +11,15 @@ from threading import Thread
 
 import click
 
-from midstride.cli import completion
+from midstride.cli import shell_completion
 from midstride.cli.output import json_option, print_json, wants_json
+from midstride.cli.running_systems import find, system_option
 from midstride.cli.staying import ended_by_signals
-from midstride.cli.systems import find, system_option
 from midstride.runtime.workspace import Workspace
 
 
 @click.command("dashboard")
-@click.argument("named", required=False, metavar="[SYSTEM]", shell_complete=completion.systems)
+@click.argument("named", required=False, metavar="[SYSTEM]", shell_complete=shell_completion.systems)
 @click.option(
     "--port",
     type=click.IntRange(1, 65535),

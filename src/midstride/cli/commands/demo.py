@@ -10,14 +10,14 @@ import click
 
 from midstride import backends
 from midstride.backends import NAMES
-from midstride.cli import completion
+from midstride.cli import shell_completion
 from midstride.cli.demo_runner import run_demo
 from midstride.cli.example import find, matching
 from midstride.cli.output import INTERRUPTED, console, json_option, print_json, wants_json
 
 
 @click.command("demo")
-@click.argument("name", default="talker", shell_complete=completion.examples)
+@click.argument("name", default="talker", shell_complete=shell_completion.examples)
 @click.option(
     "--backend",
     type=click.Choice(NAMES),

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import click
 
-from midstride.cli import completion, graphviz
-from midstride.cli.files import load, read
+from midstride.cli import graphviz, shell_completion
+from midstride.cli.changed_programs import changed_code, code_words
+from midstride.cli.input_files import load, read
 from midstride.cli.output import json_option, print_json, wants_json
-from midstride.cli.programs import changed_code, code_words
-from midstride.cli.systems import find, system_option
+from midstride.cli.running_systems import find, system_option
 from midstride.codec.schema import specification_schema
-from midstride.codec.specification import decode_specification, encode_specification
+from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.generate.drawing import to_dot, to_mermaid
-from midstride.generate.view import view
+from midstride.generate.drawn_system import view
 from midstride.model.wording import counted
 from midstride.plan.impact import impacts
 from midstride.plan.specification_diff import differences
@@ -53,7 +53,7 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
 
 @click.command("impact")
 @click.argument("file", type=_FILE)
-@click.argument("nodes", nargs=-1, metavar="[NODE...]", shell_complete=completion.nodes)
+@click.argument("nodes", nargs=-1, metavar="[NODE...]", shell_complete=shell_completion.nodes)
 @json_option
 def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
     """Show for each node of FILE what degrades, and how far, if it is removed or crashes; worst first.

@@ -12,11 +12,11 @@ from rich.text import Text
 
 from midstride.cli.client import Client, Document
 from midstride.cli.commands.up import backend_option, bring_up, manager_arguments, missing_lines, platform_options
-from midstride.cli.dev.changes import Changes, worst
 from midstride.cli.dev.contents import saves
+from midstride.cli.dev.requested_changes import Changes, worst
 from midstride.cli.dev.session import DevSession
-from midstride.cli.dev.specification import WatchedSpecification
-from midstride.cli.files import require_file
+from midstride.cli.dev.watched_specification import WatchedSpecification
+from midstride.cli.input_files import require_file
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.render import UNKNOWN, seconds, time_of_day
 from midstride.cli.shutdown import shut_down
@@ -93,7 +93,7 @@ class _Screen:
             self.say(f"{what}: not let in, the old code goes on: {because.strip()}", "red")
 
     def faulty(self, error: SpecificationError) -> None:
-        from midstride.cli.errors import report
+        from midstride.cli.error_output import report
 
         report(error, [])
 

@@ -9,7 +9,7 @@ from typing import Final
 
 import click
 
-from midstride.cli.files import require_file, write, written
+from midstride.cli.input_files import require_file, write, written
 from midstride.cli.output import json_option, print_json, wants_json
 from midstride.errors import MidstrideError, SpecificationError
 from midstride.generate.merge import Merged, digest, merge_component, merge_copy, merge_empty, merge_whole

@@ -11,15 +11,15 @@ import click
 
 from midstride import backends
 from midstride.backends.processes import KEPT_OF_LOG, LONGEST_LOG, listens
-from midstride.cli.files import load
-from midstride.runtime.backend import Handle
-from midstride.runtime.descriptors import raise_limit
-from midstride.runtime.launcher import STOP_GRACE
+from midstride.cli.input_files import load
+from midstride.runtime.backend_protocol import Handle
 from midstride.runtime.manager import Manager
 from midstride.runtime.options import SystemOptions
-from midstride.runtime.process import end_orphans, shorten
-from midstride.runtime.reaper import process_info
-from midstride.runtime.state_store import SavedState, StateStore
+from midstride.runtime.process.child_process import end_orphans, shorten
+from midstride.runtime.process.descriptors import raise_limit
+from midstride.runtime.process.launcher import STOP_GRACE
+from midstride.runtime.process.reaper import process_info
+from midstride.runtime.records.state_store import SavedState, StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.server.serve import LOOPBACK, Tcp, serve
 from midstride.wire.environment import ENV_DIAGNOSTICS

@@ -6,19 +6,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from midstride.cli import completion
-from midstride.cli.app import Group
+from midstride.cli import shell_completion
 from midstride.cli.change_options import misread, parse_value
+from midstride.cli.command_list import Group
 from midstride.cli.output import json_option, print_json, wants_json
-from midstride.cli.systems import find, not_running, system_option
+from midstride.cli.running_systems import find, not_running, system_option
 from midstride.errors import CommandRefused, ManagerError, PlanRefused
 from midstride.model.diagnostics import suggestion, unknown_name
 
 if TYPE_CHECKING:
-    from midstride.runtime.status_forms import ComponentStatus, ParameterStatus, Status
+    from midstride.runtime.records.status_forms import ComponentStatus, ParameterStatus, Status
 
-_node = click.argument("node", shell_complete=completion.nodes)
-_name = click.argument("name", shell_complete=completion.parameters)
+_node = click.argument("node", shell_complete=shell_completion.nodes)
+_name = click.argument("name", shell_complete=shell_completion.parameters)
 
 
 @click.group("param", cls=Group)
@@ -31,7 +31,7 @@ def param_command() -> None:
 
 
 @param_command.command("list")
-@click.argument("node", required=False, shell_complete=completion.nodes)
+@click.argument("node", required=False, shell_complete=shell_completion.nodes)
 @system_option
 @json_option
 def list_command(node: str | None, system: str | None) -> int:

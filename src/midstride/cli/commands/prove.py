@@ -7,9 +7,9 @@ from typing import Any
 import click
 
 from midstride.cli.output import console, json_option, print_json, wants_json
+from midstride.verify.alloy_checks import Checked, check_specification, parallel_jobs, tasks
 from midstride.verify.prove import NAMES, Proof, prove, version_of
 from midstride.verify.run import Alloy, find
-from midstride.verify.specification import Checked, check_specification, parallel_jobs, tasks
 
 _STYLES = {"holds": "green", "violated": "red", "unknown": "yellow"}
 

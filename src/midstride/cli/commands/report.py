@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from midstride.cli import records
-from midstride.cli.files import write
+from midstride.cli.input_files import write
 from midstride.cli.output import console, json_option, print_json, wants_json
-from midstride.cli.systems import system_option
+from midstride.cli.running_systems import system_option
 
 
 @click.command("report")

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from midstride.cli import completion
+from midstride.cli import shell_completion
 from midstride.cli.client import Client, Event
 from midstride.cli.follow import last_event_number
 from midstride.cli.output import console, json_option, print_json, wants_json
-from midstride.cli.systems import find, not_running, system_option
+from midstride.cli.running_systems import find, not_running, system_option
 
 if TYPE_CHECKING:
-    from midstride.runtime.status_forms import Status
+    from midstride.runtime.records.status_forms import Status
 
 
 @click.command("status")
-@click.argument("nodes", nargs=-1, metavar="[NODE]...", shell_complete=completion.nodes)
+@click.argument("nodes", nargs=-1, metavar="[NODE]...", shell_complete=shell_completion.nodes)
 @click.option("--verbose", "-v", is_flag=True, help="Also what each port measures, and how each component runs.")
 @system_option
 @json_option
@@ -62,7 +62,7 @@ def _narrowed(status: Status, nodes: Sequence[str]) -> Status:
 
 
 @click.command("why")
-@click.argument("functionality", metavar="NODE.FUNCTIONALITY", shell_complete=completion.functionalities)
+@click.argument("functionality", metavar="NODE.FUNCTIONALITY", shell_complete=shell_completion.functionalities)
 @system_option
 @json_option
 def why_command(functionality: str, system: str | None) -> int:
@@ -166,7 +166,7 @@ def watch_command(since: float | None, all_: bool, system: str | None) -> int:
         begin = last_event_number(client)
     if wants_json():
         return _follow(client, begin)
-    from midstride.cli.view import watch
+    from midstride.cli.live_view import watch
 
     return watch(client, workspace.name, begin)
 

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from midstride.cli.files import load
+from midstride.cli.input_files import load
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.planned_change import planned_change, planned_change_options
 from midstride.codec.form import encode
-from midstride.plan.request_form import decode_request
+from midstride.plan.forms.request_form import decode_request
 
 if TYPE_CHECKING:
     from midstride.simulation.campaign import Summary
-    from midstride.simulation.run import SeedRun
     from midstride.simulation.scenario import Scenario
+    from midstride.simulation.seed_run import SeedRun
 
 
 @click.command("simulate")

@@ -15,15 +15,15 @@ import click
 
 from midstride.backends import NAMES
 from midstride.cli.client import Client, Document
-from midstride.cli.files import load
 from midstride.cli.follow import FollowedRequest
+from midstride.cli.input_files import load
+from midstride.cli.live_view import watch
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.progress import Progress
 from midstride.cli.render import lowered_line
 from midstride.cli.shutdown import wait_for_manager_exit
 from midstride.cli.staying import ended_by_signals, stay
-from midstride.cli.view import watch
-from midstride.codec.specification import encode_specification
+from midstride.codec.specification_form import encode_specification
 from midstride.errors import ManagerBusy, ManagerError
 from midstride.model.specification import Specification
 from midstride.runtime.workspace import Workspace

@@ -10,10 +10,10 @@ from typing import Any, Final
 import click
 
 from midstride.cli import graphviz
-from midstride.cli.files import in_file, load, read_json, write
+from midstride.cli.input_files import in_file, load, read_json, write
 from midstride.cli.output import console, json_option, print_json, wants_json
-from midstride.cli.systems import find, system_option
-from midstride.codec.configuration import decode_configuration
+from midstride.cli.running_systems import find, system_option
+from midstride.codec.configuration_form import decode_configuration
 from midstride.errors import PlanRefused, SpecificationError
 from midstride.verify.checking import AlloyOptions, verify_configuration, verify_plan, verify_specification
 from midstride.verify.diagram import chain_lines, to_dot, to_mermaid

@@ -21,10 +21,10 @@ from msgspec import structs
 
 from midstride.cli.client import Document
 from midstride.cli.dev.contents import Contents, FileContents, remove_compiled
-from midstride.cli.dev.specification import WatchedSpecification
-from midstride.codec.specification import decode_specification, encode_specification
+from midstride.cli.dev.watched_specification import WatchedSpecification
+from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import SpecificationError
-from midstride.runtime.status_forms import ProgramStatus
+from midstride.runtime.records.status_forms import ProgramStatus
 
 # For `_refused`: the specification as a whole. No node has this name.
 _SPECIFICATION: Final = ""

@@ -11,11 +11,11 @@ from msgspec import Meta
 from midstride import __version__
 from midstride.codec.form import Report, encode
 from midstride.errors import MidstrideError
-from midstride.plan.forms import decode_plan
-from midstride.runtime.change_report import ChangeReport
+from midstride.plan.forms.plan_forms import decode_plan
+from midstride.runtime.records.change_report import ChangeReport
 from midstride.server.report.file import report_file
 from midstride.server.report.views import modelled_view
-from midstride.server.view.forms import SystemView
+from midstride.server.view.view_forms import SystemView
 
 # The version of this form. A later one may add fields; what is there keeps its meaning.
 VERSION: Final = 1

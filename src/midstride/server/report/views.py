@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import Evaluator, violations
-from midstride.server.view.components import namespace_of
-from midstride.server.view.endpoints import endpoint_views
-from midstride.server.view.forms import VERSION, ComponentView, FunctionalityView, PortView, SystemView
+from midstride.server.view.component_views import namespace_of
+from midstride.server.view.endpoint_views import endpoint_views
 from midstride.server.view.topics import topic_view
+from midstride.server.view.view_forms import VERSION, ComponentView, FunctionalityView, PortView, SystemView
 
 
 def modelled_view(configuration: Configuration, system: str, backend: str, at: float) -> SystemView:

@@ -18,19 +18,19 @@ from midstride.codec.writing import to_json
 from midstride.model.configuration import Configuration
 from midstride.model.rules import Evaluator, violations
 from midstride.model.specification import initial
-from midstride.runtime.component_client import ComponentEvent
-from midstride.runtime.events import EventLog
-from midstride.runtime.reports import Event
-from midstride.server.lifecycle import Lifecycle
-from midstride.server.view.changes import ChangeTracker
-from midstride.server.view.components import Baseline, EntryShape, component_view, port_views
-from midstride.server.view.faults import crash_views, silence_views
-from midstride.server.view.forms import VERSION, ComponentView, SilenceView, Timeline
-from midstride.server.view.recording import ModeHistory, ViewRecording
-from midstride.server.view.same import rates_as_shown, same_but_figures, same_report, same_values
+from midstride.runtime.process.component_client import ComponentEvent
+from midstride.runtime.records.events import EventLog
+from midstride.runtime.records.reports import Event
+from midstride.server.manager_lifecycle import Lifecycle
+from midstride.server.view.change_views import ChangeTracker
+from midstride.server.view.component_views import Baseline, EntryShape, component_view, port_views
+from midstride.server.view.fault_views import crash_views, silence_views
+from midstride.server.view.noticeable_changes import rates_as_shown, same_but_figures, same_report, same_values
 from midstride.server.view.table import Part, ViewTable, encode_view
 from midstride.server.view.timing import FIGURES, LOOK, SOON, TOGETHER, Alarm, Wakers, figures_interval
 from midstride.server.view.topics import changed_parts, topic_view
+from midstride.server.view.view_forms import VERSION, ComponentView, SilenceView, Timeline
+from midstride.server.view.view_history import ModeHistory, ViewRecording
 from midstride.wire.state import ComponentState
 
 

@@ -8,11 +8,11 @@ from fastapi import APIRouter, Header, Query, Response
 from fastapi.responses import StreamingResponse
 
 from midstride.errors import ManagerError
-from midstride.server.errors import answer
+from midstride.server.error_answers import answer
 from midstride.server.openapi import answers, failures
-from midstride.server.view.forms import SystemView, Timeline
 from midstride.server.view.live import LiveView
-from midstride.server.view.stream import position, view_events
+from midstride.server.view.view_forms import SystemView, Timeline
+from midstride.server.view.view_stream import position, view_events
 
 # The largest time that makes sense: the year 10000.
 _LATEST: Final = 253_402_300_800.0

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from midstride.runtime.clock import Clock
+from midstride.runtime.manager_clock import Clock
 
 # How long after a difference the view is built (s): what changes together is sent together.
 TOGETHER: Final = 0.005

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from midstride.model.configuration import Configuration
 from midstride.model.rules import Evaluator
-from midstride.server.view.forms import TopicView
+from midstride.server.view.view_forms import TopicView
 
 
 def topic_view(configuration: Configuration, evaluator: Evaluator, name: str) -> TopicView:

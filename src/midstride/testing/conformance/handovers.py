@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Any, Final
 
-from midstride.runtime.backend import Backend
+from midstride.runtime.backend_protocol import Backend
 from midstride.testing.conformance import puppets
 from midstride.testing.conformance.lab import CHECKS, Lab, assert_unbroken, check
 

@@ -14,7 +14,7 @@ from typing import Any, Final, TypeAlias
 import msgspec
 
 from midstride.errors import BackendError, CallTimeout, CommandRefused, Unreachable
-from midstride.runtime.backend import Backend, Exited, Handle, Launch
+from midstride.runtime.backend_protocol import Backend, Exited, Handle, Launch
 from midstride.testing.conformance.puppets import Description, command_of, sink
 from midstride.wire.channel import Channel, Report
 from midstride.wire.frames import Greeting, Registration, Reply, Request

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from midstride.codec.component import decode_component
+from midstride.codec.component_form import decode_component
 from midstride.errors import BackendError
 from midstride.testing.conformance import puppets
 from midstride.testing.conformance.lab import TOKEN, Lab, check

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from midstride.runtime.backend import Backend
+from midstride.runtime.backend_protocol import Backend
 from midstride.testing.conformance.lab import CHECKS, Check, Lab, settled
 from midstride.testing.conformance.puppets import STRING, Description
 

@@ -4,7 +4,7 @@
 what is proved, `solvers` z3 and cvc5, `run` the verdicts, and `counterexample` the text of counterexamples.
 """
 
-from midstride.verify.prove.run import GOALS, Proof, Weakened, prove, prove_goal
+from midstride.verify.prove.run_proofs import GOALS, Proof, Weakened, prove, prove_goal
 from midstride.verify.prove.solvers import NAMES, version_of
 
 __all__ = ["GOALS", "NAMES", "Proof", "Weakened", "prove", "prove_goal", "version_of"]

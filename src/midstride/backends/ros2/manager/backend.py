@@ -1,0 +1,266 @@
+"""The manager's side on ROS 2: see :class:`midstride.runtime.backend_protocol.Backend`.
+
+One hidden node in a context of its own, which looks at the graph and needs no thread. Components are processes
+(:mod:`midstride.runtime.process.child_process`), so an exit is known at once.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import sys
+import time
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import rclpy
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.context import Context
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+from midstride.ament_index import executable
+from midstride.backends import processes
+from midstride.backends.common import on_new_thread
+from midstride.backends.processes import ProcessBackend
+from midstride.backends.ros2 import dds_profiles, names
+from midstride.backends.ros2.component.early_join import hidden_node
+from midstride.backends.ros2.manager import launching
+from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes, ros_arguments
+from midstride.backends.ros2.manager.graph import Graph
+from midstride.backends.ros2.manager.node_services import RosNodeServices
+from midstride.errors import BackendError, NodeError, StartFailed, Unreachable
+from midstride.foreign.graph_check import GraphEndpoint
+from midstride.foreign.page import GATES_FOLDER
+from midstride.foreign.relayed_program import differing
+from midstride.model.component import ComponentSpec
+from midstride.model.instance_names import full_name
+from midstride.runtime.backend_protocol import Endpoints, Exited, Handle, Launch
+from midstride.runtime.process.child_process import Process
+from midstride.runtime.process.reaper import Reaper
+from midstride.runtime.records.status_forms import Middleware
+from midstride.runtime.timeouts import within
+from midstride.wire.environment import ENV_SHARED_NAME
+from midstride.wire.state import ComponentState
+
+# A manager that has just joined knows no other node yet: that long it listens before it says that a name is free (s).
+_LISTEN: Final = 0.3
+# How long leaving ROS 2 may take (s).
+_LEAVE: Final = 5.0
+_RELAY: Final = f"{__package__}.relay_program"
+
+log = logging.getLogger(__name__)
+
+
+class Ros2Backend(ProcessBackend):
+    """``middleware_settings``: whether processes get Midstride's transports and discovery (:mod:`..dds_profiles`)."""
+
+    name = "ros2"
+
+    def __init__(
+        self,
+        control: Path,
+        *,
+        logs: Path | None = None,
+        guardian: Reaper | None = None,
+        middleware_settings: bool = True,
+    ) -> None:
+        super().__init__(control, logs, guardian)
+        self._set_middleware = middleware_settings
+        self.settings = dds_profiles.DdsSettings("")
+        self.warnings: list[str] = []
+        self._opened = 0.0
+        self._context: Any = None
+        self._probes = 0
+        self._probe_stuck = False
+        self._foreign_nodes = ForeignNodes(control / GATES_FOLDER, self.transport, self._services_of, self._graph_of)
+
+    async def open(self, on_exit: Callable[[Exited], None]) -> None:
+        self._on_exit = on_exit
+        context = Context()
+        try:
+            self.settings = dds_profiles.of_this_process(enabled=self._set_middleware)
+            with dds_profiles.applied_profile(self.settings) as self.warnings:
+                rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+                self._node = hidden_node(f"_midstride_manager_{os.getpid()}", context)
+        except Exception as error:  # rclpy's own kinds are not public
+            context.try_shutdown()
+            raise BackendError(f"ROS 2 cannot be joined: {error}") from error
+        self._context = context
+        self._opened = time.monotonic()
+        self._graph = Graph(self._node)
+        for words in self.warnings:
+            self._node.get_logger().warning(words)
+
+    async def close(self) -> None:
+        await self._stop_watching()
+        await self._foreign_nodes.close()
+        if self._context is not None:
+            context, self._context = self._context, None
+            await self._leave(context)
+
+    async def _leave(self, context: Any) -> None:
+        """Leave ROS 2 in a separate thread: a middleware that has deadlocked never returns from it."""
+
+        def leave() -> None:
+            self._node.destroy_node()
+            context.try_shutdown()
+
+        try:
+            async with within(_LEAVE):
+                await on_new_thread(leave)
+        except asyncio.TimeoutError:
+            log.error("ROS 2 has not let the manager's node go within %g s; it is left behind", _LEAVE)
+
+    async def start(self, launch: Launch) -> Handle:
+        own_name = full_name(launch.instance, launch.namespace)
+        node = full_name(launch.node or launch.instance, launch.namespace)
+        program, *rest = launch.arguments
+        if launch.package is None:
+            command = processes.command(launch.arguments, launch.directory, os.environ, self._python)
+        else:
+            command = (executable(launch.package, program, os.environ), *rest)
+        graph = self._joined()
+        await asyncio.sleep(max(0.0, self._opened + _LISTEN - time.monotonic()))
+        if (
+            launch.instance in self._processes
+            or await processes.listens(self.transport, launch.instance)
+            or graph.has(own_name)
+            or await self._foreign(node, names.system_tag(launch.token))
+        ):
+            raise StartFailed(f"{launch.instance}: a node {node} is running already; end it, or use another name")
+        graph.starts(own_name)
+        environment = launching.environment(launch, self._control, command[0], self.settings, os.environ)
+        if launch.foreign is None:
+            if node in self._foreign_nodes.names:
+                environment[ENV_SHARED_NAME] = "1"
+            return await self._spawn(launch, own_name, command, environment)
+        if launch.foreign.gate == "relay":
+            return await self._start_relay(launch, launch.foreign, own_name, command, environment)
+        environment, record = await self._foreign_nodes.prepare(launch, launch.foreign, own_name, environment)
+        try:
+            command = (*command, *ros_arguments(launch, launch.foreign, own_name))
+            handle = await self._spawn(launch, own_name, command, environment)
+            await self._foreign_nodes.started(record, handle)
+        except BaseException as error:  # a process without an agent must not keep running
+            await super().end(launch.instance, 0.0)
+            self._foreign_nodes.discard(record)
+            if isinstance(error, NodeError):
+                raise StartFailed(f"{launch.instance}: {error}") from error
+            raise
+        return handle
+
+    async def _start_relay(
+        self, launch: Launch, component: ComponentSpec, node: str, command: Sequence[str], program: Mapping[str, str]
+    ) -> Handle:
+        """``program``: the environment of the program, whose node has the full name ``node``."""
+        simulated = {name: value for name, value in launch.parameters.items() if name == "use_sim_time"}
+        own = replace(launch, parameters=simulated, set_parameters={})  # the others are the program's
+        environment = launching.environment(own, self._control, sys.executable, self.settings, os.environ)
+        different = differing(program, environment)
+        order = self._foreign_nodes.prepare_relay(launch, component, node, command, different)
+        return await self._spawn(own, node, (sys.executable, "-m", _RELAY, str(order)), environment)
+
+    async def adopt(self, handle: Handle) -> bool:
+        runs = await super().adopt(handle)
+        if runs:
+            await self._foreign_nodes.adopt(handle.instance)
+        else:
+            self._foreign_nodes.gone(handle.instance)
+        return runs
+
+    async def end(self, instance: str, grace: float) -> None:
+        if grace:
+            await self._foreign_nodes.finish(instance)
+        await super().end(instance, grace)
+
+    def _services_of(self, node: str) -> RosNodeServices:
+        return RosNodeServices(self._node, node)
+
+    def _graph_of(self, node: str) -> list[GraphEndpoint]:
+        return [] if self._context is None else self._graph.of_process(node)
+
+    def _python(self) -> str:
+        return sys.executable
+
+    def _environment_of_spares(self, token: str) -> dict[str, str]:
+        launch = Launch("", "", (), token, Path("/"))
+        return launching.environment(launch, self._control, sys.executable, self.settings, os.environ)
+
+    async def _foreign(self, node: str, system: str) -> bool:
+        """Whether a node of that name is in the graph that is no instance of the system."""
+        for found in self._joined().of_name(node):
+            if found is None and self._foreign_nodes.runs(node):
+                continue  # of the system, and without Midstride's API
+            if found is None or found.node != node or found.system not in ("", system):
+                return True
+            if not found.system and not await processes.listens(self.transport, found.instance.strip("/")):
+                return True
+        return False
+
+    def _exited(self, instance: str, status: int | None, process: Process) -> None:
+        self._foreign_nodes.gone(instance)
+        self._forget_node(instance)
+        self._on_exit(Exited(instance, status, process.last_words()))
+
+    async def _died(self, instance: str) -> None:
+        self._foreign_nodes.gone(instance)
+        self._forget_node(instance)
+
+    def _forget_node(self, instance: str) -> None:
+        if self._context is not None:
+            self._graph.died(full_name(instance))
+
+    def disconnected(self, instance: str) -> None:
+        if self._context is not None:
+            self._graph.forget(full_name(instance))
+
+    def reported(self, state: ComponentState) -> None:
+        self._foreign_nodes.note(state)
+
+    def unwritten(self) -> str | None:
+        return self._foreign_nodes.unwritten()
+
+    def middleware(self) -> Middleware:
+        return self.settings.described(os.environ, self.warnings)
+
+    async def endpoints(self) -> Endpoints:
+        return self._joined().endpoints()
+
+    @asynccontextmanager
+    async def probe(self) -> AsyncIterator[str | None]:
+        """In separate threads: a middleware that has deadlocked returns from neither."""
+        if self._probe_stuck:
+            yield None
+            return
+        self._probes += 1
+        topic = f"/_midstride/probe_{os.getpid()}_{self._probes}"
+        node, qos = self._node, QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        publisher = await self._in_time(lambda: node.create_publisher(ParameterEvent, topic, qos))
+        try:
+            yield None if publisher is None else topic
+        finally:
+            if publisher is not None and self._context is not None:
+                await self._in_time(lambda: node.destroy_publisher(publisher))
+
+    async def _in_time(self, work: Callable[[], Any]) -> Any:
+        """What ``work`` returns; None, and no more probes, where the middleware does not return."""
+        try:
+            async with within(_LEAVE):
+                return await on_new_thread(work)
+        except asyncio.TimeoutError:
+            self._probe_stuck = True
+            log.error("the middleware of the manager does not return: it may have stopped discovering")
+            return None
+
+    async def lingering_readers(self, topic: str) -> int:
+        return self._joined().lingering_readers(topic)
+
+    def _joined(self) -> Graph:
+        if self._context is None:
+            raise Unreachable("the back end is not open")
+        return self._graph

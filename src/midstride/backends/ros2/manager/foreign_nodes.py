@@ -1,0 +1,241 @@
+"""Nodes that do not use Midstride's API: how they are started behind their gates, and the agents in their place."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import os
+import time
+import uuid
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace as replaced
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from msgspec.structs import replace
+
+from midstride.backends.naming import topics_of
+from midstride.codec.component_form import NamedComponentForm
+from midstride.errors import BackendError, CommandRefused
+from midstride.foreign import build
+from midstride.foreign.gated_agent import ForeignAgent
+from midstride.foreign.gates import Gates
+from midstride.foreign.graph_check import GraphEndpoint
+from midstride.foreign.lifecycle_cuts import LifecyclePeers
+from midstride.foreign.mode_parameters import typed
+from midstride.foreign.page import PAGE, Page
+from midstride.foreign.record import ForeignRecord
+from midstride.foreign.relayed_program import RelayOrder, order_file, private_topics
+from midstride.foreign.reported_clock import ReportedClock
+from midstride.foreign.reported_writes import ReportedWrites
+from midstride.foreign.services import NodeServices
+from midstride.model.component import ComponentSpec
+from midstride.model.instance_names import split_name
+from midstride.runtime.backend_protocol import Handle, Launch
+from midstride.wire.state import ComponentState
+from midstride.wire.transport import Transport
+
+ENV_PAGE: Final = "MIDSTRIDE_GATE_PAGE"
+ENV_NODE: Final = "MIDSTRIDE_GATE_NODE"
+
+log = logging.getLogger(__name__)
+
+
+class ForeignNodes:
+    """Those of one system. Their page and records are in ``folder``; their agents listen on ``transport``.
+
+    ``services(node)``: what a node, by its full name, can be asked; ``graph(node)``: what the graph shows of it.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        transport: Transport,
+        services: Callable[[str], NodeServices | None],
+        graph: Callable[[str], Sequence[GraphEndpoint]] | None = None,
+    ) -> None:
+        self._folder = folder
+        self._transport = transport
+        self._services = services
+        self._graph = graph
+        self._peers = LifecyclePeers()
+        self._reported = ReportedWrites()
+        self._clock = ReportedClock()
+        self._page: Page | None = None
+        self._agents: dict[str, ForeignAgent] = {}
+        self._relayed: dict[str, str] = {}  # by instance that has a relay, the full name of its program's node
+        self.names: set[str] = set()  # the full names of their ROS nodes, also of those that have ended
+        self._closing: set[asyncio.Task[None]] = set()
+
+    async def prepare(
+        self, launch: Launch, component: ComponentSpec, node: str, environment: Mapping[str, str]
+    ) -> tuple[dict[str, str], ForeignRecord]:
+        """The environment of the process, and its record, still without the process. Raises StartFailed, BackendError.
+
+        ``node`` is the full name of its ROS node.
+        """
+        await asyncio.gather(*self._closing)  # the name may be that of one that has just ended
+        topics, index, variables = topics_of(component, node, launch.topics), None, dict(environment)
+        self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if component.preloads:
+            page, library = await self._opened(environment)
+            index = page.allocate(launch.instance)
+            Gates(page, index, component).prepare(topics)
+            preloaded = environment.get("LD_PRELOAD", "")
+            variables["LD_PRELOAD"] = f"{library}:{preloaded}" if preloaded else str(library)
+            variables |= {ENV_PAGE: str(page.path.absolute()), ENV_NODE: str(index)}
+        record = ForeignRecord(
+            instance=launch.instance,
+            node=node,
+            token=launch.token,
+            uuid=uuid.uuid4().hex,
+            pid=0,
+            started=time.time_ns(),
+            declaration=NamedComponentForm.of(component),
+            index=index,
+            topics=topics,
+            modes={functionality.name: functionality.modes[-1].name for functionality in component},
+            outputs=[port for port in component.outputs if port in launch.topics],
+            stated=launch.parameters,
+            taken_over=launch.set_parameters,
+        )
+        return variables, record
+
+    def prepare_relay(
+        self,
+        launch: Launch,
+        component: ComponentSpec,
+        node: str,
+        command: Sequence[str],
+        environment: Mapping[str, str | None],
+    ) -> Path:
+        """The file of the order of a relay; the arguments are those of :class:`RelayOrder`. Raises BackendError."""
+        topics = topics_of(component, node, launch.topics) | private_topics(component, launch.instance)
+        order = RelayOrder(
+            command=[*command, *ros_arguments(replaced(launch, topics=topics), component, node)],
+            node=node,
+            declaration=NamedComponentForm.of(component),
+            topics=topics,
+            environment=dict(environment),
+            real={port: topic for port, topic in launch.topics.items() if component.has_output(port)},
+            stated=dict(launch.parameters),
+        )
+        path = order_file(self._folder, launch.instance)
+        order.write(path)
+        self._relays(launch.instance, node)
+        return path
+
+    def _relays(self, instance: str, node: str) -> None:
+        self._relayed[instance] = node
+        self.names.add(node)
+
+    async def _opened(self, environment: Mapping[str, str]) -> tuple[Page, Path]:
+        library = await asyncio.to_thread(build.library, environment)
+        if self._page is None:
+            path = self._folder / PAGE
+            if not any(self._folder.glob("*.json")):
+                path.unlink(missing_ok=True)  # nothing uses it, and an earlier version may have made it
+            self._page = Page(path, library)
+        return self._page, library
+
+    def note(self, state: ComponentState) -> None:
+        """A component has reported this."""
+        self._reported.note(state)
+        if state.instance not in self._agents:  # else what it says of `/clock` comes from here
+            self._clock.note(state)
+
+    def runs(self, node: str) -> bool:
+        """Whether a process without Midstride's API has the ROS node of this full name."""
+        return node in self._relayed.values() or any(a.node.record.node == node for a in self._agents.values())
+
+    def unwritten(self) -> str | None:
+        """Why the record of one of them could not be written."""
+        return next((why for agent in self._agents.values() if (why := agent.node.unwritten) is not None), None)
+
+    def discard(self, record: ForeignRecord) -> None:
+        """The process could not be started, or has ended."""
+        if record.index is not None and self._page is not None:
+            self._page.free(record.index)
+
+    async def started(self, record: ForeignRecord, handle: Handle) -> None:
+        """Have an agent answer for the process. Raises BackendError, NodeError."""
+        record = replace(record, pid=handle.pid or 0)
+        record.write(self._folder)
+        await self._answer(record)
+
+    async def adopt(self, instance: str) -> None:
+        """The process of an earlier manager runs: answer for it, if it has no agent inside it. Raises BackendError."""
+        record = ForeignRecord.read(self._folder, instance)
+        if record is not None and instance not in self._agents:
+            if record.index is not None:
+                await self._opened(os.environ)
+            await self._answer(record)
+        with suppress(BackendError):
+            self._relays(instance, RelayOrder.read(order_file(self._folder, instance)).node)
+
+    async def _answer(self, record: ForeignRecord) -> None:
+        gates = None
+        if record.index is not None and self._page is not None:
+            gates = Gates(self._page, record.index, record.declaration.declared())
+        self.names.add(record.node)
+        services = self._services(record.node)
+        graph = None if self._graph is None else partial(self._graph, record.node)
+        agent = ForeignAgent(record, self._folder, gates, services, self._peers, graph, self._reported, self._clock)
+        self._agents[record.instance] = agent
+        await agent.open(self._transport)
+
+    async def finish(self, instance: str) -> None:
+        """Before its process is ended: the last transitions of a lifecycle node, which may fail."""
+        agent = self._agents.get(instance)
+        if agent is not None and agent.lifecycle is not None and agent.lifecycle.lifecycle.responsive:
+            try:
+                await agent.lifecycle.finish()
+            except CommandRefused as error:
+                log.warning("%s; its process is ended all the same", error)
+
+    def gone(self, instance: str) -> None:
+        """Its process has ended."""
+        self._peers.nodes.pop(instance, None)
+        if self._relayed.pop(instance, None) is not None:
+            order_file(self._folder, instance).unlink(missing_ok=True)
+        if (agent := self._agents.pop(instance, None)) is not None:
+            record = agent.node.record
+            closing = asyncio.get_running_loop().create_task(agent.close())
+            self._closing.add(closing)
+            closing.add_done_callback(self._closing.discard)
+        else:
+            with suppress(BackendError):
+                if (found := ForeignRecord.read(self._folder, instance)) is None:
+                    return
+                record = found
+        record.delete(self._folder)
+        self.discard(record)
+
+    async def close(self) -> None:
+        """The nodes go on without their agents."""
+        agents, self._agents = list(self._agents.values()), {}
+        await asyncio.gather(*(agent.close() for agent in agents), *self._closing)
+
+
+def ros_arguments(launch: Launch, component: ComponentSpec, node: str) -> list[str]:
+    """What follows the command: the node's name, the topics of its ports, and its parameters."""
+    name, namespace = split_name(node)
+    remaps = [f"__node:={name}", f"__ns:={namespace}"]
+    remaps += [
+        f"{component.topic_of(port)}:={topic}"
+        for port, topic in launch.topics.items()
+        if component.topic_of(port) != topic
+    ]
+    values = typed(component, {**launch.parameters, **launch.set_parameters}, {})
+    arguments = [part for remap in remaps for part in ("-r", remap)]
+    arguments += [part for key, value in values.items() for part in ("-p", f"{key}:={_in_yaml(value)}")]
+    return ["--ros-args", *arguments]
+
+
+def _in_yaml(value: object) -> str:
+    """``value`` as rcl reads it: JSON, but for its escapes of characters beyond U+FFFF, which are no YAML."""
+    text = json.dumps(value, ensure_ascii=False)
+    return "".join(each if each.isascii() and each.isprintable() else f"\\U{ord(each):08x}" for each in text)

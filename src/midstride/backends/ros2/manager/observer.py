@@ -1,0 +1,116 @@
+"""Looks at a live ROS 2 graph: its endpoints, and the times of messages on its topics, of any type."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection
+from dataclasses import replace
+from typing import Any, Final
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from midstride.backends.common_messages import message_class
+from midstride.backends.ros2.component.port_endpoints import for_rclpy, qos_of, read_info, seconds_of
+from midstride.capture.observed import ObservedEndpoint, ObservedGraph
+from midstride.errors import NodeError
+from midstride.model.instance_names import full_name
+
+# How often the graph is read (s): nodes and topics appear one after another.
+EVERY: Final = 0.5
+# How long nodes that are expected may take to appear (s).
+PATIENCE: Final = 10.0
+_DEPTH: Final = 1000
+_NODE: Final = "_midstride_capture"
+
+
+def observe(
+    seconds: float,
+    nodes: Collection[str] = (),
+    done: Callable[[ObservedGraph], bool] = lambda graph: False,
+) -> ObservedGraph:
+    """What the graph shows within ``seconds``, or until ``done`` holds. It is read by a hidden node.
+
+    The time counts from when each of ``nodes`` (full names) has been seen, or PATIENCE later.
+    """
+    context = Context()
+    rclpy.init(context=context)
+    node = Node(_NODE, context=context, start_parameter_services=False, enable_rosout=False)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    graph = ObservedGraph()
+    subscribed: set[str] = set()
+    begun = start = looked = time.monotonic()
+    missing = set(nodes)
+    try:
+        while (now := time.monotonic()) - start < seconds and not done(graph):
+            missing.difference_update(graph.nodes() if missing else ())
+            if missing and now - begun < PATIENCE:
+                start = now
+            if now >= looked:
+                looked = now + EVERY
+                _look(node, graph, subscribed)
+                graph.seconds = now - start
+            executor.spin_once(timeout_sec=0.05)
+        _look(node, graph, subscribed)
+        graph.seconds = time.monotonic() - start
+        return graph
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def _look(node: Any, graph: ObservedGraph, subscribed: set[str]) -> None:
+    for topic, _ in node.get_topic_names_and_types():
+        publishers = [_endpoint(info, topic, True) for info in node.get_publishers_info_by_topic(topic)]
+        graph.saw(publishers)
+        graph.saw(_endpoint(info, topic, False) for info in node.get_subscriptions_info_by_topic(topic))
+        wanted = [each for each in publishers if not each.is_infrastructure]
+        if wanted and topic not in subscribed:
+            subscribed.add(topic)
+            _subscribe(node, graph, wanted)
+
+
+def _subscribe(node: Any, graph: ObservedGraph, publishers: list[ObservedEndpoint]) -> None:
+    topic, type_ = publishers[0].topic, publishers[0].type
+    try:
+        message_type = message_class(type_)
+    except NodeError:
+        graph.unreadable.add(type_)
+        return
+
+    def heard(_: bytes, info: Any) -> None:
+        known = read_info(info)
+        written = known.source / 1e9 if known.source else time.monotonic()
+        graph.heard(topic, None if known.publisher is None else _identity(known.publisher), written)
+
+    reliable = all(each.qos.is_reliable for each in publishers)
+    profile = QoSProfile(
+        depth=_DEPTH,
+        history=HistoryPolicy.KEEP_LAST,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.VOLATILE,
+    )
+    node.create_subscription(message_type, topic, for_rclpy(heard), profile, raw=True)
+
+
+def _identity(hexadecimal: str) -> str:
+    """Identities have 16 bytes, which rcl pads in some places."""
+    return hexadecimal[:32]
+
+
+def _endpoint(info: Any, topic: str, output: bool) -> ObservedEndpoint:
+    profile = info.qos_profile
+    return ObservedEndpoint(
+        node=full_name(info.node_name, info.node_namespace),
+        topic=topic,
+        type=info.topic_type,
+        output=output,
+        # The depth and the history of an endpoint are its own business, and discovery does not tell them.
+        qos=replace(qos_of(profile), lifespan=seconds_of(profile.lifespan)),
+        identity=_identity(bytes(info.endpoint_gid).hex()),
+    )

@@ -1,0 +1,108 @@
+"""Faults that a test, or a rehearsal, injects into the simulated platform."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+from midstride.backends.simulator.network import Network
+from midstride.backends.simulator.simulated_process import SimulatedProcess
+from midstride.errors import BackendError
+
+RequestFault: TypeAlias = Literal[
+    "lost_request",
+    "lost_reply",
+    "refused",
+    "unreachable",
+    "delayed_request",
+    "delayed_reply",
+    "repeated_request",
+    "repeated_reply",
+]
+
+
+@dataclass(slots=True)
+class FailingCall:
+    """The next ``times`` calls of ``op`` (any, where None) at ``instance`` fail in this way, after ``after`` more.
+
+    ``seconds``: by how much a request or a reply is delayed. Those after it overtake it.
+    """
+
+    instance: str
+    op: str | None
+    how: RequestFault
+    times: int
+    after: int
+    seconds: float
+
+
+class Faults:
+    """Injects faults. Every method that names an instance raises BackendError where no such component runs."""
+
+    def __init__(self, processes: Mapping[str, SimulatedProcess], network: Network) -> None:
+        self._processes = processes
+        self._network = network
+        self._failing: list[FailingCall] = []
+
+    def kill(self, instance: str) -> None:
+        """As kill -9, at once."""
+        self._process(instance).kill()
+
+    def freeze(self, instance: str, seconds: float) -> None:
+        """As SIGSTOP, and SIGCONT after ``seconds``: nothing in it runs, and nothing sent to it is lost."""
+        self._process(instance).freeze(seconds)
+
+    def hang(self, instance: str, seconds: float) -> None:
+        """As a call of its code that returns after ``seconds``; its control thread answers meanwhile."""
+        self._process(instance).hang(seconds)
+
+    def stop_discovery(self, instance: str) -> None:
+        """As a deadlock of its middleware: its inputs receive nothing from publishers created from now on.
+
+        These publishers count it as matched all the same, and what it publishes is received.
+        """
+        self._network.undiscovering[self._process(instance)] = self._network.clock.steady()
+
+    def drop(self, topic: str, count: int) -> None:
+        """The next ``count`` messages on ``topic`` are lost."""
+        self._network.topic(topic).dropping = count
+
+    def delay(self, topic: str, seconds: float) -> None:
+        """Messages on ``topic`` take so much longer from now on."""
+        self._network.topic(topic).delay = seconds
+
+    def fail_next(
+        self,
+        instance: str,
+        op: str | None = None,
+        how: RequestFault = "lost_request",
+        times: int = 1,
+        after: int = 0,
+        seconds: float = 0.0,
+    ) -> None:
+        """The next call of ``op`` at ``instance`` fails; ``lost_reply``: it is carried out, but its reply is lost."""
+        self._failing.append(FailingCall(instance, op, how, times, after, seconds))
+
+    def clear(self) -> None:
+        """No request fails any more."""
+        self._failing.clear()
+
+    def take_fault(self, instance: str, op: str) -> FailingCall | None:
+        """What is to happen to this request; counts it."""
+        for fault in self._failing:
+            if fault.instance == instance and fault.op in (None, op):
+                if fault.after:
+                    fault.after -= 1
+                    continue
+                fault.times -= 1
+                if not fault.times:
+                    self._failing.remove(fault)
+                return fault
+        return None
+
+    def _process(self, instance: str) -> SimulatedProcess:
+        process = self._processes.get(instance)
+        if process is None:
+            raise BackendError(f"no component {instance} runs; running are: {', '.join(self._processes) or 'none'}")
+        return process

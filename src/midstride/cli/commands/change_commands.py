@@ -1,0 +1,293 @@
+"""``replace``, ``restart``, ``add``, ``remove``, ``apply``: change the running system, with the plan shown first."""
+
+from __future__ import annotations
+
+import getpass
+import os
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from midstride.cli import change_options, shell_completion
+from midstride.cli.client import Client, Document
+from midstride.cli.output import console, is_interactive, json_option, print_json, wants_json
+from midstride.cli.running_systems import find, system_option
+from midstride.errors import PlanRefused
+
+if TYPE_CHECKING:  # completion must not wait for it
+    from midstride.model.component import ComponentSpec
+
+
+@dataclass(frozen=True, slots=True)
+class RequestOptions:
+    """What all commands that change the running system have in common."""
+
+    system: str | None
+    strategy: str
+    detours: bool
+    wait: float
+    verify: bool
+    yes: bool
+
+
+def request_options(function: Any) -> Any:
+    """Calls ``function`` with :class:`RequestOptions` as its argument ``options``."""
+
+    @wraps(function)
+    def with_options(
+        system: str | None, strategy: str, detours: bool, wait: float, verify: bool, yes: bool, **arguments: Any
+    ) -> int:
+        return int(function(options=RequestOptions(system, strategy, detours, wait, verify, yes), **arguments))
+
+    yes = click.option("--yes", "-y", is_flag=True, help="Do not ask for confirmation.")
+    summary = "Verify the plan with Alloy before it starts, and the running system after each step."
+    verify = click.option("--verify", is_flag=True, help=summary)
+    decorated = change_options.strategy_options(change_options.wait_option(verify(yes(with_options))))
+    return json_option(system_option(decorated))
+
+
+def _components_option(function: Any) -> Any:
+    return click.option(
+        "--from",
+        "file",
+        type=click.Path(path_type=Path),
+        metavar="FILE",
+        help="Another specification to take COMPONENT from.",
+    )(function)
+
+
+@click.command("replace")
+@click.argument("node", shell_complete=shell_completion.nodes)
+@click.argument("component", shell_complete=shell_completion.components)
+@_components_option
+@change_options.declared_parameters_option
+@request_options
+def replace_command(
+    node: str,
+    component: str,
+    file: Path | None,
+    declared_parameters: bool,
+    options: RequestOptions,
+) -> int:
+    """Replace the component of NODE with COMPONENT, on the same topics."""
+    request = {
+        "replace": [[node, component]],
+        "components": _encoded(_component_of(file, component)),
+        "declared_parameters": declared_parameters,
+    }
+    return change(options, request, f"replace {node} with {component}")
+
+
+@click.command("restart")
+@click.argument("nodes", nargs=-1, required=True, metavar="NODE...", shell_complete=shell_completion.nodes)
+@change_options.declared_parameters_option
+@request_options
+def restart_command(
+    nodes: tuple[str, ...],
+    declared_parameters: bool,
+    options: RequestOptions,
+) -> int:
+    """Start nodes again, with what their programs are now: each is handed over to a new instance, without a gap."""
+    request = {"restart": list(nodes), "declared_parameters": declared_parameters}
+    return change(options, request, f"restart {', '.join(nodes)}")
+
+
+@click.command("add")
+@click.argument("node")
+@click.argument("component", shell_complete=shell_completion.components)
+@click.argument("attachments", nargs=-1, metavar="[PORT=TOPIC]...", shell_complete=shell_completion.attachments)
+@click.option(
+    "--param",
+    "parameters",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Set a parameter of the node (repeatable); VALUE is read as by `midstride param set`.",
+)
+@_components_option
+@request_options
+def add_command(
+    node: str,
+    component: str,
+    attachments: tuple[str, ...],
+    parameters: tuple[str, ...],
+    file: Path | None,
+    options: RequestOptions,
+) -> int:
+    """Add NODE, with COMPONENT, and attach its ports to topics.
+
+    The VALUE of a parameter is read as YAML, as by `midstride param set`: 0.5, [1, 2], true, '"on"'.
+    """
+    new = change_options.new_node(node, component, attachments, parameters)
+    declared = _component_of(file, component)
+
+    def request(client: Client) -> Document:
+        if parameters:
+            from midstride.codec.specification_form import decode_specification
+
+            known = declared or decode_specification(client.get("/specification")).components.get(component)
+            _check_values(parameters, known)
+        return {"add": [new], "components": _encoded(declared)}
+
+    return change(options, request, f"add {node} ({component})")
+
+
+def _check_values(parameters: tuple[str, ...], component: ComponentSpec | None) -> None:
+    """Raises PlanRefused, with what to write, for a value that YAML reads as another type than is declared."""
+    declared = {} if component is None else {name: each.value for name, each in component.parameters.items()}
+    for name, text in map(change_options.parse_parameter, parameters):
+        if (hint := change_options.misread(name, text, declared)) is not None:
+            raise PlanRefused(f"--param {name}: {hint}")
+
+
+@click.command("remove")
+@click.argument("nodes", nargs=-1, required=True, metavar="NODE...", shell_complete=shell_completion.nodes)
+@request_options
+def remove_command(
+    nodes: tuple[str, ...],
+    options: RequestOptions,
+) -> int:
+    """Remove nodes. The functionalities that rely on them degrade only as far as they must."""
+    return change(options, {"remove": list(nodes)}, f"remove {', '.join(nodes)}")
+
+
+@click.command("apply")
+@click.argument("new", type=click.Path(path_type=Path))
+@click.option("--keep-code", is_flag=True, help="Do not replace nodes only because their code has changed on disk.")
+@change_options.declared_parameters_option
+@request_options
+def apply_command(
+    new: Path,
+    keep_code: bool,
+    declared_parameters: bool,
+    options: RequestOptions,
+) -> int:
+    """Change the running system to the specification NEW, and to the code that its programs have now."""
+    from midstride.cli.changed_programs import changed_code, code_words
+    from midstride.cli.input_files import load
+    from midstride.codec.specification_form import decode_specification, encode_specification
+    from midstride.plan.specification_diff import renamed_components
+
+    target = load(new)
+
+    def request(client: Client) -> Document:
+        changed = {} if keep_code else changed_code(client, target.nodes)
+        running = decode_specification(client.get("/specification"))
+        if target.name != running.name:
+            raise PlanRefused(
+                f"{new} is the specification of another system, {target.name}, and {running.name} is running: "
+                f"`midstride up {new}` starts it beside this one"
+            )
+        out = console(stderr=wants_json())
+        for before, after in renamed_components(running.components, target.components):
+            out.print(f"component {before} is renamed {after}, and its nodes go on", markup=False)
+        for node, files in sorted(changed.items()):
+            out.print(f"{node}: {code_words(files)}", markup=False)
+        return {
+            "to": encode_specification(target),
+            "restart": sorted(changed),
+            "declared_parameters": declared_parameters,
+        }
+
+    return change(options, request, f"apply {new.name}", file=str(new.resolve()))
+
+
+def _component_of(file: Path | None, name: str) -> ComponentSpec | None:
+    """The component ``name`` of ``file``, if it has one; the rest of the file does not concern the request."""
+    if file is None:
+        return None
+    from midstride.cli.input_files import load
+
+    return load(file).components.get(name)
+
+
+def _encoded(component: ComponentSpec | None) -> list[Document]:
+    from midstride.codec.component_form import encode_component
+
+    return [] if component is None else [encode_component(component)]
+
+
+def change(
+    options: RequestOptions,
+    asked: Document | Callable[[Client], Document],
+    title: str,
+    dry_run: bool = False,
+    file: str | None = None,
+) -> int:
+    """Show the plan, ask for confirmation, make the change and report it. The exit status.
+
+    ``asked``: the request without the strategy, or what makes it with the help of the system's manager. ``dry_run``:
+    only show the plan. ``file``: the one that is applied.
+    """
+    if not (options.yes or dry_run or is_interactive()):
+        raise click.UsageError("not a terminal; pass --yes")
+    client, _ = find(options.system)
+    request = asked(client) if callable(asked) else asked
+    request = {**request, "strategy": options.strategy, "detours": options.detours}
+    expected = None
+    if dry_run or not options.yes:
+        from midstride.cli import render
+
+        preview = client.post("/plan", request)
+        if dry_run and wants_json():
+            print_json(preview)
+            return 0
+        console(stderr=wants_json()).print(render.plan(preview, title))
+        if dry_run:
+            return 0
+        if preview["steps"] and not click.confirm("Proceed?", err=True):
+            click.echo("Nothing was changed.", err=True)
+            return 1
+        expected = preview["revision"]
+    document = {"request": request, "expected": expected, "verify": options.verify, "wait": options.wait, "file": file}
+    document["by"] = asked_by(title)
+    try:
+        outcome = _carry_out(client, document, title, show_plan=options.yes)
+    except (KeyboardInterrupt, BrokenPipeError, SystemExit):  # rich exits where the reader of its output has gone
+        click.echo("\nThe manager continues with the change; `midstride log` shows how it ends.", err=True)
+        raise
+    if wants_json():
+        print_json(outcome)
+    unexpected = outcome["silences"] or any(not each["planned"] for each in outcome["lowered"])
+    return 0 if outcome["outcome"] == "done" and not unexpected else 1
+
+
+def asked_by(title: str) -> str:
+    """The user, and what was asked for, for the history."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a user without a name
+        user = f"user {os.getuid()}"
+    return f"{user}: {title}"[:200]
+
+
+def _carry_out(client: Client, change: Document, title: str, *, show_plan: bool) -> Document:
+    """Ask the manager for the change and show its progress. The outcome."""
+    from midstride.cli.follow import FollowedRequest, last_event_number
+
+    if wants_json():
+        return dict(client.post("/change", change))
+    from midstride.cli import render
+    from midstride.cli.progress import Progress
+
+    id = uuid.uuid4().hex
+    followed = FollowedRequest(
+        client,
+        lambda: dict(client.post("/change", {**change, "id": id})),
+        since=last_event_number(client),
+        until="outcome",
+        id=id,
+    )
+    out = console()
+    with Progress(out) as progress:
+        for event in followed:
+            if event["kind"] == "plan" and show_plan:
+                out.print(render.plan(event["plan"], title))
+            progress.show(event)
+    outcome = followed.answer()
+    out.print(render.outcome(outcome))
+    return outcome

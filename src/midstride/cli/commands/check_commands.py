@@ -1,0 +1,96 @@
+"""``check``, ``fmt`` and ``explain``: the language at design time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from midstride.cli import shell_completion
+from midstride.cli.input_files import require_file, write_whole
+from midstride.cli.output import json_option, print_json, wants_json
+from midstride.lang import format_text, load, render
+from midstride.lang.catalogue import CATALOGUE, explain
+from midstride.lang.diagnostic_text import Diagnostic
+from midstride.lang.message_types import installed
+from midstride.lang.source_files import Unreadable, read_text
+
+
+@click.command("check")
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
+@click.option("--strict", is_flag=True, help="Treat warnings as errors.")
+@click.option("--no-types", is_flag=True, help="Do not check message types and fields against the installed packages.")
+@json_option
+def check_command(files: tuple[Path, ...], strict: bool, no_types: bool) -> int:
+    """Check specifications: syntax, names, contracts, and whether every functionality can work.
+
+    Every independent error is reported once, at its place; `midstride explain CODE` explains it.
+    """
+    messages = None if no_types else installed()
+    found: list[Diagnostic] = []
+    for file in files:
+        require_file(file)
+        found += load(file, messages=messages).diagnostics
+    found = list({str(diagnostic): diagnostic for diagnostic in found}.values())  # files may share an include
+    bad = any(strict or diagnostic.severity == "error" for diagnostic in found)
+    if wants_json():
+        print_json({"ok": not bad, "diagnostics": [diagnostic.to_json() for diagnostic in found]})
+    elif found:
+        click.echo(render(found))
+    else:
+        click.echo(f"{', '.join(map(str, files))}: no problems found")
+    return int(bad)
+
+
+@click.command("fmt")
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
+@click.option("--check", is_flag=True, help="Change nothing; exit status 1 if a file is not formatted.")
+@json_option
+def fmt_command(files: tuple[Path, ...], check: bool) -> int:
+    """Format Stride files, in place. Comments and order are kept."""
+    changed: list[Path] = []
+    found: list[Diagnostic] = []
+    for file in files:
+        if file.suffix == ".json":
+            raise click.UsageError(f"{file} is JSON; fmt is for files in the Stride language")
+        require_file(file)
+        try:
+            text = read_text(file)
+        except Unreadable as error:
+            message = f"cannot read `{file}`: {error}"
+            found.append(Diagnostic(error.code, message, help=error.help, file=str(file)))
+            continue
+        formatted = format_text(text, str(file))
+        found += formatted.diagnostics
+        if formatted.text is not None and formatted.text.encode() != file.read_bytes():
+            changed.append(file)
+            if not check:
+                write_whole(file, formatted.text)
+    bad = bool(found) or (check and bool(changed))
+    if wants_json():
+        diagnostics = [diagnostic.to_json() for diagnostic in found]
+        print_json({"ok": not bad, "changed": [str(file) for file in changed], "diagnostics": diagnostics})
+        return int(bad)
+    if found:
+        click.echo(render(found))
+    for file in changed:
+        click.echo(f"{file}: {'not formatted' if check else 'formatted'}")
+    return int(bad)
+
+
+@click.command("explain")
+@click.argument("code", shell_complete=shell_completion.codes)
+@json_option
+def explain_command(code: str) -> int:
+    """Explain the CODE of a diagnostic, with an example: `midstride explain E012`."""
+    try:
+        text = explain(code)
+    except KeyError as error:
+        raise click.UsageError(str(error.args[0])) from None
+    if wants_json():
+        entry = CATALOGUE[code.upper()]
+        explanation = " ".join(entry.explanation.split())
+        print_json({"code": entry.code, "severity": entry.severity, "title": entry.title, "explanation": explanation})
+    else:
+        click.echo(text)
+    return 0

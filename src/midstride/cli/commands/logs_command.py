@@ -1,0 +1,103 @@
+"""``logs``: what a node's component has written."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import click
+
+from midstride.cli import shell_completion
+from midstride.cli.client import Client
+from midstride.cli.component_logs import Appended, known_nodes, last_lines, log_files
+from midstride.cli.output import json_option, print_json, wants_json
+from midstride.cli.running_systems import find_records, system_option
+from midstride.errors import ManagerError, MidstrideError
+from midstride.model.diagnostics import suggestion
+from midstride.runtime.workspace import Workspace
+
+if TYPE_CHECKING:
+    from midstride.runtime.records.status_forms import Status
+
+# How often followed files are read, and how often the manager is asked for new instances (s).
+POLL: Final = 0.1
+LOOK: Final = 0.5
+
+
+@click.command("logs")
+@click.argument("node", shell_complete=shell_completion.nodes)
+@click.option(
+    "--follow", "-f", is_flag=True, help="Continue with what is written, also by a replacement; Ctrl-C ends it."
+)
+@click.option(
+    "--lines",
+    "-n",
+    type=click.IntRange(0),
+    metavar="N",
+    help="Begin with the last N lines of each log.  [default: all, or 10 with --follow]",
+)
+@system_option
+@json_option
+def logs_command(node: str, follow: bool, lines: int | None, system: str | None) -> int:
+    """Print the log of NODE, a node or one of its instances; after a crash, that of the crashed instance, too.
+
+    With --json: a JSON document on each line, with the instance and what it has written.
+    """
+    workspace = find_records(system)
+    client = Client(workspace.socket)
+    status = _status(client)
+    paths = log_files(workspace, node, status)
+    if not paths:
+        known = known_nodes(workspace, status)
+        if node in known:
+            raise ManagerError(f"{node} was started elsewhere, so its output is there")
+        hint = suggestion(node, known) or "nothing has been started under that name"
+        raise ManagerError(f"there is no log of {node} in the system {workspace.name}; {hint}")
+    count = 10 if lines is None and follow else lines
+    following = Appended()
+    shown: Path | None = None
+    for path in paths:
+        begin, end = last_lines(path, count)
+        following.follow(path, end)
+        if begin or not follow:
+            shown = _show(path, begin, shown, several=len(paths) > 1)
+    if follow:
+        try:
+            _follow(client, workspace, node, following, shown)
+        except KeyboardInterrupt:
+            return 0
+    return 0
+
+
+def _follow(client: Client, workspace: Workspace, node: str, following: Appended, shown: Path | None) -> None:
+    looked = 0.0
+    while True:
+        if time.monotonic() - looked > LOOK:
+            looked = time.monotonic()
+            for path in following.followed(log_files(workspace, node, _status(client))):
+                following.follow(path, 0)  # a replacement: from its first line
+        for path, line in following.lines():
+            shown = _show(path, [line], shown, several=shown is not None)
+        time.sleep(POLL)
+
+
+def _status(client: Client) -> Status | None:
+    """None where no manager answers: the files are there all the same."""
+    try:
+        return client.status()
+    except MidstrideError:
+        return None
+
+
+def _show(path: Path, lines: list[str], shown: Path | None, *, several: bool) -> Path:
+    """Print lines, below the instance's name where another one's were before or may follow; returns ``path``."""
+    if wants_json():
+        for line in lines:
+            print_json({"instance": path.stem, "line": line}, lines=True)
+        return path
+    if several and path != shown:
+        click.echo(f"==> {path.stem} <==")
+    for line in lines:
+        click.echo(line)
+    return path

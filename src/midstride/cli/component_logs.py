@@ -1,0 +1,86 @@
+"""The log files of a node's instances: which they are, and what is appended to them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from midstride.model.instance_names import dotted_name, is_named_after, log_file_name
+from midstride.runtime.workspace import Workspace
+
+if TYPE_CHECKING:
+    from midstride.runtime.records.status_forms import Status
+
+# How much of the end of a file is read for its last lines, and how much at once of what is appended to it (bytes).
+LONGEST_TAIL: Final = 4 * 1024 * 1024
+LONGEST_PIECE: Final = 1024 * 1024
+
+
+def log_files(workspace: Workspace, node: str, status: Status | None) -> list[Path]:
+    """The logs of ``node``, a role or an instance: those of instances that crashed first, the live one's last.
+
+    Without the manager's ``status``, those of every instance that has had its name, the newest last.
+    """
+    if status is not None:
+        live = [each.name for each in status.components if node in (each.role, each.name)]
+        crashed = [each.name for each in status.crashed if is_named_after(each.name, node)]
+        names = [*(name for name in crashed if name not in live), *live]
+        return [path for name in names if (path := workspace.logs / log_file_name(name)).exists()]
+    found = [path for path in workspace.logs.glob("*.log") if is_named_after(path.stem, dotted_name(node))]
+    return sorted((path for path in found if path != workspace.manager_log), key=lambda path: path.stat().st_mtime)
+
+
+def known_nodes(workspace: Workspace, status: Status | None) -> list[str]:
+    """What ``logs`` can be asked for."""
+    if status is None:
+        return sorted(path.stem for path in workspace.logs.glob("*.log") if path != workspace.manager_log)
+    live = [name for each in status.components for name in (each.role, each.name)]
+    crashed = [name for each in status.crashed for name in (each.role, each.name) if name is not None]
+    return sorted({*live, *crashed})
+
+
+def last_lines(path: Path, count: int | None) -> tuple[list[str], int]:
+    """The last ``count`` lines of a file (None: all of the last 4 MB), and where it ended."""
+    with path.open("rb") as file:
+        end = file.seek(0, 2)
+        file.seek(max(0, end - LONGEST_TAIL))
+        text = file.read(min(end, LONGEST_TAIL))
+    lines = text.decode(errors="replace").removesuffix("\n").split("\n") if text else []
+    if end > LONGEST_TAIL:
+        del lines[0]  # it began before
+    return (lines if count is None else lines[len(lines) - min(count, len(lines)) :]), end
+
+
+@dataclass
+class Appended:
+    """What is appended to some files, in whole lines, from where they ended when they were given."""
+
+    _ends: dict[Path, int] = field(default_factory=dict)
+    _parts: dict[Path, bytes] = field(default_factory=dict)
+
+    def follow(self, path: Path, end: int) -> None:
+        self._ends.setdefault(path, end)
+
+    def followed(self, paths: Iterable[Path]) -> list[Path]:
+        """Those of ``paths`` that are not followed yet."""
+        return [path for path in paths if path not in self._ends]
+
+    def lines(self) -> Iterator[tuple[Path, str]]:
+        """The new lines. A file that has been shortened is read on from its new end."""
+        for path, end in self._ends.items():
+            try:
+                with path.open("rb") as file:
+                    size = file.seek(0, 2)
+                    if size < end:
+                        self._ends[path], self._parts[path] = size, b""
+                        continue
+                    file.seek(end)
+                    new = file.read(LONGEST_PIECE)
+            except OSError:
+                continue
+            self._ends[path] = end + len(new)
+            *whole, rest = (self._parts.get(path, b"") + new).split(b"\n")
+            self._parts[path] = rest
+            yield from ((path, line.decode(errors="replace")) for line in whole)

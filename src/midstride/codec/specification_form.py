@@ -1,0 +1,312 @@
+"""The JSON form of a specification.
+
+    {"system": "demo",
+     "topics":      {"/chatter": {"type": "std_msgs/msg/String", "rate": 10, "qos": {"depth": 5}, "max_publishers": 1}},
+     "resources":   {"gpu_memory": {"capacity": 8192}},
+     "environment": {"camera": {"guarantee": {"type": …}}, "recording": {"guarantee": {…}, "topic": "/odom"}},
+     "components":  {"Talker": …},
+     "nodes":       {"talker": {"component": "Talker", "attachments": {"out": ["/chatter"]},
+                                "parameters": {"threshold": 0.5},
+                                "respawn": {"delay_seconds": 2, "fallback": "SimpleTalker"}}},
+     "constraints": [{"keep": "talker.talk", "at": "normal"}, {"limit": "talker.talk", "below_baseline_seconds": 2},
+                     {"order": "talker", "before": "listener"}],
+     "timing_seconds": {"create": 0.5}}
+
+What is the default may be left out, and is left out when it is written. Reading covers form and names; whether what is
+declared makes sense is for :mod:`midstride.model.specification_checks` to judge.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, TypeAlias
+
+from immutables import Map
+from msgspec import UNSET, Meta, UnsetType
+
+from midstride.codec.component_form import ComponentForm
+from midstride.codec.contract_form import PredicateForm, predicate_keys
+from midstride.codec.form import (
+    LARGEST,
+    TOKEN,
+    Document,
+    Form,
+    Name,
+    Seconds,
+    SecondsOrZero,
+    Shape,
+    ShapedForm,
+    by_name,
+    encode,
+    field,
+    finite,
+    given,
+    named,
+    plain,
+    stated,
+)
+from midstride.codec.parameter import Value, values_form, values_of
+from midstride.codec.reading import decode
+from midstride.model.component import Connector, EnvironmentGuarantee, FunctionalityRef, Resource
+from midstride.model.name_checks import specification_names
+from midstride.model.respawn import RespawnPolicy
+from midstride.model.specification import Constraint, Keep, Limit, Node, Order, Specification
+
+TopicName: TypeAlias = Annotated[str, field("the name of a topic", min_length=1)]
+
+
+class TopicForm(PredicateForm, frozen=True):
+    """A topic: its contract, and how many may publish on it."""
+
+    what: ClassVar[str] = "a topic"
+
+    max_publishers: Annotated[int, field("the number of publishers allowed", ge=0)] | UnsetType = UNSET
+    topic: Annotated[TopicName, Meta(description="the name in the ROS graph, where it differs")] | UnsetType = UNSET
+
+    @classmethod
+    def of_connector(cls, connector: Connector) -> TopicForm:
+        return cls(
+            **predicate_keys(connector.guarantee),
+            max_publishers=stated(connector.max_publishers),
+            topic=UNSET if connector.topic == connector.name else connector.topic,
+        )
+
+    def connector(self, name: str) -> Connector:
+        return Connector(
+            name, self.predicate(), max_publishers=given(finite(self.max_publishers)), topic=given(self.topic) or ""
+        )
+
+
+class ResourceForm(Form, frozen=True):
+    """Something of which there is a limited amount."""
+
+    what: ClassVar[str] = "a resource"
+
+    capacity: Annotated[float, field("a capacity", gt=0, le=LARGEST)] | UnsetType = UNSET
+
+
+class OfferForm(Form, frozen=True):
+    """What the environment guarantees; with a topic, as a publisher of it."""
+
+    what: ClassVar[str] = "a guarantee of the environment"
+
+    guarantee: PredicateForm
+    topic: TopicName | UnsetType = UNSET
+
+
+class RespawnForm(Form, frozen=True):
+    """When a node that has crashed is started again; `{}`: with the defaults."""
+
+    what: ClassVar[str] = "a restart policy"
+
+    delay_seconds: Annotated[SecondsOrZero, Meta(description="the delay before the first restart")] = 0
+    max_delay_seconds: (
+        Annotated[SecondsOrZero, Meta(description="the longest delay; unless stated 30 s, or the first one")]
+        | UnsetType
+    ) = UNSET
+    max_retries: Annotated[int, field("a number of restarts", "the most restarts in the window", ge=0)] = 5
+    window_seconds: Annotated[Seconds, Meta(description="the time in which restarts count")] = 60
+    fallback: (
+        Annotated[str, field("the name of a component", "what then replaces the node", min_length=1)] | UnsetType
+    ) = UNSET
+
+    @classmethod
+    def of(cls, policy: RespawnPolicy) -> RespawnForm:
+        return cls(
+            delay_seconds=plain(policy.delay),
+            max_delay_seconds=stated(policy.max_delay),
+            max_retries=policy.max_retries,
+            window_seconds=plain(policy.window),
+            fallback=stated(policy.fallback),
+        )
+
+    def policy(self) -> RespawnPolicy:
+        return RespawnPolicy(
+            float(self.delay_seconds),
+            given(self.max_delay_seconds),
+            finite(self.max_retries),
+            float(self.window_seconds),
+            given(self.fallback),
+        )
+
+
+class NodeForm(Form, frozen=True):
+    """A node: its component, the topics of its ports, its own parameter values."""
+
+    what: ClassVar[str] = "a node"
+
+    component: Annotated[str, field("the name of a component", min_length=1)]
+    attachments: Annotated[
+        dict[str, Annotated[list[Name], field("a list of names of topics")]],
+        field("an object of attachments", "the topics of each port"),
+    ] = {}
+    parameters: Annotated[dict[str, Value], field("an object of values", "its own values, over its component's")] = {}
+    respawn: RespawnForm | UnsetType = UNSET
+
+    @classmethod
+    def of(cls, node: Node, specification: Specification) -> NodeForm:
+        component = specification.components.get(node.component)
+        order = {} if component is None else {name: index for index, name in enumerate(component.ports())}
+        ports = sorted(node.attachments, key=lambda name: (order.get(name, len(order)), name))
+        return cls(
+            component=node.component,
+            attachments={name: list(node.attachments[name]) for name in ports if node.attachments[name]},
+            parameters=values_form(node.parameters),
+            respawn=UNSET if node.respawn is None else RespawnForm.of(node.respawn),
+        )
+
+    def node(self, role: str) -> Node:
+        """Raises ValueError as :func:`midstride.codec.parameter.values_of` does."""
+        topics = {port: tuple(names) for port, names in self.attachments.items()}
+        policy = None if self.respawn is UNSET else self.respawn.policy()
+        return Node(role, self.component, Map(topics), values_of(self.parameters), policy)
+
+
+class ConstraintForm(ShapedForm, frozen=True):
+    """A constraint on every plan."""
+
+    what: ClassVar[str] = (
+        "a constraint with `keep` and `at`, `limit` and `below_baseline_seconds`, or `order` and `before`"
+    )
+    shapes: ClassVar[tuple[Shape, ...]] = (
+        Shape("the constraint `keep`", ("keep", "at")),
+        Shape("the constraint `limit`", ("limit", "below_baseline_seconds")),
+        Shape("the constraint `order`", ("order", "before")),
+    )
+
+    keep: Annotated[Name, field("a name")] | UnsetType = UNSET
+    at: Annotated[Name, field("a name")] | UnsetType = UNSET
+    limit: Annotated[Name, field("a name")] | UnsetType = UNSET
+    below_baseline_seconds: SecondsOrZero | UnsetType = UNSET
+    order: Annotated[Name, field("a name")] | UnsetType = UNSET
+    before: Annotated[Name, field("a name")] | UnsetType = UNSET
+
+    @classmethod
+    def of(cls, constraint: Constraint) -> ConstraintForm:
+        if isinstance(constraint, Keep):
+            return cls(keep=str(constraint.functionality), at=constraint.mode)
+        if isinstance(constraint, Limit):
+            return cls(limit=str(constraint.functionality), below_baseline_seconds=plain(constraint.seconds))
+        return cls(order=constraint.first, before=constraint.then)
+
+    def constraint(self) -> Constraint:
+        """One of which a part could not be read is an order of nothing, which the checks of names pass over."""
+        if self.keep and self.at:
+            return Keep(FunctionalityRef.parse(self.keep), self.at)
+        if self.limit and self.below_baseline_seconds is not UNSET:
+            return Limit(FunctionalityRef.parse(self.limit), self.below_baseline_seconds)
+        return Order(given(self.order) or "", given(self.before) or "")
+
+
+class TimingForm(Form, frozen=True):
+    """How long steps take, where known, and for how long a hand-over tries and watches a new publisher."""
+
+    what: ClassVar[str] = "the timing of steps"
+
+    attach: SecondsOrZero | UnsetType = UNSET
+    create: SecondsOrZero | UnsetType = UNSET
+    degrade: SecondsOrZero | UnsetType = UNSET
+    detach: SecondsOrZero | UnsetType = UNSET
+    handover: SecondsOrZero | UnsetType = UNSET
+    probation: SecondsOrZero | UnsetType = UNSET
+    probation_timeout: SecondsOrZero | UnsetType = UNSET
+    remove: SecondsOrZero | UnsetType = UNSET
+    set: SecondsOrZero | UnsetType = UNSET
+    upgrade: SecondsOrZero | UnsetType = UNSET
+    watch_after: SecondsOrZero | UnsetType = UNSET
+
+
+# The last few specifications whose forms were asked for.
+_lately: tuple[tuple[Specification, SpecificationForm], ...] = ()
+
+
+class SpecificationForm(Form, frozen=True):
+    """A whole specification: what a robot's software is made of."""
+
+    what: ClassVar[str] = "a specification"
+
+    system: Annotated[str, field("the name of the system", min_length=1, extra_json_schema=named())]
+    topics: Annotated[dict[str, TopicForm], field("an object of topics", "the topics, by full name")] = {}
+    resources: Annotated[
+        dict[str, ResourceForm], field("an object of resources", "what there is a limited amount of")
+    ] = {}
+    environment: Annotated[
+        dict[str, OfferForm],
+        by_name("an object of guarantees of the environment", "what holds without any node"),
+    ] = {}
+    components: Annotated[dict[str, ComponentForm], by_name("an object of components", "types of nodes")] = {}
+    nodes: Annotated[
+        dict[str, NodeForm],
+        by_name("an object of nodes", "the nodes, by name, namespaces in front", f"{TOKEN}(/{TOKEN})*"),
+    ] = {}
+    constraints: Annotated[list[ConstraintForm], field("a list of constraints")] = []
+    timing_seconds: TimingForm | UnsetType = UNSET
+
+    @classmethod
+    def of(cls, specification: Specification) -> SpecificationForm:
+        """The form of ``specification``: one and the same while it is one of the last few, since it is often needed."""
+        global _lately
+        for known, form in _lately:
+            if known is specification:
+                return form
+        form = cls._of(specification)
+        _lately = (specification, form), *_lately[:3]
+        return form
+
+    @classmethod
+    def _of(cls, specification: Specification) -> SpecificationForm:
+        timing = {kind: plain(seconds) for kind, seconds in specification.timing.items()}
+        return cls(
+            system=specification.name,
+            topics={name: TopicForm.of_connector(found) for name, found in sorted(specification.connectors.items())},
+            resources={
+                name: ResourceForm(plain(found.capacity)) for name, found in sorted(specification.resources.items())
+            },
+            environment={
+                offer.name: OfferForm(guarantee=PredicateForm.of(offer.guarantee), topic=offer.topic or UNSET)
+                for offer in specification.environment
+            },
+            components={name: ComponentForm.of(found) for name, found in sorted(specification.components.items())},
+            nodes={role: NodeForm.of(node, specification) for role, node in sorted(specification.nodes.items())},
+            constraints=[ConstraintForm.of(constraint) for constraint in specification.constraints],
+            timing_seconds=TimingForm(**timing) if timing else UNSET,
+        )
+
+    def specification(self) -> Specification:
+        """The specification; its names are not checked. Raises ValueError for values that only the model refuses."""
+        timing = {} if self.timing_seconds is UNSET else encode(self.timing_seconds)
+        return Specification(
+            name=self.system,
+            connectors=Map({name: form.connector(name) for name, form in self.topics.items()}),
+            components=Map({name: form.component(name) for name, form in self.components.items()}),
+            nodes=Map({role: form.node(role) for role, form in self.nodes.items()}),
+            environment=tuple(
+                EnvironmentGuarantee(name, form.guarantee.predicate(), given(form.topic))
+                for name, form in self.environment.items()
+            ),
+            resources=Map(
+                {
+                    name: Resource(name, 1.0 if form.capacity is UNSET else form.capacity)
+                    for name, form in self.resources.items()
+                }
+            ),
+            constraints=tuple(form.constraint() for form in self.constraints),
+            timing=Map(timing),
+        )
+
+
+def decode_specification(document: object) -> Specification:
+    """The specification that a document states. Raises SpecificationError with every fault of form and of names."""
+    return decode(document, SpecificationForm, SpecificationForm.specification, specification_names)
+
+
+def decode_saved_specification(document: object) -> Specification:
+    """The same of what a manager has saved: by it a system runs, whatever its names are.
+
+    Raises SpecificationError with every fault of form.
+    """
+    return decode(document, SpecificationForm, SpecificationForm.specification)
+
+
+def encode_specification(specification: Specification) -> Document:
+    """The document of a specification; what is empty or the default is left out."""
+    return encode(SpecificationForm.of(specification))

@@ -1,0 +1,314 @@
+"""The agent of a node that has none inside it: in the manager's process, it answers the commands of the control plane.
+
+So the executor, the hand-over and the reconciler need not know what kind of node they talk to. What it changes is in
+shared memory and in a file, so if the manager ends the node goes on, and the next manager's agent continues
+(docs/semantics.md section 7).
+"""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Any, Final
+
+from midstride.codec.component_form import NamedComponentForm
+from midstride.errors import CommandRefused, MidstrideError
+from midstride.foreign.agent_commands import WATCH, ForeignCommands
+from midstride.foreign.cuts import ForeignCuts
+from midstride.foreign.foreign_parameters import ForeignParameters
+from midstride.foreign.gated_reflex import broken_assumptions
+from midstride.foreign.gates import Gates
+from midstride.foreign.graph_check import (
+    GraphEndpoint,
+    NodeGraph,
+    differences,
+    lacking,
+    misnamed,
+    shown,
+    undeclared,
+    unseen,
+    unseen_in_words,
+)
+from midstride.foreign.lifecycle_cuts import LifecycleCuts, LifecyclePeers
+from midstride.foreign.lifecycle_node import LifecycleNode
+from midstride.foreign.node import ForeignNode, without_ports
+from midstride.foreign.record import ForeignRecord
+from midstride.foreign.reported_clock import ReportedClock
+from midstride.foreign.reported_writes import ReportedWrites
+from midstride.foreign.services import NoAnswer, NodeServices
+from midstride.node.handover.baton import BatonStep
+from midstride.wire import commands, frames, replies
+from midstride.wire.command_server import CommandServer
+from midstride.wire.commands import Command
+from midstride.wire.frames import Reply, Request
+from midstride.wire.state import GateState, WireValue
+from midstride.wire.transport import Transport
+
+HEARTBEAT: Final = 0.5
+# How often it asks a lifecycle node for its state and its parameters (s).
+LOOK: Final = 1.0
+# How long the graph may take to show a new node's endpoints (s), and how often it is compared later (s).
+GRAPH_TIMEOUT: Final = 5.0
+GRAPH_LOOK: Final = 2.0
+# How long a node may take to create the publishers and subscriptions that are declared (s).
+ENDPOINTS_TIMEOUT: Final = 20.0
+# A node of which the graph has shown nothing new for so long, and that answers, will create no more of them (s).
+SETTLED: Final = 2.0
+_REMEMBERED: Final = 1000
+
+
+class ForeignAgent:
+    """Answers for the node of ``record``, whose file is in ``folder``. ``gates`` is None for `gate none`."""
+
+    def __init__(
+        self,
+        record: ForeignRecord,
+        folder: Path,
+        gates: Gates | None,
+        services: NodeServices | None = None,
+        peers: LifecyclePeers | None = None,
+        graph: NodeGraph | None = None,
+        reported: ReportedWrites | None = None,
+        clock: ReportedClock | None = None,
+    ) -> None:
+        self.node = ForeignNode(record, folder, gates)
+        if reported is not None:
+            self.node.reported = reported.silence
+        if clock is not None:
+            self.node.clock = clock
+        cuts: ForeignCuts | LifecycleCuts = ForeignCuts(self.node)
+        self._services = services
+        self.lifecycle: LifecycleNode | None = None
+        self._parameters: ForeignParameters | None = None
+        if services is not None:
+            self._parameters = ForeignParameters(self.node, services)
+        if services is not None and self.node.component.has_lifecycle:
+            self.lifecycle = LifecycleNode(self.node, services)
+            if gates is None:
+                cuts = LifecycleCuts(self.lifecycle, peers or LifecyclePeers())
+        self._graph = graph
+        self._failed: str | None = None  # why it has not been configured, or is not what is declared
+        self._replies: dict[str, asyncio.Task[Reply]] = {}
+        self._lock = asyncio.Lock()
+        self._registered = asyncio.Event()
+        self._tasks: list[asyncio.Task[None]] = []
+        self._reported: dict[str, GateState | None] = {}
+        greeting = frames.Greeting(
+            protocol=frames.PROTOCOL,
+            instance=record.instance,
+            uuid=record.uuid,
+            pid=record.pid,
+            start_token=record.token,
+        )
+        self._server = CommandServer(greeting, self._serve)
+        self._commands = ForeignCommands(self.node, cuts, self._parameters, self.lifecycle, self._report)
+
+    async def open(self, transport: Transport) -> None:
+        """Listen for the manager, and register as soon as the node has the endpoints that are declared.
+
+        A hand-over that an earlier manager has not finished is withdrawn, unless the new node has written already.
+        """
+        if self.node.gates is not None:
+            for baton in {self.node.gates.baton(port) for port in self.node.component.outputs} - {0}:
+                self.node.gates.step(baton, BatonStep.WITHDRAW)
+        await self._server.open(transport)
+        loop = asyncio.get_running_loop()
+        self._tasks = [
+            loop.create_task(each)
+            for each in (
+                self._register(),
+                self._heartbeat(),
+                self._watch_lifecycle(),
+                self._watch_graph(),
+                self._watch_inputs(),
+            )
+        ]
+
+    async def close(self) -> None:
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._server.close(0.0)
+        if self._services is not None:
+            self._services.close()
+
+    async def _register(self) -> None:
+        missing: list[str] = []
+        if self.lifecycle is not None:
+            try:
+                await (self.lifecycle.configure() if not self.node.record.welcomed else self.lifecycle.look())
+            except CommandRefused as error:
+                self._failed = str(error)
+        if self._parameters is not None and self.lifecycle is not None:
+            await self._parameters.read()
+        if self.node.gates is not None and self._failed is None:
+            missing = await self._missing(self.node.gates)
+            missing = await self._compare(missing)
+        self._registered.set()
+        self._report()
+        declaration = NamedComponentForm.of(without_ports(self.node.component, missing))
+        self._server.register(frames.Registration(declaration=declaration, endpoints=[]))
+
+    async def _missing(self, gates: Gates) -> list[str]:
+        """The ports for which the node creates no endpoint within ENDPOINTS_TIMEOUT.
+
+        It is not waited for any longer if the graph has shown nothing new of it for SETTLED, and shows endpoints that
+        the gate does not see; or the node answers requests, so its initialization is over, and has what is probably
+        meant under other names.
+        """
+        record, component, loop = self.node.record, self.node.component, asyncio.get_running_loop()
+        begun = since = loop.time()
+        before: set[GraphEndpoint] = set()
+        while not await self.node.comes_true(lambda: not gates.missing(), HEARTBEAT):
+            found = set() if self._graph is None or record.welcomed else set(self._graph())
+            now = loop.time()
+            if found != before:
+                before, since = found, now
+            missing = gates.missing()
+            if now - begun >= ENDPOINTS_TIMEOUT:
+                break
+            if now - since < SETTLED:
+                continue
+            if unseen(component, record.topics, list(found), missing):
+                break
+            if all(misnamed(component, record.topics, list(found), port) for port in missing) and await self._answers():
+                break
+        return gates.missing()
+
+    async def _answers(self) -> bool:
+        if self._services is None:
+            return False
+        try:
+            await self._services.parameters(LOOK)
+        except NoAnswer:
+            return False
+        return True
+
+    async def _compare(self, missing: list[str]) -> list[str]:
+        """Compare what the graph shows with what is declared; the ports that it then lacks without a reason given.
+
+        What the graph does not show in time is not judged. A node that has been accepted keeps running.
+        """
+        component, topics, node = self.node.component, self.node.record.topics, self.node.record.node
+        if (graph := self._graph) is None or self.node.record.welcomed:
+            return missing
+        if not missing:
+            await self.node.comes_true(lambda: shown(component, topics, graph()), GRAPH_TIMEOUT, every=WATCH)
+        found = graph()
+        past = unseen(component, topics, found, missing)
+        faults = unseen_in_words(component, topics, node, past)
+        faults += lacking(component, topics, node, found, [port for port in missing if port not in past])
+        faults += differences(component, topics, node, found)
+        self._failed = "; ".join(faults) or None
+        return []
+
+    async def _watch_graph(self) -> None:
+        """Look now and then whether the node still has what is declared: it may create endpoints at any time."""
+        await self._registered.wait()
+        while self._graph is not None:
+            await asyncio.sleep(GRAPH_LOOK)
+            record, component, found = self.node.record, self.node.component, self._graph()
+            seen = (
+                differences(component, record.topics, record.node, found),
+                [
+                    f"{'publishes on' if each.output else 'subscribes to'} {each}"
+                    for each in undeclared(component, record.topics, found)
+                ],
+            )
+            if seen != (self.node.differences, self.node.undeclared):
+                self.node.differences, self.node.undeclared = seen
+                self._report()
+
+    async def _heartbeat(self) -> None:
+        """Report twice a second, and soon after a baton has moved, which the nodes do without a command.
+
+        A record that the disk has refused is written again.
+        """
+        await self._registered.wait()
+        while True:
+            await self.node.comes_true(lambda: self.node.gate_states() != self._reported, HEARTBEAT, every=WATCH)
+            if self.node.unwritten is not None:
+                self.node.write_record()
+            self._report()
+
+    async def _watch_lifecycle(self) -> None:
+        """Look now and then which lifecycle state and which parameters the node has: others may change them."""
+        await self._registered.wait()
+        while self.lifecycle is not None and self._parameters is not None and self._failed is None:
+            await asyncio.sleep(LOOK)
+            async with self._lock:
+                left = await self.lifecycle.look()
+                if self.lifecycle.lifecycle.responsive:
+                    await self._parameters.read()
+                if left:
+                    self.node.change_record(revision=self.node.record.revision + 1)
+                    self._report()
+
+    async def _watch_inputs(self) -> None:
+        """Degrade what relies on a publisher that has fallen silent; the manager restores it once that is back."""
+        await self._registered.wait()
+        while self.node.gates is not None:
+            await asyncio.sleep(HEARTBEAT)
+            async with self._lock:
+                for name, (mode, because) in broken_assumptions(self.node).items():
+                    try:
+                        await self._commands.modes(commands.ModesCommand(modes={name: mode}, because=because))
+                    except CommandRefused as error:  # its gates are closed without its help
+                        last = self.node.component.functionalities[name].modes[-1].name
+                        self.node.enter_modes({name: last}, f"{because}; {error}")
+                    fallen = {**self.node.record.fallen, name: because}
+                    self.node.change_record(fallen=fallen, revision=self.node.record.revision + 1)
+                    self._report()
+
+    # -- requests --------------------------------------------------------------------------------------
+
+    async def _serve(self, request: Request, token: str) -> Reply:
+        try:
+            command = frames.decode_command(request)
+            if token != self.node.record.token:
+                raise CommandRefused("the token is not that of the system that the component belongs to")
+        except CommandRefused as error:
+            return self._reply(request, error)
+        if not isinstance(command, commands.PingCommand):
+            await self._registered.wait()
+        if command.kind != "changing":
+            return await self._carry_out(request, command)
+        if (answer := self._replies.get(request.id)) is None:
+            answer = self._replies[request.id] = asyncio.get_running_loop().create_task(self._change(request, command))
+            if len(self._replies) > _REMEMBERED:
+                del self._replies[next(iter(self._replies))]
+        return await asyncio.shield(answer)
+
+    async def _change(self, request: Request, command: Command[Any]) -> Reply:
+        async with self._lock:
+            if request.revision != self.node.record.revision:
+                words = f"the component is at revision {self.node.record.revision}, and the request expects "
+                return self._reply(request, CommandRefused(f"{words}{request.revision}: observe it again, then retry"))
+            return await self._carry_out(request, command)
+
+    async def _carry_out(self, request: Request, command: Command[Any]) -> Reply:
+        try:
+            result = await self._result(command)
+            if command.kind == "changing":
+                self.node.change_record(revision=self.node.record.revision + 1)
+                self._report()
+                if isinstance(command, commands.WelcomeCommand):
+                    result = self.node.state()
+        except MidstrideError as error:
+            return self._reply(request, error)
+        return Reply(id=request.id, revision=self.node.record.revision, result=frames.encode_value(result))
+
+    def _reply(self, request: Request, refused: MidstrideError) -> Reply:
+        return Reply(id=request.id, revision=self.node.record.revision, refused=str(refused))
+
+    async def _result(self, command: Command[Any]) -> WireValue:
+        if not isinstance(command, commands.WelcomeCommand):
+            return await self._commands.carry_out(command)
+        if self._failed is not None:
+            raise CommandRefused(self._failed)
+        self.node.change_record(welcomed=True)
+        return replies.Done()
+
+    def _report(self) -> None:
+        self._reported = self.node.gate_states()
+        self._server.report(frames.StateChanged(state=self.node.state()))

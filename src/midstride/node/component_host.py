@@ -1,0 +1,226 @@
+"""What a back end gives to a component's process: the only way ``node`` reaches ROS.
+
+There are two threads. The *data* thread runs user code and owns the endpoints. The *control* thread is an asyncio loop
+that runs the agent and never user code. Whatever touches endpoints or modes goes through :meth:`Host.on_data`, and so
+happens between two calls of user code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeAlias, TypeVar
+
+from midstride.model.contract import QoS
+from midstride.node.clock_history import ClockHistory
+from midstride.node.diagnostic_status import DiagnosticEntry
+from midstride.node.service_gate import ServiceGate
+from midstride.wire.state import ComponentState, Endpoint
+from midstride.wire.transport import Transport
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class MessageInfo:
+    """What the middleware reports about a received message; None where it cannot.
+
+    ``source`` is the time of publication (ns), ``number`` the publisher's own count,
+    ``publisher`` an opaque identity of the publishing endpoint. ``stamp`` is the time in
+    the message's header, which is the same for every receiver: where the time of publication is unknown, it is good
+    enough to agree on a cut.
+    """
+
+    source: int | None
+    number: int | None
+    publisher: str | None
+    stamp: int | None = None
+
+
+class Publisher(Protocol):
+    """An endpoint of an output on one topic. Used on the data thread only, except where stated."""
+
+    def publish(self, message: Any) -> None: ...
+
+    def matched(self) -> int:
+        """How many *compatible* subscriptions are matched; -1 before the platform knows it. On the control thread."""
+
+    def reader_ids(self) -> frozenset[str]:
+        """The identities of the subscriptions that its process has discovered on the topic; empty where unknown.
+
+        On the control thread.
+        """
+
+    async def acknowledged(self, timeout: float) -> bool | None:
+        """Whether every matched reliable reader has received everything; None where that is unknown.
+
+        Awaited on the control thread; blocks neither thread.
+        """
+
+    def destroy(self) -> None: ...
+
+
+class Subscription(Protocol):
+    """An endpoint of an input on one topic."""
+
+    def matched(self) -> int:
+        """How many compatible publishers are matched; -1 before the platform knows it. On the control thread."""
+
+    def destroy(self) -> None: ...
+
+
+class Timer(Protocol):
+    """Calls at ``epoch + n * period`` on the ROS clock; a late call skips slots, it does not burst.
+
+    A late call is given the slot that came due first. Used on the data thread.
+    """
+
+    def regrid(self, epoch: int) -> None:
+        """Continue along the grid through ``epoch`` (ns), from its next slot after now."""
+
+    def cancel(self) -> None: ...
+
+
+class HeldParameter(Protocol):
+    """A parameter that can be set from outside; ``declared`` is the value that it was started with.
+
+    ``closed`` says why it cannot be set any more.
+    """
+
+    name: str
+    declared: Any
+    closed: str
+
+    @property
+    def value(self) -> Any: ...
+
+    def fitted(self, value: Any) -> Any:
+        """``value`` as a value of this parameter. Raises NodeError where it is of another type."""
+
+
+class NodeParameters(Protocol):
+    """The parameters of the ROS node. Used on the data thread, except where stated."""
+
+    def declare(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
+        """Declare a parameter, and return its value."""
+
+    def set(self, values: dict[str, Any]) -> None:
+        """Set declared parameters, all of them or none. Raises CommandRefused with the reason.
+
+        ``on_change`` may raise: then nothing is set, and its error is the reason.
+        """
+
+    def held(self) -> Mapping[str, HeldParameter]:
+        """The parameters of the node, by name, also those that are declared on the node itself. Any thread."""
+
+    def on_changed(self, changed: Callable[[], object]) -> None:
+        """Have ``changed`` called on the data thread when a parameter has been set from outside."""
+
+
+class Host(Protocol):
+    """One per process (in the simulator: one per component)."""
+
+    instance: str
+    # Where it listens for its manager, None where it belongs to no system; and the same in words, for a message.
+    transport: Transport | None
+    reachable: str
+    parameters: NodeParameters
+    # Whether the component answers requests; a platform whose instances have one node name puts its services behind it.
+    gate: ServiceGate
+
+    @property
+    def node_name(self) -> str | None:
+        """The full name of the ROS node, once it has joined; None where there is none."""
+
+    def now(self) -> int:
+        """The ROS clock, ns; 0 while nothing has arrived on a ``/clock`` that drives it. Cheap: on the data path."""
+
+    @property
+    def simulated_time(self) -> bool:
+        """Whether ``/clock`` drives the ROS clock."""
+
+    # Whether messages' times of publication are on the ROS clock, also where `/clock` drives it.
+    publishes_ros_time: bool
+
+    def message_now(self) -> int:
+        """The clock of messages' times of publication (:class:`MessageInfo`), ns."""
+
+    @property
+    def clock_history(self) -> ClockHistory:
+        """How ``/clock`` has driven the ROS clock; empty where it does not."""
+
+    def steady(self) -> int:
+        """The steady clock, ns: for time-outs, heartbeats and times of receipt. Cheap: on the data path."""
+
+    @property
+    def logger(self) -> Any: ...
+
+    @property
+    def ros_node(self) -> Any:
+        """The ROS node of the data thread, for the author's own use; None in the simulator."""
+
+    # -- data thread -----------------------------------------------------------------------------
+
+    def on_data(self, function: Callable[[], T]) -> Awaitable[T]:
+        """Run ``function`` on the data thread between two calls of user code; awaited on the control thread.
+
+        It is queued when ``on_data`` is called, in order, whether or not the result is awaited.
+        """
+
+    def run_coroutine(self, coroutine: Coroutine[Any, Any, None], done: Callable[[], None]) -> None:
+        """Drive an async mode function. Called on the data thread, where ``done`` is called as well.
+
+        ``coroutine`` must not raise.
+        """
+
+    def pause(self, seconds: float) -> Awaitable[None]:
+        """Something to await inside such a coroutine: done after ``seconds`` on the ROS clock."""
+
+    def create_publisher(self, topic: str, type_: type, qos: QoS) -> Publisher: ...
+
+    def create_subscription(
+        self, topic: str, type_: type, qos: QoS, callback: Callable[[Any, Any], None]
+    ) -> Subscription:
+        """``callback(message, info)``: ``info`` is what the middleware passes, unread.
+
+        :meth:`read_info` reads it: a message costs nothing for what is not needed.
+        """
+
+    def read_info(self, info: Any) -> MessageInfo: ...
+
+    def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> Timer:
+        """``callback(first, last)``: the nominal times (ns) of the slots that the call accounts for.
+
+        A late call accounts for the slots that were missed as well. ``epoch`` None: the first call comes at once.
+        """
+
+    # -- control thread --------------------------------------------------------------------------
+
+    async def sleep(self, seconds: float) -> None:
+        """On the steady clock."""
+
+    def publish_state(self, state: ComponentState) -> None:
+        """Show the state to the platform's own tools, read only (ROS 2: parameters; ROS 1: a latched topic)."""
+
+    def publish_diagnostics(self, entries: Callable[[], Sequence[DiagnosticEntry]]) -> None:
+        """Publish on ``/diagnostics``, where the platform has its message type.
+
+        ``entries`` is called, in any thread, where something listens.
+        """
+
+    def discovers(self, topic: str) -> bool | None:
+        """Whether the middleware shows a publisher on ``topic``; None where it has no discovery that could stop."""
+
+    def extra_endpoints(self) -> list[Endpoint]:
+        """Endpoints of the ROS node that are neither ports nor ROS's own, after the author's set-up."""
+
+    def run(self, main: Callable[[], Awaitable[None]]) -> None:
+        """Join the platform, run ``main`` on the control thread, and return when it does.
+
+        What ``main`` raises is raised here. Signal handlers are set here only: SIGTERM and SIGINT cancel
+        ``main``, which then ends in order.
+        """
+
+
+# Makes the host of a component of this name and namespace; called in ``Component.start``.
+HostFactory: TypeAlias = Callable[[str, str], Host]

@@ -1,0 +1,410 @@
+"""What each command of wire/commands.py does to a component. Control thread.
+
+Every handler checks before it changes something, and undoes what it did where it fails half-way: a refused command has
+changed nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import bisect
+import contextlib
+import threading
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final, NamedTuple, TypeVar
+
+from midstride.errors import BackendError, CommandRefused
+from midstride.model.component import ROS_PARAMETERS
+from midstride.node.author.declaration import DeclaredParts
+from midstride.node.component_host import HeldParameter, Host
+from midstride.node.control.attachments import Attachments
+from midstride.node.control.component_reflex import Reflex
+from midstride.node.control.discovery import discover
+from midstride.node.control.fence_commands import Fencing
+from midstride.node.control.state_hooks import StateHooks
+from midstride.node.data.functionality_runner import CAUGHT, FunctionalityRunner, format_error
+from midstride.node.data.mode_switch import DataExecutor, Hold, ModeSwitch, within
+from midstride.node.handover.handover_commands import HandoverCommands
+from midstride.wire import commands, replies
+from midstride.wire.commands import Command
+from midstride.wire.state import THIS_HOST, ComponentState, WireValue
+
+T = TypeVar("T")
+Handler = Callable[[Any], Awaitable[WireValue]]
+
+# How long ending takes besides the author's `on_stop` (s): destroying endpoints and leaving the platform.
+SHUTDOWN_SECONDS: Final = 1.0
+
+
+class Revision:
+    """Counts the changes of a component. Both threads count up, so it has a lock; reading needs none.
+
+    ``failure``: the last change that user code made by raising, as its number and in words.
+    """
+
+    def __init__(self) -> None:
+        self.value = 0
+        self.failure = (0, "")
+        self._lock = threading.Lock()
+
+    def bump(self, failure: str = "") -> None:
+        with self._lock:
+            if failure:
+                self.failure = (self.value + 1, failure)
+            self.value += 1
+
+
+@dataclass
+class CommandHandlers:
+    """``degraded`` is called on either thread when a functionality degrades by itself, ``changed`` after a cut, and
+    when a condition has turned.
+
+    ``token`` returns the token for connections to peers.
+    """
+
+    parts: DeclaredParts
+    host: Host
+    revision: Revision
+    degraded: Callable[[FunctionalityRunner], None]
+    changed: Callable[[], None]
+    token: Callable[[], str]
+
+    def __post_init__(self) -> None:
+        self._runners: list[FunctionalityRunner] = []
+        self._under_way = 0
+        self._hold: Hold | None = None
+        self._expiry: asyncio.Task[None] | None = None  # of the hold
+        before = self.parts.callbacks.before_modes
+        self.reflex = Reflex(self.host, self._runners, lambda: self._under_way > 0, self.degraded, self.changed, before)
+        self._data = DataExecutor(self.host, self._busy_words)
+        self._attachments = Attachments(self.parts, self.host, self._data)
+        self._hooks = StateHooks(self.parts.callbacks, self._data)
+        self._handovers = HandoverCommands(
+            self._attachments, self.host, self._data, self.changed, self.token, self._hooks, self._runners
+        )
+        self._fencing = Fencing(self._attachments, self.host, self._data, self._runners, self.changed)
+        self._handlers: dict[type[Command[Any]], Handler] = {
+            commands.AttachCommand: self._attachments.attach,
+            commands.DetachCommand: self._detach,
+            commands.GateCommand: self._attachments.gate,
+            commands.AwaitMatchCommand: self._attachments.await_match,
+            commands.AwaitRateCommand: self._attachments.await_rate,
+            commands.AwaitWriteCommand: self._attachments.await_write,
+            commands.GridCommand: self._handovers.grid,
+            commands.MeetCommand: self._handovers.meet,
+            commands.MuteCommand: self._handovers.mute,
+            commands.CutOutCommand: self._handovers.cut_out,
+            commands.CutInCommand: self._handovers.cut_in,
+            commands.CancelCutCommand: self._handovers.cancel_cut,
+            commands.AwaitCutCommand: self._handovers.await_cut,
+            commands.SettleCutsCommand: self._handovers.settle_cuts,
+            commands.CutTakenCommand: self._handovers.taken,
+            commands.DiscoverCommand: partial(discover, self.host),
+            commands.AwaitIdleCommand: self._fencing.await_idle,
+            commands.FenceCommand: self._fencing.fence,
+            commands.AnswerCommand: self._handovers.answer,
+            commands.YieldCommand: self._handovers.answering.stop,
+            commands.PrepareStateCommand: self._handovers.prepare_state,
+            commands.OfferStateCommand: self._handovers.offer_state,
+            commands.FetchStateCommand: self._handovers.fetch_state,
+            commands.ImportingCommand: self._handovers.importing,
+            commands.HoldCommand: self._hold_calls,
+            commands.SetParametersCommand: self._set_parameters,
+            commands.ExportStateCommand: self._export_state,
+            commands.ImportStateCommand: self._import_state,
+            commands.RecordCommand: self._record,
+            commands.RecordsCommand: self._records,
+        }
+
+    async def carry_out(self, command: Command[Any], expected: int | None) -> WireValue:
+        """Carry out one command. Raises CommandRefused, and then nothing has changed."""
+        self._under_way += 1
+        try:
+            if isinstance(command, commands.ModesCommand):
+                return await self._modes(command, expected)
+            return await self._handlers[type(command)](command)
+        finally:
+            self._under_way -= 1
+
+    # -- start and end -----------------------------------------------------------------------------
+
+    def set_up(self) -> None:
+        """On the data thread, first of all: parameters and the author's set-up. If this raises, the start fails."""
+        for parameter in self.parts.parameters.values():
+            value = self.host.parameters.declare(parameter.name, parameter.value, parameter.change)
+            if parameter.fitted(value) != parameter.value:  # the platform has another one, of a launch file for example
+                parameter.begin_with(value)
+        if self.parts.callbacks.setup is not None:
+            self.parts.callbacks.setup(self.host.ros_node)
+
+    def begin(self) -> None:
+        """On the data thread: start every functionality in its last mode."""
+        self._fencing.data_thread = threading.get_ident()
+        for functionality in self.parts.functionalities.values():
+            runner = FunctionalityRunner(functionality, self.host, self.degraded)
+            functionality.start(runner.current_mode)
+            for port in functionality.outputs:
+                port.owner = runner
+            self._runners.append(runner)
+        for runner in self._runners:
+            runner.start_calls()
+
+    async def release(self, timeout: float) -> None:
+        """Go back to degraded and unattached. Raises CommandRefused where user code does not return in time."""
+        modes = {runner.name: runner.chain[runner.last].name for runner in self._runners}
+        because = "released: it no longer has a manager"
+        await self._modes(commands.ModesCommand(modes=modes, timeout=timeout, because=because), None)
+        await self._attachments.close_all(timeout)
+        self._handovers.give_back()
+        self._handovers.disconnect()
+
+    async def end(self) -> None:
+        """Stop calls, run the author's `on_stop`, destroy endpoints; each in bounded time, whatever fails."""
+        self._handovers.close()
+        self._take_hold()  # no call is begun any more
+        timeout = self.parts.callbacks.stop_timeout
+        try:
+            await self._data.run(self._stop_calls, timeout)
+            await self._idle(timeout)
+        except CommandRefused as error:
+            self.host.logger.error(f"{self.host.instance} ends, but {error}")
+        if self.parts.callbacks.stop is not None:
+            try:
+                if not await self._data.drive(self.parts.callbacks.stop, timeout):
+                    self.host.logger.error(f"on_stop did not return within {timeout:g} s")
+            except CAUGHT as error:
+                self.host.logger.error(f"on_stop raised: {format_error(error)}")
+        with contextlib.suppress(CommandRefused, BackendError):
+            await self._attachments.close_all(0.5)
+
+    def _stop_calls(self) -> None:
+        for parameter in self._parameters().values():
+            parameter.closed = "the component is ending"
+        for runner in self._runners:
+            runner.stop_calls()
+
+    async def _idle(self, timeout: float) -> None:
+        """Wait until no async call runs. Raises CommandRefused after ``timeout``."""
+        deadline = self.host.steady() + int(timeout * 1e9)
+        while any(runner.asynchronous for runner in self._runners):
+            if self.host.steady() >= deadline:
+                raise CommandRefused(f"user code did not return within {timeout:g} s{self._busy_words()}")
+            await self.host.sleep(0.01)
+
+    async def _detach(self, command: commands.DetachCommand) -> replies.Detached:
+        detached = await self._attachments.detach(command)
+        self._handovers.give_back()
+        return detached
+
+    # -- state -------------------------------------------------------------------------------------
+
+    def state(self, instance: str, uuid: str, pid: int, waiting: str | None, imported: int) -> ComponentState:
+        """The component's state, read without waiting for the data thread."""
+        # At one moment: the data thread may set one.
+        parameters = [_Seen(each.name, each.value, each.declared) for each in self._parameters().values()]
+        return ComponentState(
+            instance=instance,
+            uuid=uuid,
+            pid=pid,
+            revision=self.revision.value,
+            functionalities={runner.name: runner.state() for runner in self._runners},
+            ports={name: port.states() for name, port in self.parts.ports.items()},
+            parameters={each.name: each.value for each in parameters if _is_shown(each)},
+            stopping=self._stopping_seconds(),
+            waiting=waiting,
+            simulated_time=self.host.simulated_time,
+            node=self.host.node_name,
+            answers=self.host.gate.is_open,
+            imported=imported,
+            clock_speed=self.host.clock_history.speed(self.host.steady()) if self.host.simulated_time else 1.0,
+            declared={each.name: each.declared for each in parameters if _is_shown(each) and each.is_set},
+            keeps_state=self.parts.callbacks.export_state is not None,
+            host=THIS_HOST,
+        )
+
+    def _stopping_seconds(self) -> float:
+        """How long :meth:`end` takes where user code keeps to its times: of the call under way, then of `on_stop`."""
+        callbacks = self.parts.callbacks
+        return callbacks.stop_timeout * (1 if callbacks.stop is None else 2) + SHUTDOWN_SECONDS
+
+    def _parameters(self) -> dict[str, HeldParameter]:
+        """Those of the component, and those that are declared on the ROS node itself."""
+        return {**self.host.parameters.held(), **self.parts.parameters}
+
+    def _busy_words(self) -> str:
+        busy = [(runner.name, seconds) for runner in self._runners if (seconds := runner.state().busy) is not None]
+        return f" (busy: {', '.join(f'{name} for {seconds:.1f} s' for name, seconds in busy)})" if busy else ""
+
+    # -- modes -------------------------------------------------------------------------------------
+
+    async def _modes(self, command: commands.ModesCommand, expected: int | None) -> replies.PreviousModes:
+        indices = {name: self._mode_index(name, mode) for name, mode in command.modes.items()}
+        before = self.parts.callbacks.before_modes
+        if before is None:
+            return await self._switch_modes(command, indices, expected)
+        current = {runner.name: runner.current_mode() for runner in self._runners if runner.name in indices}
+        await before(command.modes)
+        try:
+            return await self._switch_modes(command, indices, expected)
+        except CommandRefused:
+            with contextlib.suppress(CommandRefused):
+                await before(current)
+            raise
+
+    async def _switch_modes(
+        self, command: commands.ModesCommand, indices: Mapping[str, int], expected: int | None
+    ) -> replies.PreviousModes:
+        targets = {runner: indices[runner.name] for runner in self._runners if runner.name in indices}
+        settled = asyncio.Event()
+        on_settled = partial(asyncio.get_running_loop().call_soon_threadsafe, settled.set)
+
+        def guard() -> str | None:
+            if expected is not None and expected != self.revision.value:
+                return "a functionality has degraded by itself meanwhile: observe the component again, then retry"
+            return None
+
+        switch = ModeSwitch(targets, command.because, guard, on_settled, hold=self._take_hold())
+        attempt = asyncio.ensure_future(self.host.on_data(switch.attempt))
+        attempt.add_done_callback(self._log_failure)
+        if await within(self.host, settled.wait(), command.timeout) is None and switch.claim.take():
+            self.host.on_data(switch.release)
+            raise CommandRefused(
+                f"the change of {', '.join(indices)} was withdrawn: "
+                f"user code did not return within {command.timeout:g} s{self._busy_words()}"
+            )
+        await settled.wait()
+        if switch.refused is not None:
+            raise CommandRefused(switch.refused)
+        return replies.PreviousModes(before=switch.before, at=None if switch.hold is None else switch.at)
+
+    async def _hold_calls(self, command: commands.HoldCommand) -> replies.Done:
+        names = {runner.name: runner for runner in self._runners}
+        if unknown := [name for name in command.functionalities if name not in names]:
+            raise CommandRefused(f"there is no functionality {unknown[0]}; the functionalities are: {', '.join(names)}")
+        if (earlier := self._take_hold()) is not None:
+            self.host.on_data(earlier.release)
+        if not command.seconds:
+            return replies.Done()
+        held = asyncio.Event()
+        on_held = partial(asyncio.get_running_loop().call_soon_threadsafe, held.set)
+        hold = Hold([names[name] for name in command.functionalities], on_held)
+        self.host.on_data(hold.attempt)
+        if await within(self.host, held.wait(), command.timeout) is None:
+            self.host.on_data(hold.release)
+            raise CommandRefused(f"user code did not return within {command.timeout:g} s{self._busy_words()}")
+        self._hold = hold
+        self._expiry = asyncio.ensure_future(self._expire(command.seconds))
+        return replies.Done()
+
+    async def _expire(self, seconds: float) -> None:
+        """Whoever asked for the hold may be gone."""
+        await self.host.sleep(seconds)
+        self._expiry = None
+        if (hold := self._take_hold()) is not None:
+            self.host.on_data(hold.release)
+
+    def _take_hold(self) -> Hold | None:
+        """The hold in force, if any, which the caller ends."""
+        hold, self._hold = self._hold, None
+        if self._expiry is not None:
+            self._expiry.cancel()
+            self._expiry = None
+        return hold
+
+    def _log_failure(self, work: asyncio.Future[Any]) -> None:
+        if not work.cancelled() and (error := work.exception()) is not None:
+            self.host.logger.error(f"changing modes failed: {type(error).__name__}: {error}")
+
+    def _mode_index(self, functionality: str, mode: object) -> int:
+        runner = next((runner for runner in self._runners if runner.name == functionality), None)
+        if runner is None:
+            listed = ", ".join(runner.name for runner in self._runners)
+            raise CommandRefused(f"there is no functionality {functionality}; the functionalities are: {listed}")
+        names = [declared.name for declared in runner.chain]
+        if mode not in names:
+            raise CommandRefused(f"{functionality} has no mode {mode!r}; its modes are: {', '.join(names)}")
+        return names.index(str(mode))
+
+    # -- parameters and state ----------------------------------------------------------------------
+
+    async def _set_parameters(self, command: commands.SetParametersCommand) -> replies.PreviousParameters:
+        declared = self._parameters()
+        for name in command.parameters:
+            if name.startswith("midstride."):
+                raise CommandRefused(f"{name} shows the state of the component and cannot be set")
+            if name not in declared:
+                raise CommandRefused(
+                    f"there is no parameter {name}; the parameters are: {', '.join(declared) or 'none'}"
+                )
+        started_with = command.parameters if command.declared is None else command.declared
+        fitted = {name: declared[name].fitted(value) for name, value in started_with.items() if name in declared}
+
+        def set_all() -> replies.PreviousParameters:
+            parameters = [declared[name] for name in command.parameters]
+            before = {each.name: each.value for each in parameters}
+            set_before = {each.name: each.declared for each in parameters if each.value != each.declared}
+            self.host.parameters.set(command.parameters)
+            for name, value in fitted.items():
+                declared[name].declared = value
+            return replies.PreviousParameters(before=before, declared=set_before)
+
+        return await self._data.run(set_all, command.timeout)
+
+    async def _export_state(self, command: commands.ExportStateCommand) -> replies.ExportedState:
+        return replies.ExportedState(state=await self._hooks.export(command.timeout))
+
+    async def _import_state(self, command: commands.ImportStateCommand) -> replies.Done:
+        await self._hooks.import_(command.state, command.timeout)
+        return replies.Done()
+
+    async def _record(self, command: commands.RecordCommand) -> replies.RecordingSwitched:
+        ports = [self._attachments.input(name) for name in command.inputs]
+
+        def switch() -> None:
+            for port in ports:
+                port.record(command.on)
+
+        await self._data.run(switch, command.timeout)
+        return replies.RecordingSwitched(now=self.host.steady())
+
+    async def _records(self, command: commands.RecordsCommand) -> replies.Records:
+        port = self._attachments.input(command.input)
+        receipts = await self._data.run(lambda: list(port.receipts), command.timeout)
+        rows = []
+        for received, native in receipts:
+            info = self.host.read_info(native)
+            rows.append(replies.Receipt(received, info.source, info.number, info.publisher))
+        identity = bool(rows) and all(row.publisher is not None for row in rows)
+        moments = None
+        if self.host.simulated_time:
+            known = self.host.clock_history.moments()
+            begin = bisect.bisect_left([steady for steady, _ in known], rows[0].received if rows else 0)
+            moments = known[max(0, begin - 1) :]
+        return replies.Records(
+            rows=rows,
+            publisher_identity=identity,
+            now=self.host.steady(),
+            moments=moments,
+            ros_sources=self.host.publishes_ros_time,
+        )
+
+
+class _Seen(NamedTuple):
+    """A parameter at one moment. ``value`` is None where it has none that can be written as JSON."""
+
+    name: str
+    value: Any
+    declared: Any
+
+    @property
+    def is_set(self) -> bool:
+        return bool(self.value != self.declared)
+
+
+def _is_shown(parameter: _Seen) -> bool:
+    """Whether it is in the component's state. Of those that every node has, only what was set at run time is."""
+    if parameter.value is None:
+        return False
+    return parameter.name not in ROS_PARAMETERS or parameter.is_set

@@ -1,0 +1,63 @@
+"""The author's functions that export and import the state of a component, run on the data thread in bounded time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, TypeVar
+
+from midstride.errors import CommandRefused
+from midstride.node.author.declaration import Callbacks
+from midstride.node.data.functionality_runner import CAUGHT, format_error
+from midstride.node.data.mode_switch import DataExecutor
+
+T = TypeVar("T")
+
+
+@dataclass
+class StateHooks:
+    """Raises CommandRefused with what the author's function raised, or where it does not return in time."""
+
+    callbacks: Callbacks
+    data: DataExecutor
+
+    def exports(self, to_changes: bool) -> Literal["nothing", "whole", "changes"]:
+        """What is exported at a cut to a component that can, or cannot, import changes."""
+        if self.callbacks.export_state is None:
+            return "nothing"
+        return "changes" if to_changes and self.callbacks.export_changes is not None else "whole"
+
+    @property
+    def imports_changes(self) -> bool:
+        return self.callbacks.import_changes is not None
+
+    async def export(self, timeout: float, changes: bool = False) -> bytes | None:
+        """The state, or what has changed since it was exported; None where the component keeps none."""
+        export = self.callbacks.export_changes if changes else self.callbacks.export_state
+        if export is None:
+            return None
+        what = "on_export_changes" if changes else "on_export_state"
+        state = await self._run(export, what, timeout)
+        if not isinstance(state, (bytes, bytearray)):
+            raise CommandRefused(f"{what} returned {type(state).__name__}, not bytes")
+        return bytes(state)
+
+    def check_import(self) -> None:
+        """Raises CommandRefused where the component cannot import state."""
+        if self.callbacks.import_state is None:
+            raise CommandRefused("the component cannot import state: it has no on_import_state")
+
+    async def import_(self, state: bytes, timeout: float, changes: bool = False) -> None:
+        self.check_import()
+        hook = self.callbacks.import_changes if changes else self.callbacks.import_state
+        assert hook is not None
+        await self._run(lambda: hook(state), "on_import_changes" if changes else "on_import_state", timeout)
+
+    async def _run(self, function: Callable[[], T], what: str, timeout: float) -> T:
+        def guarded() -> T:
+            try:
+                return function()
+            except CAUGHT as error:
+                raise CommandRefused(f"{what} raised: {format_error(error)}") from None
+
+        return await self.data.run(guarded, timeout)

@@ -1,0 +1,340 @@
+"""The control thread's part in a cut: waiting for T, the report of the first write, and resuming.
+
+Each side of a cut is one task, which ends with the outcome that `await_cut` returns. It does not need the manager, so
+the topic does not depend on the manager's being alive. Which side writes after T is decided by the claim of the cut;
+the report only lets the old side know early.
+"""
+
+from __future__ import annotations
+
+import abc
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from typing import ClassVar, Final
+
+from midstride.errors import BackendError, CommandRefused
+from midstride.node.component_host import Host
+from midstride.node.handover.cut import GRACE, IncomingCut, OutgoingCut
+from midstride.node.handover.state_transfer import StateExport, StateImport
+from midstride.wire.replies import CutOutcome, CutResult
+
+# How often a side checks whether it can go on (s): shorter than a period at 200 Hz.
+TICK: Final = 0.002
+# How long one attempt to report to the peer may take (s), and how many there are: a dead peer cannot write.
+REPORT_TIMEOUT: Final = 0.25
+REPORT_ATTEMPTS: Final = 20
+# A side whose clock has gone back by more than this gives the cut up (s): T may be far ahead again.
+JUMP: Final = 1.0
+# A new side may be late by so much, however fast the ROS clock runs (s).
+SHORTEST_SILENCE: Final = 0.1
+# How often an old side that has done its part looks whether the new one can still write (s).
+SLOW_TICK: Final = 0.05
+# How often a side that waits for T looks at the clock, and at what has happened meanwhile (s).
+LONGEST_WAIT: Final = 0.01
+
+
+@dataclass(eq=False)
+class _CutTask(abc.ABC):
+    """What both sides share: an outcome, and cancellation."""
+
+    new: ClassVar[bool]
+    host: Host
+    changed: Callable[[], None]
+    side: OutgoingCut | IncomingCut
+    outcome: CutOutcome | None = field(default=None, init=False)
+    finished: asyncio.Event = field(default_factory=asyncio.Event, init=False)
+    _latest: int = field(default=0, init=False)  # what the clock of the cut has shown
+
+    def _going(self) -> bool:
+        """Whether there is no outcome yet; a cancellation may come at any await."""
+        return self.outcome is None
+
+    def _failed(self) -> bool:
+        """Whether this side will not write at T."""
+        return False
+
+    @property
+    @abc.abstractmethod
+    def over(self) -> bool:
+        """Whether nothing of this cut, and no claim, decides any more what this side writes."""
+
+    @abc.abstractmethod
+    async def cancel(self) -> None: ...
+
+    @abc.abstractmethod
+    async def settle(self) -> None:
+        """Return once it has an outcome; cancel it unless the new side has taken over."""
+
+    def _jumped_back(self, by: float = JUMP) -> bool:
+        """Whether the clock of the cut has been set back since this was first asked: a simulation has started again."""
+        now = self.side.now()
+        self._latest = max(self._latest, now)
+        return self._latest - now > by * 1e9
+
+    async def _until(self, at: int) -> None:
+        """Wait until ``at`` on the clock of the cut, which may not run like the steady one; less long if it fails."""
+        while self._going() and not self._failed() and (left := (at - self.side.now()) / 1e9) > 0:
+            if self._jumped_back():
+                return
+            await self.host.sleep(min(max(left, 0.0001), LONGEST_WAIT))
+
+    async def _end(self, outcome: CutOutcome, gates: Callable[[], None]) -> None:
+        """Set the outcome first, since the peer may ask at any moment; then the gates; then wake those that wait."""
+        self.outcome = outcome
+        await self.host.on_data(gates)
+        self.finished.set()
+        self.changed()
+
+
+@dataclass(eq=False)
+class CutOutTask(_CutTask):
+    """The old side: writes up to T, and resumes where `taken` does not arrive in time."""
+
+    new = False
+    side: OutgoingCut
+    resume_after: float
+    export: StateExport | None = None
+    _taken: bool = field(default=False, init=False)
+    # The manager wants this side to write again, and the new one could still.
+    _wanted: bool = field(default=False, init=False)
+    _lingering: bool = field(default=False, init=False)
+
+    async def run(self) -> None:
+        await self._pass()
+        await self.linger()
+
+    async def _pass(self) -> None:
+        """Do this side's part, until there is an outcome."""
+        await self._until(self.side.at)
+        passed_at = self.host.steady()
+        while self._going():
+            if self._failed():
+                await self._end("done", self.side.finish)
+                return
+            if self._jumped_back() and self._may_resume():
+                await self._end("resumed", self.side.reopen)
+                return
+            passed = self.side.over or await self.host.on_data(self.side.passed)
+            if not self._going():
+                return
+            if passed and self.export is not None:
+                await self.export.passed(self)
+                if not self._going():
+                    return
+            if passed and self._taken:
+                await self._end("done", self.side.relieved)
+            elif not self._taken and self._given_up(passed_at) and self._may_resume():
+                await self._end("resumed", self.side.reopen)
+            else:
+                await (self.host.sleep(TICK) if self.export is None else self.export.pause())
+
+    def _failed(self) -> bool:
+        """Whether the new side has written, and the clock was set back before this side noticed T."""
+        return self._taken and self.side.now() < self.side.at and self._jumped_back(0.0)
+
+    def _given_up(self, passed_at: int) -> bool:
+        if self.export is not None and self.export.given_up(self.resume_after):
+            return True
+        return self._is_overdue(passed_at)
+
+    def _is_overdue(self, passed_at: int) -> bool:
+        """Whether the new side should have written ``resume_after`` ago; where messages drive it, since one arrived.
+
+        A new side on a time grid that ``/clock`` drives writes nothing while that stands still.
+        """
+        since = self.side.newer_at if self.side.driven_by_messages else passed_at
+        if since is not None and self.export is not None:
+            since = max(since, self.export.heard_at)
+        if since is None:
+            return False
+        silent = (self.host.steady() - since) / 1e9
+        if self.side.clock == "ros" and self.host.simulated_time:
+            on_clock = (self.side.now() - self.side.at) / 1e9
+            return on_clock > self.resume_after and silent > min(SHORTEST_SILENCE, self.resume_after)
+        return silent > self.resume_after
+
+    async def _end(self, outcome: CutOutcome, gates: Callable[[], None]) -> None:
+        export = self.export
+        if export is None:
+            await super()._end(outcome, gates)
+            return
+        export.end(self, resumed=outcome != "done")
+
+        def gates_then_calls() -> None:
+            gates()
+            export.release_if_over()
+
+        await super()._end(outcome, gates_then_calls)
+
+    async def taken(self, failed: bool, place: str = "") -> bool:
+        """The new side has written, and has its claim in ``place``; or it has failed.
+
+        Returns whether this one writes again.
+        """
+        if self.outcome in ("resumed", "cancelled"):
+            return True
+        if failed:
+            await self.cancel()
+            return True
+        self.side.claim.share(place)
+        self._note_taken()
+        return False
+
+    def _note_taken(self) -> None:
+        if not self._taken:
+            self._taken, self.side.taken_at = True, self.host.steady()
+
+    def _may_resume(self) -> bool:
+        """Whether this side may write again; else the new one has taken over, even if its report is lost."""
+        if self._taken:
+            return False
+        if not self.side.claim.take():
+            self._note_taken()
+        return not self._taken
+
+    async def cancel(self) -> None:
+        """Raises CommandRefused where the new side has taken over, and has not given up."""
+        if not self.side.claim.take():
+            self._note_taken()
+            self._wanted = True
+            raise CommandRefused("the new side has taken over, and can still write")
+        await self._end("cancelled", self.side.reopen)
+
+    async def linger(self) -> None:
+        """Write again as soon as the new side can no longer: it has given up, or its process has ended.
+
+        That needs no command, which may not arrive. It ends with the attachments, or once another cut has them. Where
+        the claims of the two sides are not known to be one, only a command makes this side write again.
+        """
+        if self._lingering:
+            return
+        self._lingering = True
+        while not self.over:
+            await self.host.sleep(SLOW_TICK)
+            await self._inherit()
+        if self.outcome == "done":
+            self.side.claim.give_back()
+
+    @property
+    def over(self) -> bool:
+        if self.outcome == "done":
+            return not (self.side.closed or (self._wanted and not self.side.links))
+        return self.outcome is not None
+
+    async def _inherit(self) -> None:
+        if not self.over and self._taken and self.side.claim.inherit():
+            await self._end("resumed", self.side.reopen)
+
+    async def settle(self) -> None:
+        if self._going() and self._may_resume():
+            await self._end("cancelled", self.side.reopen)
+        await self.finished.wait()
+        await self._inherit()
+
+    def result(self) -> CutResult:
+        because = None if self.export is None else self.export.because
+        return CutResult(outcome=self.outcome or "waiting", because=because, last=self.side.last())
+
+
+@dataclass(eq=False)
+class CutInTask(_CutTask):
+    """The new side: writes from T on, and reports its first write to its peer."""
+
+    new = True
+    side: IncomingCut
+    # Reports the first write, or a failure, to the old side within so many seconds; returns whether that has resumed.
+    report: Callable[[float, bool], Awaitable[bool]]
+    state: StateImport | None = None
+    _reporting: bool = field(default=False, init=False)
+
+    async def run(self) -> None:
+        latched = all(link.output.owner.rate is not None for link in self.side.links)  # a time grid needs no latch
+        await self._until(self.side.at)
+        if self.state is not None and self._going():
+            await self.state.settled()
+        waited_from = self.host.steady()
+        while self.side.links and self._going() and not self._is_decided():
+            # A message in transit at T may still make the new side write; nothing else will.
+            waited = (self.host.steady() - waited_from) / 1e9
+            if not latched and waited > (GRACE if self.side.driven_by_messages else 0.0):
+                latched = True
+                await self.host.on_data(self.side.latch)
+            else:
+                await self.host.sleep(TICK)
+        if (self._failed() or self.side.refused) and await self._abandon(report=not self.side.refused):
+            return
+        self._reporting = True
+        if self._going() and await self._resumed(failed=False):
+            await self._end("cancelled", self._close)
+        if self._going():
+            self.outcome = "done"
+            self.finished.set()
+            self.changed()
+            await self.host.sleep(GRACE)  # messages from before T may still be in transit to here
+            await self.host.on_data(self._conclude)
+
+    def _conclude(self) -> None:
+        self.side.conclude()
+        if self.state is not None:
+            self.state.end(self, done=True)
+
+    def _close(self) -> None:
+        self.side.close()
+        if self.state is not None:
+            self.state.end(self, done=False)
+
+    @property
+    def is_detached(self) -> bool:
+        """Whether it had attachments, and has none left."""
+        return bool(self.side.links) and not any(link in link.output.links for link in self.side.links)
+
+    def _is_decided(self) -> bool:
+        return bool(self.side.written) or self.side.refused or self._failed()
+
+    def _failed(self) -> bool:
+        """Whether, before the first write, the author's code has raised, the clock jumped back, or no state came."""
+        if self.state is not None and self.state.failed:
+            return True
+        failed = self._jumped_back() or any(link.output.owner.failed for link in self.side.links)
+        return failed and not self.side.written
+
+    @property
+    def over(self) -> bool:
+        if not self.side.links:
+            return self.finished.is_set()
+        return self.outcome == "cancelled" or self.is_detached
+
+    async def _resumed(self, failed: bool) -> bool:
+        """Report to the old side until it answers; whether it has resumed. One that cannot be reached has not."""
+        for _ in range(REPORT_ATTEMPTS):
+            if not failed and not self._going():
+                return False
+            try:
+                return await self.report(REPORT_TIMEOUT, failed)
+            except BackendError:
+                await self.host.sleep(REPORT_TIMEOUT / 5)
+        return False
+
+    async def cancel(self) -> None:
+        if self.state is not None:
+            await self.state.cancel()
+        await self._end("cancelled", self._close)
+
+    async def settle(self) -> None:
+        if self._going() and not self._reporting:
+            await self._abandon(report=False)
+        await self.finished.wait()
+
+    async def _abandon(self, report: bool) -> bool:
+        """Cancel this side unless it has written; whether it is cancelled. A hung call delays nothing."""
+        if self.side.claim.renounce() or await self.host.on_data(self.side.abandon):
+            self.outcome = "cancelled"
+            if report:
+                await self._resumed(failed=True)
+            await self.cancel()
+        return self.outcome == "cancelled"
+
+    def result(self) -> CutResult:
+        because = None if self.state is None else self.state.problem
+        return CutResult(outcome=self.outcome or "waiting", because=because, first=self.side.first())

@@ -1,0 +1,363 @@
+"""The commands of a hand-over: the time grid, the two sides of a cut, and the connection between the peers."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, TypeAlias, TypeVar
+
+from midstride.errors import BackendError, CommandRefused, Unreachable
+from midstride.node.author.ports import OutputLink
+from midstride.node.component_host import Host
+from midstride.node.control.attachments import Attachments
+from midstride.node.control.service_answering import Answering
+from midstride.node.control.state_hooks import StateHooks
+from midstride.node.data.functionality_runner import FunctionalityRunner
+from midstride.node.data.mode_switch import DataExecutor, within
+from midstride.node.handover.baton import TakenSeat
+from midstride.node.handover.baton_cut import BatonCut, BatonTask
+from midstride.node.handover.cut import IncomingCut, OutgoingCut, comparable, reading
+from midstride.node.handover.cut_protocol import CutInTask, CutOutTask
+from midstride.node.handover.state_transfer import StateExport, StateImport, mute, unmute
+from midstride.wire import commands, replies
+from midstride.wire.channel import Channel, result_of
+from midstride.wire.commands import Command
+from midstride.wire.frames import Reply
+from midstride.wire.state import GateState
+from midstride.wire.transport import CutClaim
+
+R = TypeVar("R")
+Side: TypeAlias = CutOutTask | CutInTask | BatonTask
+
+# How long one attempt to reach a peer may take (s).
+MEET_ATTEMPT: Final = 0.5
+# How many finished cuts can still be queried, or cancelled.
+REMEMBERED: Final = 50
+
+
+@dataclass
+class HandoverCommands:
+    """``changed`` is called when a cut is over; ``token`` gives the token with which peers are called."""
+
+    attachments: Attachments
+    host: Host
+    data: DataExecutor
+    changed: Callable[[], None]
+    token: Callable[[], str]
+    hooks: StateHooks
+    runners: Sequence[FunctionalityRunner]
+    # Both sides of a cut may be here: one output of a component can hand over to another.
+    _sides: dict[str, list[Side]] = field(default_factory=dict)
+    _exports: dict[str, StateExport] = field(default_factory=dict)
+    _imports: dict[str, StateImport] = field(default_factory=dict)
+    _tasks: set[asyncio.Task[None]] = field(default_factory=set)
+    _channels: dict[str, Channel] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.answering = Answering(self.host.gate, self.call, self.changed)
+
+    def close(self) -> None:
+        """The component ends: stop all cuts."""
+        for task in self._tasks:
+            task.cancel()
+        self.disconnect()
+
+    def disconnect(self) -> None:
+        """Close the connections to peers: they belong to the system that the component leaves."""
+        for channel in self._channels.values():
+            channel.close()
+        self._channels.clear()
+
+    async def grid(self, command: commands.GridCommand) -> replies.Grid:
+        if command.port is None:
+            return replies.Grid(trigger="none", clock="message", now=reading(self.host, "message"))
+        output = self.attachments.output(command.port)
+        owner, topic = output.owner, command.topic
+        rate = owner.rate
+        clock: replies.CutClock = "ros" if rate is not None or comparable(self.host, "ros", "message") else "message"
+        simulated = clock == "ros" and self.host.simulated_time
+        endpoint = None if topic is None else self.attachments.link(command.port, topic).endpoint
+        epoch, period = (None, None) if rate is None else (rate.slot, rate.period)
+        if output.relayed and clock == "ros" and (found := output.observed_grid()) is not None:
+            epoch, period = found
+        return replies.Grid(
+            trigger=owner.driven,
+            clock=clock,
+            speed=self.host.clock_history.speed(self.host.steady()) if simulated else 1.0,
+            epoch=epoch,
+            period=period,
+            now=reading(self.host, clock),
+            readers=None if endpoint is None else endpoint.matched(),
+            reader_ids=[] if endpoint is None else sorted(endpoint.reader_ids()),
+        )
+
+    async def meet(self, command: commands.MeetCommand) -> replies.Done:
+        """Connect to the peer and ping it; the connection is kept for the report of the first write."""
+        await self._ask(command, commands.PingCommand())
+        return replies.Done()
+
+    async def _ask(self, command: commands.MeetCommand | commands.PrepareStateCommand, question: Command[R]) -> R:
+        """What the peer of ``command`` replies, in several short attempts. Raises CommandRefused."""
+        deadline = self.host.steady() + int(command.timeout * 1e9)
+        while True:
+            try:
+                return result_of(await self.call(command.address, question, MEET_ATTEMPT), question)
+            except CommandRefused as error:
+                raise CommandRefused(f"{command.peer} refused `{question.name}`: {error}") from None
+            except BackendError as error:
+                if self.host.steady() >= deadline:
+                    raise CommandRefused(
+                        f"{command.peer} did not answer within {command.timeout:g} s: {error}"
+                    ) from None
+                await self.host.sleep(0.02)
+
+    async def cut_out(self, command: commands.CutOutCommand) -> replies.Done:
+        links = self._links_of(command, CutOutTask, gate="open")
+        if command.seat is not None:
+            return await self._join(command, links, command.seat)
+        export = None if command.state is None else self._export(command.state)
+        in_order = export is not None and _in_order(links)
+        side = OutgoingCut(links, command.at, self.host, self._claim(command), in_order=in_order, clock=command.clock)
+        if command.state is not None and command.state.order_only:
+            side.until = command.at + int(command.state.timeout * 1e9)
+
+        def arm() -> None:
+            side.arm()
+            if export is not None:
+                export.arm(links, side)
+
+        await self._arm(side, arm)
+        self._begin(command.cut, CutOutTask(self.host, self.changed, side, command.resume_after, export))
+        return replies.Done()
+
+    async def cut_in(self, command: commands.CutInCommand) -> replies.Done:
+        links = self._links_of(command, CutInTask, gate="closed")
+        if failed := [str(link) for link in links if link.output.owner.failed]:
+            raise CommandRefused(f"{', '.join(failed)} cannot take over: its functionality has failed")
+        if command.seat is not None:
+            return await self._join(command, links, command.seat)
+        # One that writes once has nothing else to write, however the old side is driven.
+        latches = [
+            link
+            for link, swap in zip(links, command.swaps, strict=True)
+            if swap.latch or link.output.owner.driven == "none"
+        ]
+        side = IncomingCut(links, command.at, self.host, self._claim(command), latches, clock=command.clock)
+        state = None if command.state is None else self._import(command.state, command.peer, command.address)
+
+        def arm() -> None:
+            side.arm(command.epoch)
+            if state is not None:
+                state.arm(links, side)
+
+        await self._arm(side, arm)
+
+        met = self._channels.get(command.address)
+        old = "" if met is None else met.greeting.uuid
+
+        async def report(timeout: float, failed: bool) -> bool:
+            nonlocal old
+            taken = commands.CutTakenCommand(cut=command.cut, failed=failed, claim="" if failed else side.claim.place)
+            channel = await self._channel(command.address, timeout)
+            old = old or channel.greeting.uuid
+            if channel.greeting.uuid != old:  # that one knows nothing of the cut, and would say that it writes
+                raise Unreachable(f"{command.peer} has ended, and another process has its name")
+            reply = await channel.request(taken, timeout=timeout)
+            return not reply.ok or result_of(reply, taken).resumed
+
+        self._begin(command.cut, CutInTask(self.host, self.changed, side, report, state))
+        if state is not None and state.complete:
+            self._start(state.run())
+        return replies.Done()
+
+    async def _join(
+        self, command: commands.CutOutCommand | commands.CutInCommand, links: list[OutputLink], seat: replies.Seat
+    ) -> replies.Done:
+        """A side of a cut whose other side has a gate: the baton decides."""
+        new, taken = isinstance(command, commands.CutInCommand), TakenSeat(seat)
+        latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
+        cut = BatonCut(links, latches, taken, self.host, new)
+        try:
+            await self.data.run(cut.arm, command.timeout)
+        except CommandRefused:
+            taken.rise()
+            raise
+        self._begin(command.cut, BatonTask(self.host, self.changed, cut, command.resume_after))
+        return replies.Done()
+
+    async def cancel_cut(self, command: commands.CancelCutCommand) -> replies.Done:
+        # A new side first: the old one cannot write while that does.
+        for side in sorted(self._sides.get(command.cut, []), key=lambda side: not side.new):
+            try:
+                await side.cancel()
+            except CommandRefused:
+                if isinstance(side, CutOutTask):
+                    self._start(side.linger())
+                raise
+        return replies.Done()
+
+    async def settle_cuts(self, command: commands.SettleCutsCommand) -> replies.Done:
+        sides = [side for sides in self._sides.values() for side in sides if side.new == command.new]
+        await within(self.host, asyncio.gather(*(side.settle() for side in sides)), command.timeout)
+        return replies.Done()
+
+    async def await_cut(self, command: commands.AwaitCutCommand) -> replies.CutResult:
+        sides = self._sides.get(command.cut, [])
+        if not sides:
+            raise CommandRefused(f"there is no cut {command.cut}")
+        over = asyncio.gather(*(side.finished.wait() for side in sides))
+        await within(self.host, over, command.timeout)
+        results = [side.result() for side in sides]
+        # Where both sides are here, the cut is done once both are.
+        outcome: replies.CutOutcome = next((each.outcome for each in results if each.outcome != "done"), "done")
+        last = {name: write for result in results for name, write in result.last.items()}
+        first = {name: write for result in results for name, write in result.first.items()}
+        because = next((result.because for result in results if result.because is not None), None)
+        return replies.CutResult(outcome=outcome, because=because, last=last, first=first)
+
+    async def taken(self, command: commands.CutTakenCommand) -> replies.Relieved:
+        """From the new side. Where the cut is unknown, this side has not stopped writing."""
+        old = [side for side in self._sides.get(command.cut, []) if isinstance(side, CutOutTask)]
+        resumed = [await side.taken(command.failed, command.claim) for side in old]
+        return replies.Relieved(resumed=any(resumed) if old else True)
+
+    # -- state ---------------------------------------------------------------------------------------
+
+    async def mute(self, command: commands.MuteCommand) -> replies.Done:
+        await self.data.run(lambda: mute(self.runners), command.timeout)
+        return replies.Done()
+
+    async def answer(self, command: commands.AnswerCommand) -> replies.Done:
+        """The instance of its role that answers is the one that works, too."""
+        done = await self.answering.answer(command)
+        await self.data.run(lambda: unmute(self.runners), command.timeout)
+        return done
+
+    async def prepare_state(self, command: commands.PrepareStateCommand) -> replies.StateOffer:
+        if command.bulk:
+            export = commands.ExportStateCommand(timeout=command.timeout)
+            state = result_of(await self.call(command.address, export, command.timeout), export).state
+            if state is not None:
+                await self.hooks.import_(state, command.timeout)
+            return replies.StateOffer(exports="changes")
+        offered = await self._ask(command, commands.OfferStateCommand(changes=self.hooks.imports_changes))
+        if offered.has_state:
+            self.hooks.check_import()
+        return offered
+
+    async def offer_state(self, command: commands.OfferStateCommand) -> replies.StateOffer:
+        exports = self.hooks.exports(command.changes)
+        if exports == "nothing" and self.attachments.relays:
+            return replies.StateOffer(exports="order")
+        return replies.StateOffer(exports=exports)
+
+    async def fetch_state(self, command: commands.FetchStateCommand) -> replies.FetchedState:
+        return await self._exporting(command.transfer).fetch()
+
+    async def importing(self, command: commands.ImportingCommand) -> replies.Relieved:
+        return self._exporting(command.transfer).importing(command.done)
+
+    def _exporting(self, transfer: str) -> StateExport:
+        if (export := self._exports.get(transfer)) is None:
+            raise CommandRefused(f"there is no transfer {transfer}")
+        return export
+
+    def _export(self, transfer: commands.StateTransfer) -> StateExport:
+        if transfer.id not in self._exports:
+            export = StateExport(transfer, self.hooks, self.answering, self.host, self.runners, self._start)
+            self._exports = {transfer.id: export}
+        return self._exports[transfer.id]
+
+    def _import(self, transfer: commands.StateTransfer, peer: str, address: str) -> StateImport:
+        if transfer.id not in self._imports:
+
+            def request(command: Command[Any], timeout: float) -> Awaitable[Reply]:
+                return self.call(address, command, timeout)
+
+            state = StateImport(transfer, self.hooks, self.answering, self.host, self.runners, peer, request)
+            self._imports = {transfer.id: state}
+        return self._imports[transfer.id]
+
+    def _claim(self, command: commands.CutOutCommand | commands.CutInCommand) -> CutClaim:
+        if self.host.transport is None:
+            raise CommandRefused("this component runs without a control socket, so it hands nothing over")
+        return self.host.transport.claim(command.cut)
+
+    def give_back(self) -> None:
+        """New sides without any attachment left have nothing to write."""
+        for side in (side for sides in self._sides.values() for side in sides):
+            if isinstance(side, CutInTask) and side.is_detached:
+                side.side.claim.give_back()
+
+    def _links_of(
+        self, command: commands.CutOutCommand | commands.CutInCommand, kind: type, gate: GateState
+    ) -> list[OutputLink]:
+        """The attachments that take part in a cut. Raises CommandRefused where one cannot."""
+        if any(isinstance(side, kind) for side in self._sides.get(command.cut, [])):
+            raise CommandRefused(f"cut {command.cut} has been agreed already")
+        links = []
+        for swap in command.swaps:
+            link = self.attachments.link(swap.port, swap.topic)
+            if link.cut is not None:
+                raise CommandRefused(f"{link} is part of another cut under way")
+            if link.gate != gate:
+                raise CommandRefused(f"the gate of {link} is {link.gate}, and must be {gate} before this side of a cut")
+            links.append(link)
+        if not links and command.state is None:
+            raise CommandRefused("a cut needs at least one swap, or state to move")
+        return links
+
+    async def _arm(self, side: OutgoingCut | IncomingCut, arm: Callable[[], None]) -> None:
+        """Prepare the data thread for the cut, before its moment or not at all."""
+        left = (side.at - side.now()) / 1e9
+
+        def in_time() -> None:
+            if side.now() >= side.at:
+                raise CommandRefused("the agreed moment of the cut has passed already")
+            arm()
+
+        if left <= 0:
+            raise CommandRefused(f"the agreed moment of the cut passed {-left:.3f} s ago")
+        await self.data.run(in_time, left)
+
+    def _begin(self, cut: str, side: Side) -> None:
+        self._sides.setdefault(cut, []).append(side)
+        over = [cut for cut, sides in self._sides.items() if all(earlier.over for earlier in sides)]
+        for old in over[:-REMEMBERED]:
+            del self._sides[old]
+        self._start(side.run())
+
+    def _start(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._ended)
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self.host.logger.error(f"a side of a cut failed: {type(error).__name__}: {error}")
+
+    async def call(self, address: str, command: Command[Any], timeout: float) -> Reply:
+        """A peer's reply. Raises CallTimeout or Unreachable."""
+        return await (await self._channel(address, timeout)).request(command, timeout=timeout)
+
+    async def _channel(self, address: str, timeout: float) -> Channel:
+        """A connection to a peer, which is kept. Raises CallTimeout or Unreachable."""
+        channel = self._channels.get(address)
+        if channel is None or channel.closed.is_set():
+            if self.host.transport is None:
+                raise Unreachable("this component runs without a control socket, so it has no peers")
+            made = await Channel.open(self.host.transport, address, self.token(), timeout=timeout)
+            self._channels = {peer: other for peer, other in self._channels.items() if not other.closed.is_set()}
+            channel = self._channels.setdefault(address, made)
+            if channel is not made:  # another cut has connected to the same peer meanwhile
+                made.close()
+        return channel
+
+
+def _in_order(links: Sequence[OutputLink]) -> bool:
+    """Whether all messages that drive these outputs come from one publisher: a newer one then follows all older."""
+    inputs = {port for link in links for port in link.output.owner.driving}
+    attachments = [link for port in inputs for link in port.links]
+    return len(attachments) == 1 and attachments[0].endpoint.matched() == 1

@@ -1,0 +1,1 @@
+"""The JSON forms of plans, their steps, and requests for changes."""

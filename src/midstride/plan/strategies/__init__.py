@@ -1,0 +1,1 @@
+"""The planning strategies by name, and what they build plans with."""

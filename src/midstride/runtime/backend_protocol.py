@@ -1,0 +1,150 @@
+"""The back-end protocol: all that the manager needs from a platform.
+
+A back end starts and ends the processes of components, says where their control sockets are, and shows the graph as
+the middleware sees it. Commands travel over :mod:`midstride.wire`, the same way on every platform. Foreign exceptions
+are translated here: a back end raises ``BackendError`` and its kinds only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container, Sequence
+from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, Protocol
+
+from midstride.model.component import ComponentSpec
+from midstride.runtime.manager_clock import Clock
+from midstride.runtime.records.status_forms import Middleware
+from midstride.wire.state import ComponentState
+from midstride.wire.transport import Transport
+
+# What the name of a relay's node has after the name of its instance, which is that of the program's node.
+RELAY_SUFFIX: Final = "_relay"
+
+
+@dataclass(frozen=True, slots=True)
+class Launch:
+    """How to start one component: its command (split as a shell would) and the name of its instance.
+
+    ``set_parameters`` are values that were set while its predecessor ran; they take precedence over ``parameters``.
+    ``node`` is the name of its ROS node where the platform allows two nodes of one name, by default the instance's.
+    ``standby``: another instance of that node answers requests until the new one is sent ``answer``.
+    ``package``: the program is an executable of that package, where the platform has such.
+    ``foreign``: the component, where its program does not use Midstride's API; ``topics`` then has those of its ports.
+    """
+
+    instance: str
+    namespace: str
+    arguments: tuple[str, ...]
+    token: str
+    directory: Path
+    parameters: dict[str, object] = field(default_factory=dict)
+    set_parameters: dict[str, object] = field(default_factory=dict)
+    node: str = ""
+    standby: bool = False
+    foreign: ComponentSpec | None = None
+    topics: dict[str, str] = field(default_factory=dict)
+    package: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Handle:
+    """Identifies the process of a started component, so that a later manager finds it again."""
+
+    instance: str
+    pid: int | None = None
+    started: float | None = None
+    log: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Exited:
+    """A component's process exited. ``status`` is negative for a signal, None if unknown."""
+
+    instance: str
+    status: int | None
+    log_tail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoints:
+    """The graph as the middleware reports it: nodes, and publishers and subscribers as (node, topic) pairs.
+
+    Nodes whose process has exited are excluded, even while the middleware still lists them.
+    """
+
+    nodes: frozenset[str] = frozenset()
+    publishers: tuple[tuple[str, str], ...] = ()
+    subscribers: tuple[tuple[str, str], ...] = ()
+
+
+class Backend(Protocol):
+    name: str
+    clock: Clock
+    transport: Transport
+
+    async def open(self, on_exit: Callable[[Exited], None]) -> None:
+        """Join the platform. ``on_exit`` is called on the manager's loop for each component that exits unexpectedly."""
+
+    async def close(self) -> None:
+        """Leave the platform; components keep running."""
+
+    async def start(self, launch: Launch) -> Handle:
+        """Start a component's process; it listens on its control address later. Raises StartFailed."""
+
+    async def adopt(self, handle: Handle) -> bool:
+        """Take over a component that an earlier manager started. False if it is no longer running."""
+
+    async def end(self, instance: str, grace: float) -> None:
+        """Terminate a started component, and kill it after ``grace`` seconds (0: at once). Returns once it has exited.
+
+        What the graph still shows of it is ignored from then on, even if its process had exited before.
+        """
+
+    def keep_spares(self, number: int, token: str) -> None:
+        """Keep so many processes ready for later starts: what is missing starts in the background.
+
+        To be called when nothing else is going on, or before many starts. A platform without processes, or that cannot
+        start them, has none.
+        """
+
+    def spares(self) -> int:
+        """How many of them are ready."""
+
+    def takes_spare(self, arguments: Sequence[str], directory: Path) -> bool:
+        """Whether a command can be run in one of them, in ``directory``; others get a new process."""
+
+    async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
+        """Terminate the system's processes whose instance is not ``known``; returns the names of those instances.
+
+        An earlier manager started them, but could not record them before it was killed; ``token`` identifies them.
+        After ``grace`` seconds each is killed. Raises BackendError.
+        """
+
+    def is_stopped(self, instance: str) -> bool:
+        """Whether the process of a started component is stopped (SIGSTOP), so that nothing in it runs."""
+
+    def disconnected(self, instance: str) -> None:
+        """A component that was started by hand has exited, as its control connection shows."""
+
+    def reported(self, state: ComponentState) -> None:
+        """A component has reported its state."""
+
+    def unwritten(self) -> str | None:
+        """Why what the next manager needs to know of the components could not be written to disk."""
+
+    def middleware(self) -> Middleware:
+        """The middleware, and what is set for it. To be asked after ``open``."""
+
+    async def endpoints(self) -> Endpoints:
+        """The nodes, and the endpoints on each topic, as the middleware sees them."""
+
+    def probe(self) -> AbstractAsyncContextManager[str | None]:
+        """A new endpoint of the manager, while the context is open: a publisher that every component should discover.
+
+        Its topic; None where there is no discovery that could stop, or where the manager's own has.
+        """
+
+    async def lingering_readers(self, topic: str) -> int:
+        """How many subscriptions on ``topic`` the middleware still counts whose process is known to be dead."""

@@ -1,0 +1,1 @@
+"""One change of the running system, from its request to its report or its roll-back."""

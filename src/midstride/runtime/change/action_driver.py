@@ -1,0 +1,425 @@
+"""What each action of the model does on live components.
+
+An action is done when every component concerned has acknowledged it. If it fails, its partial effects are undone on
+each component that can be reached.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Awaitable, Callable, Collection, Container, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from immutables import Map
+
+from midstride.errors import CallTimeout, CommandRefused, MidstrideError, StepFailed, Unreachable
+from midstride.model.action import (
+    Action,
+    Attach,
+    Create,
+    Degrade,
+    Detach,
+    Handover,
+    Remove,
+    SetParameters,
+    Swap,
+    Upgrade,
+)
+from midstride.model.component import PortRef
+from midstride.model.configuration import Configuration, Instance
+from midstride.model.specification import handover_seconds
+from midstride.plan.change import Change
+from midstride.plan.plan import Plan
+from midstride.plan.state_continuity import left_behind, without_outputs
+from midstride.runtime.backend_protocol import Backend
+from midstride.runtime.change.mode_changes import ModeChanges
+from midstride.runtime.change.parameter_transfer import ParameterTransfer
+from midstride.runtime.handover.cut_turns import CutTurn, only_turn
+from midstride.runtime.handover.fences import Fences, StepBudget
+from midstride.runtime.handover.live_handover import LiveHandover
+from midstride.runtime.handover.new_publishers import ATTACH_TIMEOUT, DETACH_TIMEOUT
+from midstride.runtime.handover.probation import watch_after
+from midstride.runtime.handover.state_moves import StateMoves
+from midstride.runtime.handover.state_transfers import STATE_TIMEOUT, StateTransfers, keeps_state, own_state
+from midstride.runtime.process.answering_instance import have_answer
+from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.process.launcher import Launcher
+from midstride.runtime.records.events import EventLog
+from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.watch.observed_configuration import own_degradations_in
+from midstride.runtime.watch.simulated_time import stretch_of
+from midstride.wire import commands, replies
+from midstride.wire.commands import Command
+
+R = TypeVar("R")
+
+
+@dataclass(slots=True)
+class ActionDriver:
+    """Performs the actions of one change on the components of ``system``, whose configuration is that before an action.
+
+    While ``rolling_back``, a removed instance gets back its own state, and a failure to transfer state does not fail
+    the action. ``last_numbers`` holds the number of the last message of each output that was detached. ``parameters``
+    carries over what was set at run time.
+    """
+
+    client: ComponentClient
+    launcher: Launcher
+    backend: Backend
+    system: RunningSystem
+    events: EventLog
+    before_handover: Callable[[Configuration, Handover], Awaitable[None]] | None = None
+    rolling_back: bool = False
+    last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
+    late: dict[str, float] = field(default_factory=dict)
+    parameters: ParameterTransfer | None = None
+    # By instance: what state of its predecessor it continues without, and why.
+    own_state: dict[str, str] = field(default_factory=dict)
+    moves: StateMoves | None = None
+    timing: Mapping[str, float] = field(default_factory=dict)  # of the specification
+    leaving: Container[str] = ()  # the instances that the plan removes
+    change: Change | None = None  # what the plan does
+    fences: Fences = field(init=False)
+    modes: ModeChanges = field(init=False)
+    _settled: float = -math.inf  # when the inputs have settled that were attached (steady s)
+    _keeping: set[str] = field(default_factory=set)  # instances that keep state, also where they have exited since
+    _before_setting: dict[str, replies.PreviousParameters] = field(default_factory=dict)  # by instance
+    _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
+
+    def __post_init__(self) -> None:
+        self.fences = Fences(self.client, self.launcher, self.system, self.events)
+        self.modes = ModeChanges(self.client, self.system, self.fences, self._is_gone)
+
+    @property
+    def configuration(self) -> Configuration:
+        return self.system.configuration
+
+    async def perform(self, action: Action, because: str, turn: CutTurn | None = None) -> None:
+        """Carry out ``action``, whose precondition holds. Raises MidstrideError.
+
+        ``because`` is the reason that components report for their new modes; ``turn`` is that of a hand-over beside
+        others.
+        """
+        budget = self.fences.budget(self._may_fence(action))
+        if any(self.fences.hangs_already(name) for name in action.instances()):
+            await self._fence_leaving(action, self.fences.now())
+        try:
+            if self.moves is not None:
+                gone = {name for name in self.configuration.instances if self._is_gone(name)} | {*self.fences.fenced}
+                await self.moves.before(action, self.configuration.instances, gone)
+            try:
+                await self._perform(action, because, budget, turn)
+            except (CommandRefused, CallTimeout):
+                if not await self._fence_leaving(action, budget.until):
+                    raise
+                await self._perform(action, because, self.fences.budget(self._may_fence(action)))
+        except (CommandRefused, StepFailed) as error:
+            if degradations := await self._own_degradations(action):
+                raise StepFailed("; ".join(degradations)) from error
+            raise
+
+    async def _fence_leaving(self, action: Action, deadline: float) -> bool:
+        """Fence the instances of a step that the plan removes and that hang until ``deadline``; whether there are any.
+
+        They need not do their part: what they still do in that call is neither heard nor relied on.
+        """
+        found = False
+        for name in self._may_fence(action):
+            if (because := await self.fences.unresponsive(name, deadline)) is not None:
+                found = True
+                links = [(port, self.configuration.topic(key)) for port, key in self.configuration.attached_ports(name)]
+                await self.fences.fence(
+                    name, because, [link for link in links if self.configuration.is_output(link[0])]
+                )
+        return found
+
+    def _may_fence(self, action: Action) -> list[str]:
+        """The instances of a step that the plan removes, and that have not been fenced yet."""
+        if self.rolling_back or not isinstance(action, Degrade | Detach | Remove):
+            return []
+        return sorted(name for name in action.instances() if name in self.leaving and name not in self.fences.fenced)
+
+    async def _own_degradations(self, action: Action) -> list[str]:
+        """What degraded by itself in the instances of ``action``: the root cause of whatever they refused."""
+        found = []
+        expected = action.modes if isinstance(action, Degrade) else {}
+        for name in sorted(action.instances()):
+            if self.client.responsive(name) is None:
+                continue
+            try:
+                state = await self.client.peek(name)
+            except MidstrideError:
+                continue
+            for ref in sorted(own_degradations_in(self.configuration, state).keys() - expected.keys()):
+                view = state.functionalities[ref.functionality]
+                found.append(f"{ref} entered mode {view.mode} unexpectedly: {view.because.strip()}")
+        return found
+
+    async def start(self, instance: Instance) -> bool:
+        """Start the process of an instance that is to be created; see :meth:`Launcher.start`."""
+        standby, topics = self.system.has_instance(instance.role), self._topics(instance)
+        if self.parameters is None:
+            return await self.launcher.start(instance, standby=standby, topics=topics)
+        if instance.component.has_lifecycle:
+            await self.parameters.ask(instance)
+        start_values = self.parameters.start_values
+        return await self.launcher.start(instance, standby=standby, start_values=start_values, topics=topics)
+
+    def _topics(self, instance: Instance) -> dict[str, str]:
+        """The topic of each port of a component whose program has to know them when it starts."""
+        if instance.component.gate is None or self.change is None:
+            return {}
+        comes = any(instance.name == each.name for each in self.change.coming)
+        specification = self.change.target if comes else self.change.specification
+        attachments = specification.attachments_of(instance.role) if instance.role in specification.nodes else []
+        return {port.port: specification.connectors[connector].topic for port, connector in attachments}
+
+    async def _perform(self, action: Action, because: str, budget: StepBudget, turn: CutTurn | None = None) -> None:
+        if not isinstance(action, Attach):
+            await self.settle()
+        match action:
+            case Create(instance):
+                standby = self.system.has_instance(instance.role)
+                await self.start(instance)
+                await self.launcher.registered(instance)
+                if not standby:  # it does already, unless it was started by hand and replaced once
+                    await have_answer(self.client, instance.name)
+                if self.parameters is not None:
+                    await self.parameters.started(instance)
+                if (state := self._exported.get(instance.role)) is not None:
+                    await self._import_state(instance.name, state)
+            case Degrade() | Upgrade():
+                await self.modes.enter(action, because, budget)
+            case Handover():
+                await self._hand_over(action, turn)
+            case SetParameters(instance, parameters):
+                await self._set_parameters(instance, dict(parameters))
+            # The others need no command where a process has exited, or where a port keeps its endpoint because it is
+            # attached to another connector of the same topic.
+            case Remove(instance) if instance not in self.system.crashed:
+                await self._change_answering(instance, runs=True)
+                await self._remove(action, budget)
+                await self._change_answering(instance, runs=False)  # if it did not respond
+            case Remove(instance):
+                await self._change_answering(instance, runs=False)
+            case Attach(port, connector) if not self._has_endpoint(port, connector):
+                await self._attach(action)
+            case Detach(port, connector) if not (
+                self._is_gone(port.instance)
+                or port.instance in self.fences.fenced
+                or self._has_endpoint(port, connector)
+            ):
+                await self._detach(action, budget)
+
+    async def _set_parameters(self, instance: str, declared: dict[str, Any]) -> None:
+        """Set parameters to the specification's values; a roll-back restores what was set at run time before."""
+        command = commands.SetParametersCommand(parameters=declared)
+        before = self._before_setting.get(instance) if self.rolling_back else None
+        if before is not None and before.declared:
+            values = {name: before.before[name] for name in before.declared}
+            command = commands.SetParametersCommand(parameters=declared | values, declared=declared | before.declared)
+        reply = await self.client.change(instance, command)
+        if not self.rolling_back:
+            self._before_setting[instance] = reply
+            if self.parameters is not None:
+                values = {name: reply.before[name] for name in reply.declared}
+                self.parameters.set_in_place(self.configuration.instances[instance], values)
+
+    def prepare(
+        self,
+        plan: Plan,
+        timing: Mapping[str, float],
+        parameters: ParameterTransfer,
+        before_handover: Callable[[Configuration, Handover], Awaitable[None]],
+        wait: float,
+    ) -> None:
+        """From now on, perform the actions of ``plan``, and move the states of replacements that hand over no output.
+
+        ``timing``: of the target. ``wait``: after how long a component that hangs, and is to go, is fenced (s).
+        """
+        self.timing, self.parameters, self.before_handover = timing, parameters, before_handover
+        self.fences.wait = wait
+        change = self.change = plan.change
+        self._keeping.update(name for name in change.replaced if keeps_state(self.client, name))
+        self.moves = StateMoves(self.client, self._move_state, self._keeps_own_state, without_outputs(change))
+        predecessors = {new: old for old, new in change.replaced.items()}
+        for new, because in left_behind(change, (step.action for step in plan.steps)).items():
+            self._keeps_own_state(predecessors[new], new, because)
+
+    async def _move_state(self, old: str, new: str) -> None:
+        try:
+            await self._live_handover((), [(old, new)])
+        except MidstrideError as error:
+            if not self.rolling_back:
+                raise
+            self._keeps_own_state(old, new, str(error))
+
+    def _keeps_own_state(self, old: str, new: str, because: str) -> None:
+        if old in self._keeping:
+            self.own_state[new] = own_state(old, new, because)
+            self.events.add("note", f"{new} keeps its own state: {because}")
+
+    def _is_gone(self, instance: str) -> bool:
+        """Whether its process has exited, or is about to: the end of its connection is known first."""
+        return instance in self.system.crashed or self.client.is_lost(instance)
+
+    def _has_endpoint(self, port: PortRef, connector: str) -> bool:
+        """Whether ``port`` is attached to another connector of the same topic, as while a topic's contract changes.
+
+        Components know topics, not connectors.
+        """
+        topic, others = self.configuration.topic(connector), self.configuration.attached_to(port)
+        return any(other != connector and self.configuration.topic(other) == topic for other in others)
+
+    async def _remove(self, action: Remove, budget: StepBudget) -> None:
+        instance = self.configuration.instances[action.instance]
+        fenced = action.instance in self.fences.fenced
+        if (
+            not self.rolling_back and not fenced
+        ):  # else this change created it, and the instance that returns has its own state
+            export = commands.ExportStateCommand(timeout=budget.timeout(action.instance, STATE_TIMEOUT))
+            try:
+                exported = await self.client.read(action.instance, export)
+                if exported.state is not None:
+                    self._exported[instance.role] = exported.state
+            except (CallTimeout, Unreachable) as error:  # an unresponsive component must still be removable
+                self.events.add("note", f"the state of {action.instance} is lost: {error}")
+        if self.parameters is not None:
+            await self.parameters.leaving(action.instance, self.configuration)
+        if instance.component.run is None:
+            try:
+                await self.launcher.release(action.instance)
+            except MidstrideError as error:
+                if not fenced:
+                    raise
+                self.client.disconnect(action.instance)
+                self.events.add("note", f"{action.instance} could not be released: {error}; end its process")
+            self.events.add("note", f"{action.instance} was started elsewhere: it is released, and left running")
+        else:
+            await self.launcher.end(action.instance)
+        if self.parameters is not None:
+            await self.parameters.leaving(action.instance, self.configuration)
+
+    async def _change_answering(self, leaving: str, runs: bool) -> None:
+        """If another instance has the role of one that leaves, have it answer requests from now on."""
+        role = self.configuration.instances[leaving].role
+        for other in self.configuration.instances_of(role):
+            if other.name != leaving and not self._is_gone(other.name):
+                try:
+                    await have_answer(self.client, other.name, instead_of=leaving if runs else None)
+                except MidstrideError as error:
+                    self.events.add("note", f"{other.name} does not answer requests to {role}: {error}")
+
+    async def _import_state(self, instance: str, state: bytes) -> None:
+        try:
+            await self.client.change(instance, commands.ImportStateCommand(state=state))
+        except MidstrideError as error:
+            if not self.rolling_back:
+                raise
+            self.events.add("note", f"{instance} did not restore its state: {error}")
+
+    async def _attach(self, action: Attach) -> None:
+        port, topic, configuration = action.port, self.configuration.topic(action.connector), self.configuration
+        output = configuration.is_output(port)
+        others = (configuration.subscribers_on if output else configuration.publishers_on)(action.connector)
+        peers = sum(not self._is_gone(other.instance) for other in others)
+        attach = commands.AttachCommand(
+            port=port.port, topic=topic, peers=peers, timeout=ATTACH_TIMEOUT, settle=False, **self._relied_on(port)
+        )
+        detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
+        reply = await self._or_undo(port.instance, attach, detach)
+        self._settled = max(self._settled, self.backend.clock.steady() + reply.settling)
+
+    async def settle(self) -> None:
+        """Wait until all inputs that were attached have settled: those of many attachments in a row do so together."""
+        clock = self.backend.clock
+        if self._settled > clock.steady():
+            await clock.sleep(self._settled - clock.steady())
+
+    async def _detach(self, action: Detach, budget: StepBudget) -> None:
+        port, topic = action.port, self.configuration.topic(action.connector)
+        timeout = budget.timeout(port.instance, DETACH_TIMEOUT)
+        detach = commands.DetachCommand(port=port.port, topic=topic, timeout=timeout)
+        attach = commands.AttachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT, **self._relied_on(port))
+        reply = await self._or_undo(port.instance, detach, attach)
+        if reply.last:
+            self.last_numbers[port] = reply.last
+        if reply.acknowledged is None and self.configuration.is_output(port):
+            self.events.add("note", f"{port}: unknown whether its last messages on {topic} arrived")
+
+    def _relied_on(self, port: PortRef) -> dict[str, Any]:
+        """What the specification states for an input; nothing for an output."""
+        component = self.configuration.component(port.instance)
+        assumption = component.inputs.get(port.port)
+        if assumption is None:
+            return {}
+        stated = {"condition": port.port in component.conditions}
+        if assumption.rate is None:
+            return stated
+        return {**stated, "rate": assumption.rate, "tolerates": component.tolerates.get(port.port)}
+
+    async def _or_undo(self, instance: str, command: Command[R], undo: Command[Any]) -> R:
+        """The reply to ``command``; if it fails, send ``undo`` in case it was partly carried out."""
+        try:
+            return await self.client.change(instance, command)
+        except Exception:
+            await self.client.undo(instance, undo)
+            raise
+
+    async def _hand_over(self, action: Handover, turn: CutTurn | None) -> None:
+        configuration = self.configuration
+        pairs = {(swap.old.instance, swap.new.instance) for swap in action.swaps}
+        roles = {name: instance.role for name, instance in configuration.instances.items()}
+        if self.before_handover is not None:
+            await self.before_handover(configuration, action)
+        # Where the outputs of other roles are swapped, nothing is replaced.
+        replaced = [(old, new) for old, new in pairs if old != new and roles[old] == roles[new]]
+        await self._live_handover(action.swaps, replaced, turn)
+
+    async def _live_handover(
+        self, swaps: Sequence[Swap], replaced: Collection[tuple[str, str]], turn: CutTurn | None = None
+    ) -> None:
+        """Hand over what is swapped, and the state of ``replaced``, pairs of old and new."""
+        states = StateTransfers(self.client, self.events, replaced, required=not self.rolling_back, lost=self.own_state)
+        self._keeping.update(old for old, _ in replaced if keeps_state(self.client, old))
+        states.keeping = self._keeping
+        lingering_readers = self.backend.lingering_readers
+        handover = LiveHandover(
+            self.client,
+            self.events,
+            self.configuration,
+            swaps,
+            lingering_readers,
+            self._is_gone,
+            states,
+            self.fences,
+            self._carry_parameters,
+            Map() if self.rolling_back else self.timing,
+            turn or only_turn(),
+        )
+        self.last_numbers |= await handover.run()
+        self.late |= states.late
+
+    async def watch(self, action: Action) -> None:
+        """After a hand-over, watch the new publishers for as long as the specification says; the old ones stay warm.
+
+        Raises StepFailed if one breaks what it guarantees.
+        """
+        seconds = handover_seconds(self.timing, "watch_after")
+        if not isinstance(action, Handover) or not seconds:
+            return
+        ports = sorted({(swap.new, self.configuration.topic(swap.connector)) for swap in action.swaps})
+        self.events.add("watching", f"watching {', '.join(str(port) for port, _ in ports)} for {seconds:g} s")
+        outputs = [(port, topic, self.configuration.rate(port) or 0.0) for port, topic in ports]
+        slowest = max(stretch_of(self.client, port.instance) for port, _ in ports)
+        try:
+            await watch_after(self.client, outputs, seconds, slowest)
+        except StepFailed as error:
+            if degradations := await self._own_degradations(action):
+                raise StepFailed("; ".join(degradations)) from error
+            raise
+
+    async def _carry_parameters(self, old: str, new: str) -> None:
+        if self.parameters is not None and not self.rolling_back:
+            await self.parameters.before_cut(old, self.configuration.instances[new])

@@ -1,0 +1,440 @@
+"""The change session: one change from its request to its report.
+
+Plan, verify if requested, carry out step by step, measure at the subscribers, report (docs/semantics.md sections 6
+and 7). Planning and verification do not block the event loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import Final, cast
+
+from msgspec import UNSET, UnsetType, structs
+
+from midstride.errors import ManagerError, PlanRefused, StepFailed, Superseded
+from midstride.model import wording
+from midstride.model.action import Action, Create, Upgrade
+from midstride.model.component import PortRef
+from midstride.model.configuration import Configuration
+from midstride.model.specification import Order, Specification
+from midstride.model.wording import counted
+from midstride.plan.change_builder import change_between, requested_change
+from midstride.plan.estimate import Estimate
+from midstride.plan.forms.plan_forms import PlanForm, PlanPreview
+from midstride.plan.overlap import overlap
+from midstride.plan.plan import Plan
+from midstride.plan.request import PlanRequest
+from midstride.plan.runtime_values import Values, of_change
+from midstride.plan.sensitivity import sensitivity
+from midstride.plan.strategies.registry import planner
+from midstride.plan.strategies.restore import restore
+from midstride.runtime.cancellation import uninterrupted
+from midstride.runtime.change.action_driver import ActionDriver
+from midstride.runtime.change.crash_during_change import CrashResponse
+from midstride.runtime.change.executor import Executor
+from midstride.runtime.change.parameter_transfer import ParameterTransfer
+from midstride.runtime.change.reconciler import Reconciler
+from midstride.runtime.change.runtime_verification import StepVerifier, Verifier
+from midstride.runtime.change.stalled_first import replaced_first
+from midstride.runtime.handover.agreed_cut import require_batons
+from midstride.runtime.handover.fences import DEFAULT_WAIT
+from midstride.runtime.manager_clock import Clock
+from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.records.change_report import ChangeTimeline
+from midstride.runtime.records.events import EventLog
+from midstride.runtime.records.journal import Journal, JournalEntry
+from midstride.runtime.records.journal_records import NewChange
+from midstride.runtime.records.measure import SwapReport
+from midstride.runtime.records.mode_recorder import ModeRecorder
+from midstride.runtime.records.reports import Outcome, OutcomeKind, StepTime
+from midstride.runtime.records.state_store import StateStore
+from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.watch.degradation_report import in_words, lowered_functionalities
+from midstride.runtime.watch.degradation_timer import DegradationTimer
+from midstride.runtime.watch.observed_configuration import with_failures
+from midstride.runtime.watch.silence import SilenceMonitor
+from midstride.runtime.watch.subscriber_recording import Recording
+from midstride.verify.verdict import Verdict
+
+# Code that raises often does so in its first calls, so the functionalities that a change has raised are watched for
+# this many periods after its last step before it is reported, or this long if no rate is known, and the time that a
+# report takes to arrive; how long at most (s).
+FIRST_CALLS: Final = 3
+FIRST_CALLS_WITHOUT_RATE: Final = 0.2
+REPORT_DELAY: Final = 0.1
+LONGEST_FIRST_CALLS: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Taken:
+    """How the steps of a plan have ended, and when (steady s).
+
+    ``seconds``: how long they took together; ``times``: each of those that were done. ``fallen``: how long each
+    functionality was below its baseline (s).
+    """
+
+    outcome: OutcomeKind
+    because: str | None
+    ended: float
+    seconds: float
+    fallen: dict[str, float]
+    times: list[StepTime]
+
+
+@dataclass
+class ChangeSession:
+    """Carries out one change at a time; the caller holds the manager's lock. ``driver`` makes one for its actions.
+
+    ``measuring`` is true once all steps are done and only the measurement is left. ``another_waits`` is set while the
+    next command waits.
+    """
+
+    system: RunningSystem
+    client: ComponentClient
+    monitor: SilenceMonitor
+    clock: Clock
+    events: EventLog
+    store: StateStore
+    reconciler: Reconciler
+    verifier: Verifier
+    driver: Callable[[], ActionDriver]
+    journal: Journal
+    measuring: bool = False
+    another_waits: asyncio.Event = field(default_factory=asyncio.Event)
+    modes: ModeRecorder | None = None  # of the change in progress
+    _executing: asyncio.Task[None] | None = None  # its plan, until that has ended
+    _measured_until: int = 0
+
+    async def plan(self, request: PlanRequest) -> tuple[Plan, Specification]:
+        """The plan for ``request`` from the current configuration, and its target. Raises PlanRefused."""
+        system = self.system
+        values = system.values.by_role(system.configuration)
+        instances, nodes = system.configuration.instances.items(), system.specification.nodes
+        request = request.for_roles({name: live.role for name, live in instances if name not in nodes})
+        measured = dict(self.journal.estimates)
+        request, orders, remarks = replaced_first(request, system.configuration, self.monitor.undiscovering)
+        plan, target = await asyncio.to_thread(
+            _plan, request, system.specification, system.configuration, values, measured, orders
+        )
+        require_batons(plan)
+        return replace(plan, remarks=(*remarks, *plan.remarks)), target
+
+    async def change(
+        self,
+        request: PlanRequest,
+        *,
+        expected: int | None = None,
+        verify: bool = False,
+        brief: bool = False,
+        wait: float = DEFAULT_WAIT,
+        by: str | None = None,
+    ) -> Outcome:
+        """Carry out ``request``; see :meth:`midstride.runtime.manager.Manager.change`."""
+        if expected is not None and expected != self.system.revision:
+            because = "the configuration has changed since the plan was shown; look at the new plan"
+            return Outcome(outcome="refused", because=because)
+        try:
+            plan, target = await self.plan(request)
+            self.store.require()
+        except (PlanRefused, ManagerError) as error:
+            return self._refuse(str(error))
+        verdict: Verdict | UnsetType = UNSET
+        step_verifier = None
+        if verify:
+            self.events.add("verifying", f"Alloy judges the {len(plan.steps)} steps of the plan")
+            verdict = await self.verifier.plan(plan)
+            self._verified(verdict)
+            if not verdict.holds:
+                return self._refuse(verdict.words, verdict)
+            seen = tuple(plan.configurations())
+            step_verifier = StepVerifier(self.verifier, seen, self.client, self.system.crashed, self._verified)
+        preview = await asyncio.to_thread(PlanPreview.of, plan)  # which steps of a large plan commute takes a while
+        new = NewChange(request.describe(), by, self.system.specification, target, len(plan.steps), preview)
+        try:
+            entry = await self.journal.begin(new)
+        except ManagerError as error:
+            return self._refuse(str(error), verdict)
+        keep = not request.declared_parameters
+        return await self.carry_out(
+            plan, target, preview, entry, step_verifier, verdict, keep=keep, brief=brief, wait=wait
+        )
+
+    def _verified(self, verdict: Verdict) -> None:
+        self.events.add("verified", str(verdict), verdict=verdict)
+
+    def _refuse(self, because: str, verdict: Verdict | UnsetType = UNSET) -> Outcome:
+        self.events.add("outcome", f"refused: {because}", outcome="refused")
+        return Outcome(outcome="refused", because=because, verdict=verdict)
+
+    async def carry_out(
+        self,
+        plan: Plan,
+        target: Specification,
+        preview: PlanPreview,
+        entry: JournalEntry,
+        verifier: StepVerifier | None = None,
+        verdict: Verdict | UnsetType = UNSET,
+        *,
+        keep: bool = True,
+        brief: bool = False,
+        wait: float = DEFAULT_WAIT,
+    ) -> Outcome:
+        """Carry out ``plan``, measure, report, and record it in ``entry``; ``preview`` and ``verdict`` are reported.
+
+        ``keep``: with the parameter values that were set at run time. ``brief``: the next command does not wait for the
+        whole measurement. ``wait``: after how long a component that hangs, and is to go, is fenced (s).
+
+        If cancelled, it rolls back, and raises CancelledError where that has succeeded. Once the plan has ended, or if
+        it is being rolled back already, only the measurement is broken off.
+        """
+        recording = Recording(self.client, self.clock, self.another_waits if brief else None, self._measured_until)
+        transfer = ParameterTransfer(self.client, self.system.values, plan.change, plan.parameters, keep)
+        work = self._carry_out(plan, target, preview, entry, recording, transfer, verifier, wait)
+        recorded = self._recorded(work, plan, entry, recording, verdict)
+        return await uninterrupted(recorded, lambda: self._interrupt(recording))
+
+    def _interrupt(self, recording: Recording) -> None:
+        """The manager is to end: roll back what is being carried out; what has been is only reported, not measured."""
+        recording.broken_off.set()
+        if self._executing is not None:
+            self._executing.cancel()
+
+    async def _recorded(
+        self,
+        work: Awaitable[Outcome],
+        plan: Plan,
+        entry: JournalEntry,
+        recording: Recording,
+        verdict: Verdict | UnsetType,
+    ) -> Outcome:
+        """What comes of ``work``, which carries ``plan`` out; with its timeline also in ``entry``."""
+        since, before = time.time(), self.events.last
+        modes = self._record_modes(plan)
+        try:
+            outcome = await work
+        finally:
+            self.modes = None
+            await recording.stop(self.system.configuration.instances)
+        outcome = structs.replace(outcome, verdict=verdict)
+        roles = {role for step in plan.steps for role in step.roles}
+        timeline = ChangeTimeline(
+            since=since,
+            until=time.time(),
+            modes=modes.intervals(roles, since, self.system.configuration.instances.keys()),
+            events=[structs.replace(event, plan=UNSET) for event in self.events.since(before)],
+        )
+        with suppress(Superseded):
+            await entry.recorded(outcome, timeline)
+        return outcome
+
+    def _record_modes(self, plan: Plan) -> ModeRecorder:
+        created = [step.action.instance for step in plan.steps if isinstance(step.action, Create)]
+        self.modes = recorder = ModeRecorder(self.system.configuration, created, time.time)
+        now, steady = time.time(), self.clock.steady()
+        for name in self.system.configuration.instances:
+            if (latest := self.client.latest(name)) is not None:
+                recorder.reported(latest.state, now - (steady - latest.at))
+        return recorder
+
+    async def _carry_out(
+        self,
+        plan: Plan,
+        target: Specification,
+        preview: PlanPreview,
+        entry: JournalEntry,
+        recording: Recording,
+        transfer: ParameterTransfer,
+        verifier: StepVerifier | None,
+        wait: float,
+    ) -> Outcome:
+        system, actions = self.system, [step.action for step in plan.steps]
+        silent_before = {fault.words for fault in self.monitor.faults(system.configuration)}
+        afterwards = "".join(
+            f"; afterwards {wording.lowered(shift.functionality, shift.after, shift.before)}"
+            for shift in plan.level_shifts
+            if shift.levels > 0
+        )
+        steps = counted(len(plan.steps), "step")
+        self.events.add("plan", f"{steps}, disruption {plan.disruption:g}{afterwards}", plan=preview)
+        await recording.begin(system.configuration, actions)
+        before, missing = system.configuration, dict(system.missing)
+        driver = self.driver()
+        driver.prepare(plan, target.timing, transfer, recording.record_driving_inputs, wait)
+        taken = await self._take_steps(driver, plan, target, preview, entry, recording, verifier)
+        fenced = driver.fences.fenced
+        exited = {name for name in system.crashed if name in before.instances and name not in fenced}
+        await self.reconciler.reconcile_crashes()  # before measuring: dependent functionalities must not wait for it
+        await entry.end(taken.outcome, taken.because, taken.seconds)
+        swaps = await self._measure(driver, recording, taken, actions)
+        await self.reconciler.reconcile()  # the report includes unexpected degradations
+        silences = {fault.words: fault for fault in [*recording.silences, *self.monitor.faults(system.configuration)]}
+        await entry.measured(swaps)
+        if swaps:
+            self.events.add("measured", f"measured at {counted(len(swaps), 'subscriber')}", swaps=swaps)
+        planned = plan.change.settled(plan.change.final) if taken.outcome == "done" else before
+        lowered = lowered_functionalities(system, self.client, before, planned)
+        said = f"{taken.outcome}: {taken.because}" if taken.because else taken.outcome
+        words = f"{said}; afterwards {in_words(lowered)}" if lowered else said
+        self.events.add("outcome", words, outcome=taken.outcome)
+        return Outcome(
+            outcome=taken.outcome,
+            plan=PlanForm.of(plan, preview),
+            seconds=taken.seconds,
+            steps=taken.times,
+            skews=driver.modes.skews,
+            fallen=taken.fallen,
+            swaps=swaps,
+            late=driver.late,
+            own_state={
+                name: words for name, words in driver.own_state.items() if name in system.configuration.instances
+            },
+            fenced=[fenced[name] for name in sorted(fenced)],
+            because=taken.because,
+            parameters=transfer.report(taken.outcome == "done"),
+            ended=sorted(exited | {name for name, event in system.missing.items() if missing.get(name) is not event}),
+            degraded=sorted(map(str, self.reconciler.degraded)),
+            silences=[fault for words, fault in silences.items() if words not in silent_before],
+            lowered=lowered,
+        )
+
+    async def _take_steps(
+        self,
+        driver: ActionDriver,
+        plan: Plan,
+        target: Specification,
+        preview: PlanPreview,
+        entry: JournalEntry,
+        recording: Recording,
+        verifier: StepVerifier | None,
+    ) -> _Taken:
+        """Execute ``plan``, and roll it back if a step fails; the model then has the target, or what was before.
+
+        If cancelled, it rolls back as well, and raises CancelledError where that has succeeded.
+        """
+        system, actions = self.system, [step.action for step in plan.steps]
+        timer = DegradationTimer(plan.change, self.clock.steady, self._with_failures)
+        started, before, missing = self.clock.steady(), system.configuration, dict(system.missing)
+        system.configuration = plan.change.start
+        response = CrashResponse(driver, self.reconciler, actions)
+        executor = Executor(
+            driver,
+            self.store,
+            entry,
+            on_moved=timer.moved,
+            after_step=None if verifier is None else verifier.look,
+            on_performed=response.performed,
+            commanding=response.commanding,
+        )
+        outcome: OutcomeKind = "done"
+        because = None
+        with self.reconciler.during_change(lambda name: timer.moved(system.configuration, (name,)), response.crashed):
+            try:
+                # Alloy judges the configurations of the sequence: what is verified takes one step after another.
+                found = await asyncio.to_thread(overlap, plan) if verifier is None else None
+                self._executing = asyncio.ensure_future(executor.run(actions, preview.steps, found))
+                if recording.broken_off.is_set():
+                    self._executing.cancel()
+                await self._executing
+                if target != system.specification:
+                    system.changed_since = True
+                    self.store.write_specification(target)
+                system.specification = target
+                system.configuration = plan.change.settled(system.configuration)
+                system.forget_filled_roles()
+            except StepFailed as error:
+                outcome, because = cast("OutcomeKind", error.outcome), str(error)
+                system.missing = {**missing, **system.missing}  # those that it has tried to restore
+                system.forget_filled_roles()
+                if outcome == "rolled_back":
+                    system.configuration = before
+            except asyncio.CancelledError:
+                undone = system.configuration == plan.change.start
+                if undone:
+                    system.configuration = before
+                await entry.end("rolled_back" if undone else "failed", "the manager was terminated", None)
+                raise
+            finally:
+                self._executing = None
+                await response.close()
+        system.values.forget_ended(system.configuration)
+        self.reconciler.save_values()
+        ended = self.clock.steady()
+        return _Taken(outcome, because, ended, round(ended - started, 6), timer.stop(), executor.times)
+
+    async def _measure(
+        self, driver: ActionDriver, recording: Recording, taken: _Taken, actions: Sequence[Action]
+    ) -> list[SwapReport]:
+        """What each subscriber has seen, once it has been watched for long enough after the last step."""
+        if recording.recorded:
+            self.events.add("measuring", "watching the subscribers for 20 periods more")
+        done = taken.outcome == "done"
+        self.measuring = True
+        try:
+            swaps = await recording.finish(driver.last_numbers, resumed=not done, hung=driver.fences.fenced)
+            if done:
+                await recording.wait(taken.ended + self._first_calls(actions) - self.clock.steady())
+            return swaps
+        finally:
+            self.measuring = False
+            hurried = recording.hurried is not None and recording.hurried.is_set()
+            self._measured_until = int(self.clock.steady() * 1e9) if hurried else 0
+
+    def _with_failures(self, configuration: Configuration, instances: Iterable[str]) -> Configuration:
+        return with_failures(configuration, instances, self.client, self.system.crashed)
+
+    def _first_calls(self, actions: Iterable[Action]) -> float:
+        """How long the first calls of the functionalities that ``actions`` have raised take (s)."""
+        configuration = self.system.configuration
+        refs = {ref for action in actions if isinstance(action, Upgrade) for ref in action.modes}
+        raised = [(ref, found) for ref in refs if (found := configuration.find_functionality(ref)) is not None]
+        if not raised:
+            return 0.0
+        rates = [configuration.rate(PortRef(ref.instance, name)) for ref, found in raised for name in found.outputs]
+        rates += [
+            configuration.component(ref.instance).inputs[name].rate for ref, found in raised for name in found.inputs
+        ]
+        calls = max((FIRST_CALLS / rate for rate in rates if rate), default=FIRST_CALLS_WITHOUT_RATE)
+        return min(LONGEST_FIRST_CALLS, calls + REPORT_DELAY)
+
+
+def _plan(
+    request: PlanRequest,
+    specification: Specification,
+    configuration: Configuration,
+    values: Mapping[str, Values],
+    measured: Mapping[str, Estimate],
+    orders: Sequence[Order] = (),
+) -> tuple[Plan, Specification]:
+    """``orders`` are kept by a plan that replaces one role after another; the other strategies remove all first."""
+    target, keep = request.target(specification), not request.declared_parameters
+    if request.restore:
+        return restore(configuration, specification, dict(request.restore), measured), target
+    planned = replace(target, constraints=(*target.constraints, *orders)) if request.strategy == "minimal" else target
+    if request.to is not None and not keep:
+        configuration = _as_set(configuration, values)
+    if request.to is None and len(request.roles()) == 1:
+        change = requested_change(configuration, specification, request, planned, measured)
+    else:
+        change = change_between(configuration, specification, planned, measured, request.renewed(planned))
+    plan = planner(request.strategy, detours=request.detours)(change)
+    parameters = of_change(plan.change, values, keep=keep)
+    doubt = sensitivity(plan)
+    return replace(
+        plan, parameters=parameters, remarks=plan.remarks if doubt is None else (*plan.remarks, doubt)
+    ), target
+
+
+def _as_set(configuration: Configuration, values: Mapping[str, Values]) -> Configuration:
+    """``configuration`` with the values that were set at run time, so that a plan sets them back in place.
+
+    A parameter that the specification does not declare cannot be set by a plan: it keeps its value.
+    """
+    for role, found in values.items():
+        for instance in configuration.instances_of(role):
+            declared = {name: value for name, value in found.items() if name in instance.component.parameters}
+            configuration = configuration.with_parameters(instance.name, declared)
+    return configuration

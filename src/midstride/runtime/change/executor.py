@@ -1,0 +1,423 @@
+"""Carries out a plan on live components, step by step, and rolls it back if a step fails.
+
+The model's configuration changes only once every component concerned has acknowledged a step. If a step fails, its
+partial effects are undone, then the steps before it in reverse order (docs/semantics.md F6).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import logging
+from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from immutables import Map
+from msgspec import UNSET
+
+from midstride.errors import BackendError, MidstrideError, StepFailed, Superseded
+from midstride.model.action import Action, Create, Degrade, Handover, Remove, SetParameters
+from midstride.model.component import FunctionalityRef
+from midstride.model.configuration import Configuration
+from midstride.model.wording import counted
+from midstride.plan.forms.step_forms import AnyStep
+from midstride.plan.overlap import Overlap, one_by_one
+from midstride.runtime.backend_protocol import Exited
+from midstride.runtime.cancellation import uninterrupted
+from midstride.runtime.change.action_driver import ActionDriver
+from midstride.runtime.change.early_starts import EarlyStarts, StartFailedEarly
+from midstride.runtime.change.mode_changes import by_instance
+from midstride.runtime.handover.cut_turns import CutTurn, CutTurns, GivenUp
+from midstride.runtime.records.journal import JournalEntry
+from midstride.runtime.records.reports import StepTime
+from midstride.runtime.records.state_store import StateStore
+from midstride.runtime.running_system import RunningSystem
+
+log = logging.getLogger(__name__)
+
+# The actions that are done, each with the configuration that it was applied to.
+Done = list[tuple[Action, Configuration]]
+
+
+@dataclass(slots=True)
+class _Run:
+    """The steps of one change, in words as soon as they begin, those that are done, and how long they took."""
+
+    actions: Sequence[Action]
+    forms: Sequence[AnyStep]
+    overlap: Overlap
+    began: float  # steady s
+    words: dict[int, str] = field(default_factory=dict)
+    done: Done = field(default_factory=list)
+    times: dict[int, StepTime] = field(default_factory=dict)
+    looked: int = 0  # how many numbers of steps have been looked up in ``overlap.starts``
+
+    def name(self, index: int) -> str:
+        return self.words.get(index) or self.actions[index].describe()
+
+    def position(self, index: int) -> dict[str, Any]:
+        step = self.forms[index] if self.forms else UNSET
+        return {"index": index, "of": len(self.actions), "step": step}
+
+    def numbered(self, index: int, words: str) -> str:
+        return f"{index + 1}/{len(self.actions)} {words}"
+
+    def may_start(self, begun: int) -> list[Create]:
+        """The later creations whose processes may start from now on, where the steps before ``begun`` are done."""
+        numbers = range(self.looked, begun + 1)
+        self.looked = numbers.stop
+        indices = [index for number in numbers for index in self.overlap.starts.get(number, ()) if index > begun]
+        return [action for index in indices if isinstance(action := self.actions[index], Create)]
+
+
+@dataclass(slots=True)
+class Executor:
+    """Carries out actions on the running system.
+
+    ``entry`` records the steps in the journal. ``on_moved`` is called with the configuration after each step and the
+    instances that the step changed. ``after_step`` checks the configuration after each step of a plan: if it raises,
+    the step has failed. ``on_performed`` is called after each action of a plan and of its roll-back;
+    ``commanding`` is held while an action sends commands to components that run already, and to which the response to a
+    crash may send some: a component refuses the second of two changes at one revision. It sends none to those that the
+    plan creates, removes or hands over from or to (:mod:`.crash_during_change`).
+    """
+
+    driver: ActionDriver
+    store: StateStore
+    entry: JournalEntry | None = None
+    on_moved: Callable[[Configuration, Collection[str]], None] = lambda *_: None
+    after_step: Callable[[Configuration], Awaitable[None]] | None = None
+    on_performed: Callable[[Action], Awaitable[None]] | None = None
+    commanding: asyncio.Lock = field(default_factory=asyncio.Lock)
+    # The steps of the plan that were done, as measured.
+    times: list[StepTime] = field(default_factory=list)
+    # Whether ``run`` was cancelled between two rounds, while it rolled back, or when every step was done.
+    interrupted: bool = False
+    _starts: EarlyStarts = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._starts = EarlyStarts(self.driver, self.store, self._require_lease)
+
+    async def _require_lease(self) -> None:
+        if self.entry is not None:
+            await self.entry.require_lease()
+
+    @property
+    def system(self) -> RunningSystem:
+        return self.driver.system
+
+    async def run(
+        self, actions: Sequence[Action], forms: Sequence[AnyStep] = (), overlap: Overlap | None = None
+    ) -> None:
+        """Carry out ``actions`` in order; ``overlap`` says which of them at once, and which processes start ahead.
+
+        Raises StepFailed after the roll-back; its ``outcome`` says whether that succeeded. If cancelled, it rolls back
+        as well, and raises CancelledError where that succeeded. A roll-back is not broken off, and when every step is
+        done, nothing is rolled back any more: ``interrupted`` says then that it was cancelled.
+        """
+        run = _Run(actions, forms, overlap or one_by_one(actions), self.driver.backend.clock.steady())
+        self.driver.leaving = {action.instance for action in actions if isinstance(action, Remove)}
+        for indices in run.overlap.rounds:
+            for index in indices:
+                run.words[index] = actions[index].describe(self.system.configuration)
+                words = run.numbered(index, run.words[index])
+                self.driver.events.add("step", words, **run.position(index))
+            failures: dict[int, BaseException]
+            try:
+                if self.interrupted:  # since the round before has ended
+                    raise asyncio.CancelledError
+                if self.entry is not None:
+                    await self.entry.step(*(run.words[index] for index in indices))
+                self._starts.check()
+                if isinstance(action := actions[indices[0]], Create):
+                    await self._starts.start(action)
+                self._starts.begin(run.may_start(indices[0]))
+                failures = await self._round(indices, run)
+            except StartFailedEarly as early:  # not this step has failed, but a later one
+                failures = {actions.index(early.action): early.error}
+            except (Exception, asyncio.CancelledError) as error:
+                failures = {indices[0]: error}
+            await uninterrupted(self._starts.at_rest(), self._interrupt)
+            for index in sorted(run.times.keys() & indices):  # of a round when all of it has ended
+                self.driver.events.add("step_done", run.numbered(index, "done"), **run.position(index))
+                self.times.append(run.times[index])
+            if failures:
+                await uninterrupted(self._fail(indices, failures, run), self._interrupt)
+        await uninterrupted(self._starts.stop(), self._interrupt)
+
+    def _interrupt(self) -> None:
+        self.interrupted = True
+
+    async def _round(self, indices: Sequence[int], run: _Run) -> dict[int, BaseException]:
+        """Take the steps of one round. Returns which of several have failed; raises what a single one raises.
+
+        If cancelled, or if one fails, it waits for the others to end, in bounded time, so that none is left incomplete.
+        """
+        if isinstance(run.actions[indices[0]], Handover):
+            return await self._hand_over(indices, run)
+        if len(indices) == 1:
+            await self._take(indices[0], run)
+            return {}
+        held = self._commanding(run.actions[indices[0]])
+        async with held or contextlib.nullcontext():
+            taking = [asyncio.ensure_future(self._take(index, run, place)) for place, index in enumerate(indices)]
+            try:
+                await asyncio.wait(taking)
+            finally:
+                errors = await asyncio.gather(*map(asyncio.shield, taking), return_exceptions=True)
+        for index in indices if held else ():
+            await self._performed(run.actions[index])
+        return {index: error for index, error in zip(indices, errors, strict=True) if error is not None}
+
+    async def _hand_over(self, indices: Sequence[int], run: _Run) -> dict[int, BaseException]:
+        """Take hand-overs: prepare all of them at once, cut one after another, and watch all. Returns which failed.
+
+        If cancelled, or as soon as one fails, no further cut begins, and those that are only waited for are given up.
+        """
+        turns = CutTurns()
+
+        async def take(index: int, place: int | None, turn: CutTurn) -> None:
+            try:
+                await self._take(index, run, place, turn)
+            except BaseException:
+                turns.give_up()
+                raise
+
+        places: Sequence[int | None] = range(len(indices)) if len(indices) > 1 else [None]
+        taking = [
+            asyncio.ensure_future(take(index, place, turns.add())) for index, place in zip(indices, places, strict=True)
+        ]
+        try:
+            await asyncio.wait(taking)
+        finally:
+            turns.give_up()
+            errors = await asyncio.gather(*map(asyncio.shield, taking), return_exceptions=True)
+        return {index: error for index, error in zip(indices, errors, strict=True) if error is not None}
+
+    async def _take(self, index: int, run: _Run, place: int | None = None, turn: CutTurn | None = None) -> None:
+        """Carry out one step until everything is done that belongs to it; ``place``: in its round, unless alone."""
+        action, clock = run.actions[index], self.driver.backend.clock
+        key = _estimates(action, self.system.configuration, run.actions) if place is None else None
+        begun = clock.steady()
+        await self._step(action, run.done, held=place is not None and self._commanding(action) is not None, turn=turn)
+        if self.entry is not None:
+            self.entry.took(clock.steady() - begun, key, place or 0)
+        if turn is not None:
+            turn.ended = True
+            await turn.turns.waiting(self.driver.watch(action))
+        if index == len(run.actions) - 1:
+            await self.driver.settle()
+        if self.after_step is not None:
+            await self.after_step(self.system.configuration)
+        run.times[index] = StepTime(index + 1, round(begun - run.began, 6), round(clock.steady() - begun, 6))
+
+    async def _step(self, action: Action, done: Done, *, held: bool, turn: CutTurn | None) -> None:
+        """Perform ``action`` and append it to ``done``; ``held``: its round holds the lock for commands.
+
+        If cancelled, it first waits for the action to end, in bounded time, so that no step is left incomplete. Only a
+        creation is interrupted: it cleans up after itself. So it is as soon as a process started ahead has failed: this
+        one may be waiting for that one, and would be blamed.
+        """
+        performing = asyncio.ensure_future(self._perform(action) if held else self.perform(action, turn))
+        try:
+            if isinstance(action, Create):
+                await self._starts.wait(performing)
+            before = await asyncio.shield(performing)
+        except (asyncio.CancelledError, StartFailedEarly):
+            if isinstance(action, Create):
+                performing.cancel()
+            await asyncio.wait({performing})
+            if not performing.cancelled() and performing.exception() is None:
+                done.append((action, performing.result()))
+            raise
+        done.append((action, before))
+        if not held:
+            await self._performed(action)
+
+    async def _performed(self, action: Action) -> None:
+        if self.on_performed is not None:
+            await self.on_performed(action)
+
+    async def _fail(self, indices: Sequence[int], failures: Mapping[int, BaseException], run: _Run) -> None:
+        """Roll back, and raise StepFailed: the steps ``failures`` have failed while those at ``indices`` were taken."""
+        reasons = {index: _words(error) for index, error in failures.items() if not isinstance(error, GivenUp)}
+        for index in failures:
+            words = f"{run.name(index)} failed: {reasons[index]}" if index in reasons else f"{run.name(index)} given up"
+            self.driver.events.add("step_failed", words, **run.position(index))
+        because = "; ".join(f"{run.name(index)}: {why}" for index, why in reasons.items())
+        errors = [failures[index] for index in reasons]
+        error = next((each for each in errors if isinstance(each, asyncio.CancelledError | Superseded)), errors[0])
+        failed = [place for place, index in enumerate(indices) if index in failures]
+        if isinstance(error, Superseded) or not (self.entry is None or await self.entry.failed(failed)):
+            # What runs is the other manager's.
+            await self._starts.stop()
+            because += "; nothing is rolled back, since another manager has taken over"
+            raise StepFailed(because, "failed") from error
+        await self._starts.stop()
+        problems = [*await self._abandon(run.actions[indices[0] :]), *await self._roll_back(run.done)]
+        if not problems:
+            if isinstance(error, asyncio.CancelledError):
+                raise error
+            raise StepFailed(because, "rolled_back") from error
+        raise StepFailed(f"{because}; and the roll-back failed: {'; '.join(problems)}", "failed") from error
+
+    async def perform(self, action: Action, turn: CutTurn | None = None) -> Configuration:
+        """Check the precondition of one action, carry it out, and update the model. Raises MidstrideError.
+
+        Returns the configuration that it was applied to. ``turn``: of a hand-over beside others.
+        """
+        async with self._commanding(action) or contextlib.nullcontext():
+            return await self._perform(action, turn)
+
+    def _commanding(self, action: Action) -> asyncio.Lock | None:
+        """The lock that is held during ``action``; None if the response to a crash leaves its instances alone."""
+        return None if isinstance(action, Create | Handover | Remove) else self.commanding
+
+    async def _perform(self, action: Action, turn: CutTurn | None = None) -> Configuration:
+        before = self.system.configuration
+        action.apply(before)
+        await self.driver.perform(action, f"the plan asked for it: {action.describe(before)}", turn)
+        before = self.system.configuration  # steps beside it may have been done meanwhile
+        after = action.effect(before)
+        self._moved(after, action.instances())
+        match action:
+            case Remove(instance):
+                self.store.remove_instance(instance)
+            case SetParameters(instance):
+                self.store.write_instance(after.instances[instance], self.driver.launcher.handles.get(instance))
+        return before
+
+    def _moved(self, configuration: Configuration, instances: Collection[str]) -> None:
+        self.system.moved(configuration)
+        self.on_moved(configuration, instances)
+
+    async def lower(
+        self, modes: Mapping[FunctionalityRef, int], because: str
+    ) -> dict[FunctionalityRef, MidstrideError]:
+        """Degrade functionalities whose assumptions no longer hold; returns why each of the others could not be.
+
+        Instances are independent of each other here. No order and no precondition applies: the assumptions are already
+        violated.
+        """
+        failed: dict[FunctionalityRef, MidstrideError] = {}
+
+        async def lower_instance(name: str, group: Mapping[FunctionalityRef, int]) -> None:
+            words = Degrade(Map(group)).describe(self.system.configuration)
+            try:
+                await self.driver.modes.lower(name, group, because)
+                self.driver.events.add("degraded", words)
+            except MidstrideError as error:
+                self.driver.events.add("note", f"{words} failed: {error}")
+                failed.update(dict.fromkeys(group, error))
+
+        await asyncio.gather(*(lower_instance(name, group) for name, group in by_instance(modes).items()))
+        if reached := {ref: index for ref, index in modes.items() if ref not in failed}:
+            self._moved(self.system.configuration.with_modes(reached), {ref.instance for ref in reached})
+        return failed
+
+    async def _roll_back(self, done: Done) -> list[str]:
+        """Undo the actions in ``done``, last first. Returns what failed; the other actions are undone.
+
+        Removals in a row are taken at once, and processes of creations in a row start side by side. An instance that
+        the change itself created is removed in any case: if it does not answer, it is killed.
+        """
+        if not done:
+            return list(self.driver.fences.problems())
+        self.driver.events.add("rollback", f"rolling back {counted(len(done), 'step')}", of=len(done))
+        self.driver.rolling_back = True
+        created = {action.instance.name for action, _ in done if isinstance(action, Create)}
+        await self._kill(name for name in sorted(created) if self.driver.client.responsive(name) is None)
+        problems = list(self.driver.fences.problems())
+        kept = self._taken_over(done)
+        undoing = (
+            each
+            for action, before in reversed(done)
+            if not kept & set(action.instances())
+            for each in action.undo(before)
+        )
+        for kind, actions in itertools.groupby(undoing, type):
+            row = list(actions)
+            if kind is Remove:
+                found = await asyncio.gather(*(self._undo(each, created) for each in row))
+            else:
+                self._starts.begin(each for each in row if isinstance(each, Create))
+                found = [await self._undo(each, created) for each in row]
+                await self._starts.stop()
+            problems += filter(None, found)
+        if not problems:
+            self.driver.events.add("rolled_back", "every step has been undone")
+        return problems
+
+    def _taken_over(self, done: Done) -> set[str]:
+        """The fenced instances and those that have taken over from them: a topic does not go back to one that hangs."""
+        fenced = self.driver.fences.fenced
+        swaps = [swap for action, _ in done if isinstance(action, Handover) for swap in action.swaps]
+        return {*fenced, *(swap.new.instance for swap in swaps if swap.old.instance in fenced)}
+
+    async def _undo(self, undoing: Action, created: Collection[str]) -> str | None:
+        """Perform ``undoing``; if that fails, again without the instances in ``created``. Returns, and says, why."""
+        what = undoing.describe(self.system.configuration)
+        while True:
+            try:
+                if isinstance(undoing, Create):
+                    await self._starts.start(undoing)  # the next manager must find what was removed and is there again
+                await self.perform(undoing)
+                await self._performed(undoing)
+                return None
+            except Exception as error:
+                problem = f"{what}: {_words(error)}"
+            if not await self._kill(name for name in undoing.instances() if name in created):
+                problem = "; ".join([problem, *await self._abandon([undoing])])
+                self.driver.events.add("rollback_failed", f"the roll-back is incomplete: {problem}")
+                return problem
+
+    async def _kill(self, instances: Iterable[str]) -> bool:
+        """Kill the processes of ``instances``, which then count as crashed; whether there was one."""
+        killed = False
+        for name in instances:
+            if name in self.system.crashed or name not in self.driver.launcher.handles:
+                continue
+            try:
+                await self.driver.launcher.end(name, grace=0.0)
+            except BackendError as error:
+                self.driver.events.add("note", f"{name} could not be killed: {error}")
+                continue
+            self.system.crashed[name] = Exited(name, None)
+            self.driver.events.add("note", f"{name} was created by this change and does not answer: it was killed")
+            killed = True
+        return killed
+
+    async def _abandon(self, actions: Iterable[Action]) -> list[str]:
+        """Terminate what was started for ``actions``. Returns why each of the others could not be."""
+        problems: list[str] = []
+        for action in actions:
+            if isinstance(action, Create) and action.instance.name not in self.system.configuration.instances:
+                error = await self.driver.launcher.abandon(action.instance.name)
+                if error is not None:
+                    problems.append(f"{action.instance.name} could not be terminated: {error}")
+                else:
+                    self.store.remove_instance(action.instance.name)
+        return problems
+
+
+def _estimates(action: Action, configuration: Configuration, actions: Sequence[Action]) -> str | None:
+    """What the duration of ``action`` is an estimate of (:meth:`Change.seconds`)."""
+    match action:
+        case Create(instance):  # beside others, a process starts more slowly
+            alone = sum(isinstance(each, Create) for each in actions) == 1
+            return f"create {instance.component.name}" if alone else None
+        case Remove(name):
+            return f"remove {configuration.component(name).name}"
+    return action.kind
+
+
+def _words(error: BaseException) -> str:
+    """The message of an exception; an unexpected one is logged with its traceback."""
+    if isinstance(error, MidstrideError):
+        return str(error)
+    if isinstance(error, asyncio.CancelledError):
+        return "the manager is shutting down"
+    log.error("a step failed with an unexpected error", exc_info=error)
+    return f"internal error: {error!r}"

@@ -1,0 +1,164 @@
+"""Carries the parameter values that were set at run time from an instance to the one that replaces it.
+
+A new instance is started with them, and its own callbacks must then accept them. The two are compared again right
+before the cut and when the old one ends: any ROS tool may set a parameter meanwhile (docs/semantics.md section 7).
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+from midstride.errors import CommandRefused, MidstrideError, PlanRefused, StepFailed
+from midstride.model.component import ROS_PARAMETERS, ParameterValue
+from midstride.model.configuration import Configuration, Instance
+from midstride.plan.change import Change
+from midstride.plan.runtime_values import RuntimeValue, Values, decide, left_behind, runtime_value
+from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.watch.reported_values import ReportedValues
+from midstride.wire.commands import SetParametersCommand
+
+
+@dataclass
+class ParameterTransfer:
+    """For one change. ``planned``: what the plan says becomes of each value; without ``keep``, none travels."""
+
+    client: ComponentClient
+    reported: ReportedValues
+    change: Change
+    planned: tuple[RuntimeValue, ...]
+    keep: bool
+    _found: dict[tuple[str, str], RuntimeValue] = field(default_factory=dict)
+    # By instance: the values when they were last carried over, and those that it was started with.
+    _carried: dict[str, Values] = field(default_factory=dict)
+    _given: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        replaced, stand_ins = self.change.replaced, self.change.stand_ins
+        self._predecessors = {new: old for old, new in replaced.items()}
+        for name in stand_ins:  # it may lack what the one that it stands in for has
+            if name in replaced:
+                self._predecessors[replaced[name]] = self._predecessors[name]
+        self._record(*self.planned)
+
+    def report(self, done: bool) -> list[RuntimeValue]:
+        """What became of each value. Unless the change is ``done``, only of those that are lost nevertheless."""
+        found = [self._found[key] for key in sorted(self._found)]
+        return found if done else [value for value in found if value.fate == "late"]
+
+    def _record(self, *values: RuntimeValue) -> None:
+        self._found |= {(value.node, value.parameter): value for value in values}
+
+    # -- a new instance ----------------------------------------------------------------------------
+
+    async def ask(self, instance: Instance) -> None:
+        """Have the predecessor of ``instance`` say its values, which it does not report at once."""
+        if (old := self._predecessors.get(instance.name)) is not None:
+            await self._observe(old)
+
+    def start_values(self, instance: Instance) -> dict[str, Any]:
+        """The values that ``instance`` starts with instead of the declared ones.
+
+        Raises StepFailed where one does not fit its declaration.
+        """
+        if self._returns(instance):
+            return dict(self.reported.of(instance.name))
+        old = self._predecessors.get(instance.name)
+        values = self.reported.saved.get(instance.role, {}) if old is None else self.reported.of(old)
+        if old is not None:
+            self._carried[old] = values
+        self._given[instance.name] = given = self._kept(instance, values)
+        return given
+
+    def _returns(self, instance: Instance) -> bool:
+        """Whether it ran at the start: it is started again, or goes on, in a roll-back."""
+        return instance.name in self.change.start.instances
+
+    def _kept(self, instance: Instance, values: Values) -> dict[str, Any]:
+        """Those of ``values``, of its predecessor, that ``instance`` is to have; what becomes of each is recorded."""
+        before, after = self.change.specification, self.change.target
+        if instance.role not in before.nodes:
+            return {}
+        try:
+            decided = decide(before, after, instance.role, values, keep=self.keep)
+        except PlanRefused as error:
+            raise StepFailed(str(error)) from error
+        self._record(*decided)
+        return {value.parameter: value.value for value in decided if value.fate == "kept"}
+
+    async def started(self, instance: Instance) -> None:
+        """Have a new instance accept the values that it was started with. Raises StepFailed with its reason."""
+        old, given = self._predecessors.get(instance.name), self._given.get(instance.name, {})
+        now = given if old is None else self.reported.of(old)
+        for name, value in given.items():
+            if name in now and now[name] == value:
+                await self._set(instance, name, value)
+        if old is not None:
+            await self._compare(old, instance)
+        self._carried[instance.name] = self.reported.of(instance.name)
+
+    async def _observe(self, instance: str) -> None:
+        """Request the values of an instance that answers; of any other, those that it last reported count."""
+        if self.client.responsive(instance) is not None:
+            with suppress(MidstrideError):
+                self.reported.report(await self.client.peek(instance))
+
+    async def _set(self, instance: Instance, name: str, value: ParameterValue) -> None:
+        """One value, so that a refusal is about it. Raises StepFailed, or BackendError."""
+        if name not in ROS_PARAMETERS and name not in (await self.client.peek(instance.name)).parameters:
+            if instance.name in self.change.stand_ins:
+                return
+            self._record(left_behind(instance.role, name, value, instance.component.name))
+            return
+        try:
+            await self.client.change(instance.name, SetParametersCommand(parameters={name: value}, declared={}))
+        except CommandRefused as error:
+            raise StepFailed(f"{name} = {value!r}, set at run time: {error}") from error
+
+    # -- what is set later -------------------------------------------------------------------------
+
+    async def before_cut(self, old: str, new: Instance) -> None:
+        """Set on ``new`` what was set on ``old`` meanwhile, if it replaces that.
+
+        Raises StepFailed where ``new`` refuses it.
+        """
+        if self._predecessors.get(new.name) == old:
+            await self._observe(old)
+            await self._compare(old, new)
+
+    def set_in_place(self, instance: Instance, values: Values) -> None:
+        """The specification's values have taken the place of ``values``, which were set at run time."""
+        self._kept(instance, values)
+
+    async def leaving(self, name: str, configuration: Configuration) -> None:
+        """To be called right before and after an instance ends: what was set on it last is set on its partner.
+
+        The partner is its replacement, or in a roll-back the instance that it was to replace. It has taken over, so
+        where it refuses a value, the report says so.
+        """
+        await self._observe(name)
+        partner = self.change.replaced.get(name) or self._predecessors.get(name)
+        if partner in configuration.instances and self.client.responsive(str(partner)) is not None:
+            await self._compare(name, configuration.instances[str(partner)], late=True)
+
+    async def _compare(self, old: str, new: Instance, late: bool = False) -> None:
+        before, now = self._carried.get(old), self.reported.of(old)
+        if before is None or before == now:
+            return
+        self._carried[old] = now
+        changed = {name: value for name, value in now.items() if name not in before or before[name] != value}
+        back = before.keys() - now.keys()  # set back to the declared value: so is the new one's
+        for name in (*changed, *back):
+            self._found.pop((new.role, name), None)
+        values = changed if self._returns(new) else self._kept(new, changed)
+        state = await self.client.peek(new.name)
+        values |= {name: state.declared[name] for name in back if name in state.declared}
+        for name, value in values.items():
+            try:
+                await self._set(new, name, value)
+            except MidstrideError as error:
+                if not late:
+                    raise
+                self._record(runtime_value(new.role, name, value, "late", f"too late, after the hand-over: {error}"))
+        self._carried[new.name] = self.reported.of(new.name)

@@ -1,0 +1,304 @@
+"""The reconciler: updates the model after crashes and unexpected degradations, and degrades dependent functionalities.
+
+A crash is an unplanned removal; a component degrades on its own when its code raises. The model is updated to the
+actual state; then exactly the functionalities that are lower in `best` of the remaining system are degraded. Upgrades
+are left to plans (docs/semantics.md section 7).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import AsyncIterator, Callable, Container, Coroutine, Iterable, Iterator, Mapping
+from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from midstride.errors import CommandRefused, MidstrideError
+from midstride.model.best import lowered
+from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.configuration import Configuration
+from midstride.runtime.backend_protocol import Exited
+from midstride.runtime.change.action_driver import ActionDriver
+from midstride.runtime.change.executor import Executor
+from midstride.runtime.process.component_client import ComponentClient, ComponentEvent, Disconnected
+from midstride.runtime.process.launcher import Launcher
+from midstride.runtime.records.events import EventLog
+from midstride.runtime.records.state_store import StateStore
+from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.watch.observed_configuration import (
+    changed_attachments,
+    differs,
+    own_degradations,
+    own_degradations_in,
+    unsupported_modes,
+    with_attachments,
+)
+from midstride.runtime.watch.silence import SilenceMonitor
+from midstride.wire.state import ComponentState
+
+log = logging.getLogger(__name__)
+
+# After how long a component that has refused to degrade a functionality is asked again (s).
+REFUSED_INTERVAL: Final = 1.0
+_LOST_BEFORE: Final = "its input was lost before it could be degraded"
+
+
+@dataclass
+class Reconciler:
+    """Handles the events of a back end and of components.
+
+    While a command is in progress (``busy``), the command reconciles at its start and its end; otherwise the reconciler
+    does so in the background, holding ``lock``. ``driver`` makes what degrades functionalities. ``on_reconciled`` is
+    called when the model is up to date, with no command in progress; ``on_degraded`` for each functionality that has
+    degraded unexpectedly, with its mode. ``degraded`` are those that did so since the last change began.
+    """
+
+    system: RunningSystem
+    client: ComponentClient
+    monitor: SilenceMonitor
+    launcher: Launcher
+    events: EventLog
+    store: StateStore
+    driver: Callable[[], ActionDriver]
+    lock: Callable[[], AbstractAsyncContextManager[Any]]
+    busy: Callable[[], bool]
+    on_reconciled: Callable[[], None] = lambda: None
+    on_degraded: Callable[[FunctionalityRef, int], None] = lambda ref, index: None
+    degraded: set[FunctionalityRef] = field(default_factory=set)
+    pending: dict[FunctionalityRef, MidstrideError | None] = field(default_factory=dict)  # could not be degraded yet
+    _on_failure: Callable[[str], None] | None = None  # both during a change: see `during_change`
+    _on_crash: Callable[[], Coroutine[Any, Any, None]] | None = None
+    _why_pending: str = _LOST_BEFORE
+    _unanswered: set[str] = field(default_factory=set)  # instances of these that did not answer
+    _reconciled_at: float = 0.0  # when a functionality was last degraded, or refused to be (steady s)
+    _reconciling: asyncio.Lock = field(default_factory=asyncio.Lock)
+    _tasks: set[asyncio.Task[None]] = field(default_factory=set)
+
+    async def close(self) -> None:
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    @contextlib.contextmanager
+    def during_change(
+        self, on_failure: Callable[[str], None], on_crash: Callable[[], Coroutine[Any, Any, None]]
+    ) -> Iterator[None]:
+        """While the steps of a change are carried out.
+
+        ``on_failure`` is called with a live instance as soon as it has exited, or reports a worse mode than the model
+        has; ``on_crash`` responds to an exit.
+        """
+        self.degraded.clear()
+        self._on_failure, self._on_crash = on_failure, on_crash
+        try:
+            yield
+        finally:
+            self._on_failure = self._on_crash = None
+
+    def on_exit(self, event: Exited) -> None:
+        """A process has exited without being asked to."""
+        self.launcher.exited(event)
+        if event.instance in self.launcher.handles:
+            self._record_exit(event)
+
+    def on_component_event(self, event: ComponentEvent) -> None:
+        """A component has reported its state, or its connection has closed."""
+        match event:
+            case Disconnected(instance, exited):
+                if instance not in self.system.configuration.instances:
+                    return
+                if not exited:
+                    self.events.add("note", f"{instance} cannot be reached any more; its process may still run")
+                # The only sign of exit for a component started by hand; for others the back end reports it.
+                elif instance not in self.launcher.handles:
+                    self.launcher.disconnected(instance)
+                    self._record_exit(Exited(instance, None))
+            case state:
+                if self.system.values.report(state):
+                    self.save_values()
+                self.monitor.on_report(state, self.system.configuration)
+                answers_again = state.instance in self._unanswered
+                self._unanswered.discard(state.instance)
+                configuration = self.system.configuration
+                degraded = own_degradations_in(configuration, state)
+                if degraded and self._on_failure is not None:
+                    self._on_failure(state.instance)
+                wrong = differs(configuration, state) or bool(unsupported_modes(configuration, state))
+                if answers_again or degraded or wrong or self._can_retry(state):
+                    self._reconcile_soon()
+
+    def _can_retry(self, state: ComponentState) -> bool:
+        """Whether a functionality that refused to be degraded may accept it now: no call of its code is running."""
+        if self._reconciling.locked() or self.monitor.clock.steady() - self._reconciled_at < REFUSED_INTERVAL:
+            return False
+        pending = [ref for ref, error in self.pending.items() if isinstance(error, CommandRefused)]
+        refused = [ref.functionality for ref in pending if ref.instance == state.instance]
+        return any(state.functionalities[name].busy is None for name in refused)
+
+    def save_values(self) -> None:
+        """Save the parameter values that were set at run time, where they have changed, for the next manager."""
+        system = self.system
+        for role, values in system.values.settle(system.configuration, system.specification.nodes).items():
+            self.store.write_values(role, values)
+
+    def _record_exit(self, event: Exited) -> None:
+        self.system.crashed[event.instance] = event
+        status = "" if event.status is None else f" (status {event.status})"
+        self.events.add("exited", f"{event.instance} exited unexpectedly{status}", log=event.log_tail)
+        if event.instance in self.system.configuration.instances and self._on_failure is not None:
+            self._on_failure(event.instance)
+        if self.busy() and self._on_crash is not None:
+            self._in_background(self._on_crash())
+        else:
+            self._reconcile_soon()
+
+    @contextlib.asynccontextmanager
+    async def around(self) -> AsyncIterator[None]:
+        """Reconcile before and after a command."""
+        try:
+            await self.reconcile()
+            self._accept_reported()
+            yield
+            await self.reconcile()
+        finally:
+            # Something happened after that, or the command failed.
+            if self.system.crashed or own_degradations(self.system.configuration, self.client, ()):
+                self._start_reconciling()
+            self.on_reconciled()
+
+    def _accept_reported(self) -> None:
+        """Expect the revisions that components have reported, except of those that report what the model lacks.
+
+        A worst mode that raises changes the revision of its component, and nothing in the model.
+        """
+        configuration = self.system.configuration
+        for name in sorted(configuration.instances):
+            state = self.client.responsive(name)
+            if state is None or own_degradations_in(configuration, state) or differs(configuration, state):
+                continue
+            self.client.accept(name)
+
+    def _reconcile_soon(self) -> None:
+        if not self.busy():
+            self._start_reconciling()
+
+    def _start_reconciling(self) -> None:
+        self._in_background(self._reconcile_in_background())
+
+    def _in_background(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _reconcile_in_background(self) -> None:
+        async with self.lock():
+            try:
+                await self.reconcile()
+                self.on_reconciled()
+            except Exception as error:  # nothing awaits this task, so errors are logged here
+                log.exception("reconciling failed")
+                self.events.add("note", f"reconciling failed: internal error: {error!r}")
+
+    async def reconcile_crashes(self) -> None:
+        """Reconcile if a component has crashed, and wait for a reconciliation in progress."""
+        if self.system.crashed or self._reconciling.locked():
+            await self.reconcile()
+
+    async def reconcile_all(self, because: str) -> None:
+        """The same for the whole system: after an earlier manager, any assumption may no longer hold."""
+        self.pending, self._why_pending = dict.fromkeys(self.system.configuration.modes), because
+        await self.reconcile()
+        self._why_pending = _LOST_BEFORE
+
+    async def reconcile(self) -> None:
+        """Update the model to the actual state, and degrade functionalities whose assumptions no longer hold.
+
+        Those that cannot be degraded are ``pending``, with the error.
+        """
+        async with self._reconciling:
+            configuration = self.system.configuration
+            crashed = self.system.take_crashed()
+            for name in crashed:
+                self.launcher.handles.pop(name, None)
+                self.client.disconnect(name)
+                self.store.remove_instance(name)
+            degraded = own_degradations(configuration, self.client, crashed)
+            configuration, touched, because = self._take_over_reported(configuration, crashed)
+            if not crashed and not degraded and not self.pending and not because:
+                return
+            because += [f"{name} exited unexpectedly" for name in crashed]
+            for name in {ref.instance for ref in degraded}:
+                self.client.accept(name)
+            for ref, index in sorted(degraded.items()):
+                words = f"{ref} entered mode {configuration.functionality(ref).modes[index].name}"
+                if ref not in self.pending:  # else a command that timed out has been carried out after all
+                    words += " unexpectedly"
+                    self.degraded.add(ref)
+                    self.on_degraded(ref, index)
+                self.events.add("degraded", words, functionality=str(ref))
+                because.append(words)
+            after, to_lower = respond(configuration, crashed, degraded, [*self.pending, *touched])
+            self.system.moved(after)
+            executor = Executor(self.driver(), self.store)
+            failed = await executor.lower(to_lower, "; ".join(because) or self._why_pending)
+            self.pending, self._reconciled_at = dict(failed), self.monitor.clock.steady()
+            self._unanswered = {ref.instance for ref, error in failed.items() if not isinstance(error, CommandRefused)}
+
+    def _take_over_reported(
+        self, configuration: Configuration, crashed: Container[str]
+    ) -> tuple[Configuration, list[FunctionalityRef], list[str]]:
+        """The configuration with the attachments that components report, what they concern, and what differed.
+
+        They differ where a command timed out and has been carried out all the same, or could not be undone. A better
+        mode is taken over only where it lacks support, and so is about to be left: raising is a plan's affair.
+        """
+        touched: list[FunctionalityRef] = []
+        because: list[str] = []
+        for name in sorted(configuration.instances):
+            state = None if name in crashed else self.client.responsive(name)
+            lacking, besides = ([], []) if state is None else changed_attachments(configuration, state)
+            for port, connector in lacking:
+                because.append(f"{port} is not attached to {connector} any more")
+                if configuration.is_output(port):
+                    touched += configuration.consumers(connector)
+            if lacking:
+                touched += [ref for ref in configuration.modes if ref.instance == name]
+            because += [f"{port} is attached to {connector}" for port, connector in besides]
+            if lacking or besides:
+                self.client.accept(name)
+                configuration = with_attachments(configuration, lacking, besides)
+            if state is not None and (better := unsupported_modes(configuration, state)):
+                self.client.accept(name)
+                modes = {ref: configuration.functionality(ref).modes[index].name for ref, index in better.items()}
+                because += [f"{ref} is in mode {mode}" for ref, mode in modes.items()]
+                touched += better
+                configuration = configuration.with_modes(better)
+        for words in because:
+            self.events.add("note", f"{words}, by its own report")
+        return configuration, touched, because
+
+
+def respond(
+    configuration: Configuration,
+    crashed: Iterable[str],
+    degraded: Mapping[FunctionalityRef, int],
+    pending: Iterable[FunctionalityRef] = (),
+) -> tuple[Configuration, dict[FunctionalityRef, int]]:
+    """The configuration without ``crashed`` and with the modes in ``degraded``, and the modes to degrade others to.
+
+    ``pending`` are functionalities that an earlier response could not degrade.
+    """
+    touched: set[FunctionalityRef] = set(pending)
+    for name in crashed:
+        for port, connector in configuration.attached_ports(name):
+            if configuration.is_output(port):
+                touched.update(configuration.consumers(connector))
+        configuration = configuration.without_instance(name)
+    for ref in degraded:
+        for output in configuration.functionality(ref).outputs:
+            for connector in configuration.attached_to(PortRef(ref.instance, output)):
+                touched.update(configuration.consumers(connector))
+    configuration = configuration.with_modes(degraded)
+    return configuration, lowered(configuration, [ref for ref in touched if ref.instance in configuration.instances])

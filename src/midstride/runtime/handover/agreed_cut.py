@@ -1,0 +1,334 @@
+"""The cut of a hand-over: the moment from which the new publisher publishes instead of the old one.
+
+It is a slot of the old publisher's time grid, agreed in advance (docs/semantics.md section 7). Before that, both sides
+must follow the same clock, and the subscribers must have found the new publisher.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import uuid
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from msgspec import structs
+
+from midstride.errors import CallTimeout, PlanRefused, StepFailed, Unreachable
+from midstride.model.action import Create, Handover, Swap
+from midstride.model.component import ComponentSpec, PortRef
+from midstride.model.configuration import Configuration
+from midstride.plan.plan import Plan
+from midstride.runtime.process.component_client import ComponentClient
+from midstride.wire.commands import (
+    AwaitMatchCommand,
+    CutInCommand,
+    CutOutCommand,
+    CutSwap,
+    GridCommand,
+    SeatCommand,
+    SeatPort,
+    StateTransfer,
+)
+from midstride.wire.replies import CutClock, Grid, Seat, Trigger
+
+# The old side resumes if the new side has not reported its first write for this many periods,
+RESUME_PERIODS: Final = 10
+# but at least for this long (s), which is more than the jitter of a busy machine.
+SHORTEST_RESUME: Final = 0.1
+# The same if no rate defines a period (s).
+RESUME_WITHOUT_RATE: Final = 2.0
+# How long two lifecycle nodes may take to be deactivated and activated (s).
+TRANSITIONS: Final = 10.0
+# How long a subscriber may take to find the new publishers (s).
+FIND_TIMEOUT: Final = 5.0
+# How often, and at which interval (s), a subscriber may still count a publisher that has left.
+LEAVE_ATTEMPTS: Final = 10
+LEAVE_INTERVAL: Final = 0.05
+
+
+@dataclass(slots=True)
+class Cut:
+    """One cut between two components, for the outputs of one functionality, which share a time grid.
+
+    ``lead`` is how far ahead it was agreed (s); ``state`` how state moves at the cuts of these two components.
+    """
+
+    configuration: Configuration
+    old: str
+    new: str
+    swaps: list[Swap] = field(default_factory=list)
+    id: str = field(default_factory=lambda: uuid.uuid4().hex)
+    trigger: Trigger = "none"
+    clock: CutClock = "ros"
+    epoch: int | None = None
+    period: float | None = None
+    at: int = 0
+    lead: float = 0.0
+    state: StateTransfer | None = None
+
+    @property
+    def by_baton(self) -> bool:
+        """Whether one side, or both, has a gate: then the baton decides instead of the moment."""
+        return has_gate(self.configuration, self.old, self.new)
+
+    def resume_after(self) -> float:
+        """How long the old side waits for the new one's first write (s, on the clock of the cut)."""
+        period = self.period if self.period is not None else self._declared_period()
+        if period is None:
+            return RESUME_WITHOUT_RATE
+        # The old side then writes in its next slot, which may be a period later.
+        return max((RESUME_PERIODS - 1) * period, SHORTEST_RESUME)
+
+    def _declared_period(self) -> float | None:
+        """The longest of the periods that the cut's topics require; None if one states no rate."""
+        if not self.swaps:
+            return None
+        connectors = self.configuration.context.connectors
+        rates = [connectors[swap.connector].guarantee.rate or self.configuration.rate(swap.old) for swap in self.swaps]
+        return None if None in rates else max(1 / rate for rate in rates if rate)
+
+    def outgoing(self, seat: Seat | None = None) -> CutOutCommand:
+        """The cut as the old side is sent it."""
+        swaps = [CutSwap(port=swap.old.port, topic=self.configuration.topic(swap.connector)) for swap in self.swaps]
+        return CutOutCommand(
+            cut=self.id,
+            swaps=swaps,
+            at=self.at,
+            resume_after=self.resume_after(),
+            clock=self.clock,
+            state=self.state,
+            seat=seat,
+        )
+
+    def timeout(self, stretch: float) -> float:
+        """How long it may take until both sides know how it ended (s); ``stretch`` as for a slow clock."""
+        transitions = TRANSITIONS if self.configuration.component(self.new).gate == "lifecycle" else 0.0
+        moving = 0.0 if self.state is None else self.state.timeout
+        return self.lead + self.resume_after() * stretch + 2.0 + moving + transitions
+
+    def incoming(self, address: str, seat: Seat | None = None) -> CutInCommand:
+        """The cut as the new side is sent it; ``address`` is that of the old side."""
+        # What is written once is repeated at the cut.
+        swaps = [
+            CutSwap(
+                port=swap.new.port,
+                topic=self.configuration.topic(swap.connector),
+                latch=not self.configuration.rate(swap.new)
+                if self.by_baton
+                else written_once(self.configuration, swap.new, self.trigger),
+            )
+            for swap in self.swaps
+        ]
+        epoch = self.at if self.trigger == "rate" else None
+        return CutInCommand(
+            cut=self.id,
+            swaps=swaps,
+            at=self.at,
+            epoch=epoch,
+            peer=self.old,
+            address=address,
+            clock=self.clock,
+            state=self.state,
+            seat=seat,
+            resume_after=0.0 if seat is None else self.resume_after(),
+        )
+
+    async def seat(self, client: ComponentClient, side: str) -> Seat | None:
+        """The seat of ``side`` in the page of the gates, where only the other side has a gate."""
+        old = side == self.old
+        other = self.new if old else self.old
+        if not (self.configuration.component(side).has_agent and self.by_baton):
+            return None
+        own = [(swap.old if old else swap.new, self.configuration.topic(swap.connector)) for swap in self.swaps]
+        ports = [SeatPort(topic=topic, rate=self.configuration.rate(port)) for port, topic in own]
+        return await client.change(other, SeatCommand(cut=self.id, peer=side, ports=ports, old=old))
+
+
+async def agree_cuts(
+    client: ComponentClient,
+    configuration: Configuration,
+    swaps: Iterable[Swap],
+    lead: float,
+    states: Mapping[tuple[str, str], StateTransfer],
+) -> list[Cut]:
+    """One cut for the outputs of each old functionality, all at the first slot after one common moment.
+
+    There is one such moment on each clock, ``lead`` seconds of real time ahead. ``states`` says how state moves between
+    two components, which have a cut for it alone if they swap nothing. Else the slowest grid is cut first, and each
+    faster one at its first slot after that, so the slots that wait for the last cut do so for a short part of their
+    period.
+    """
+    cuts: dict[tuple[str, str, str], Cut] = {}
+    grids: dict[tuple[str, str, str], Grid] = {}
+    moments: dict[CutClock, int] = {}
+    for swap in swaps:
+        old, new = swap.old.instance, swap.new.instance
+        by_baton = has_gate(configuration, old, new)  # one for all outputs, whatever their grids
+        key = (old, new, "" if by_baton else configuration.component(old).owner(swap.old.port).name)
+        if key not in cuts:
+            grid = grids[key] = await client.read(old, GridCommand(port=swap.old.port))
+            cuts[key] = cut = Cut(configuration, old, new, clock=grid.clock)
+            if not by_baton:
+                cut.trigger, cut.epoch, cut.period = grid.trigger, grid.epoch, grid.period
+            moment = grid.now + int(lead * (grid.speed or 1.0) * 1e9)
+            moments[grid.clock] = max(moments.get(grid.clock, 0), moment)
+        cuts[key].swaps.append(swap)
+    for cut in cuts.values():
+        cut.at = _first_slot(cut, moments[cut.clock])
+    for old, new in states:
+        if not any((cut.old, cut.new) == (old, new) for cut in cuts.values()):  # no output: only its state moves
+            grid = grids[old, new, ""] = await client.read(old, GridCommand())
+            cuts[old, new, ""] = Cut(configuration, old, new, clock=grid.clock, at=grid.now + int(lead * 1e9))
+    for pair, state in states.items():
+        own = sorted((cut for cut in cuts.values() if (cut.old, cut.new) == pair), key=lambda cut: -(cut.period or 0.0))
+        latest = dict(moments)
+        for cut in own:
+            latest[cut.clock] = cut.at = _first_slot(cut, latest.get(cut.clock, cut.at))
+        last = own[-1]
+        transfer = structs.replace(state, id=uuid.uuid4().hex, cuts=len(own), at=last.at, clock=last.clock)
+        for cut in own:
+            cut.state = transfer
+    for key, cut in cuts.items():
+        cut.lead = (cut.at - grids[key].now) / 1e9 / (grids[key].speed or 1.0)
+    return list(cuts.values())
+
+
+def _first_slot(cut: Cut, moment: int) -> int:
+    """The first slot of its grid that is not before ``moment``, which itself is one where there is no grid."""
+    if cut.epoch is None or not cut.period:
+        return moment
+    step = cut.period * 1e9
+    return cut.epoch + round(math.ceil((moment - cut.epoch) / step) * step)
+
+
+async def publishers_found(
+    client: ComponentClient,
+    configuration: Configuration,
+    connector: str,
+    is_gone: Callable[[str], bool],
+    early: int = 0,
+) -> dict[PortRef, int]:
+    """How many publishers each subscriber of ``connector`` that answers is matched with, before new ones attach.
+
+    A publisher that has just left may still be counted, so a subscriber that counts more than there are in the model is
+    asked again for a while. That is not done if some of the new ones are ``early``: they may be counted as well.
+    """
+    living = sum(not is_gone(port.instance) for port in configuration.publishers_on(connector))
+    found: dict[PortRef, int] = {}
+    for port in sorted(configuration.subscribers_on(connector)):
+        asked = AwaitMatchCommand(port=port.port, topic=configuration.topic(connector), peers=0, timeout=0.0)
+        with contextlib.suppress(CallTimeout, Unreachable):  # reported as a silence
+            for _ in range(1 if early else LEAVE_ATTEMPTS):
+                found[port] = (await client.read(port.instance, asked)).matched
+                if found[port] <= living:
+                    break
+                await asyncio.sleep(LEAVE_INTERVAL)
+    return found
+
+
+def early_publishers(configuration: Configuration, new: Iterable[PortRef]) -> int:
+    """How many of these exist as long as their processes, attached or not: those without an agent in them."""
+    return sum(not configuration.component(port.instance).has_agent for port in new)
+
+
+async def require_found(
+    client: ComponentClient,
+    configuration: Configuration,
+    swaps: Iterable[Swap],
+    connector: str,
+    before: Mapping[PortRef, int],
+    is_gone: Callable[[str], bool],
+) -> None:
+    """Raises StepFailed unless the subscribers of ``connector`` have found the new publishers.
+
+    That the publishers have found them is not enough: a subscriber whose middleware does not discover endpoints any
+    more would receive nothing after the cut. ``before`` is what :func:`publishers_found` returned. Such a subscriber
+    may also not have noticed who left, so the number of publishers there are would not do. New publishers of nodes
+    without Midstride's API have existed since their processes started, and may have been counted before. Such a node
+    may also have left without a word, and be counted for long. So for them that number has to do.
+    """
+    new = {swap.new for swap in swaps if swap.connector == connector}
+    gone = sum(is_gone(port.instance) for port in configuration.publishers_on(connector))
+    topic, early = configuration.topic(connector), early_publishers(configuration, new)
+    for port, counted in before.items():
+        # Whether one that has exited is still counted is not known.
+        wanted = (len(configuration.publishers_on(connector)) if early else counted) + len(new) - gone
+        await_match = AwaitMatchCommand(port=port.port, topic=topic, peers=wanted, timeout=FIND_TIMEOUT)
+        try:
+            matched = (await client.read(port.instance, await_match)).matched
+        except (CallTimeout, Unreachable):
+            continue
+        if matched < wanted:
+            raise StepFailed(
+                f"{port} has found only {matched} of {wanted} publishers on {topic} within {FIND_TIMEOUT:g} s "
+                "and would receive nothing after the hand-over; its middleware may have stopped discovering endpoints: "
+                f"replace {port.instance} first"
+            )
+
+
+async def require_same_clock(client: ComponentClient, old: str, new: str) -> None:
+    """Raises StepFailed unless both sides follow the same clock, and it has a time: they agree on a moment of it."""
+    state = await client.peek(old)
+    if state.simulated_time != (await client.peek(new)).simulated_time:
+        simulated, other = (old, new) if state.simulated_time else (new, old)
+        raise StepFailed(
+            f"{simulated} follows /clock (use_sim_time) and {other} the clock of the system, so they cannot agree on a "
+            "moment for the hand-over; set use_sim_time to the same value for both"
+        )
+    if state.waiting is not None:
+        raise StepFailed(f"{old} cannot hand over: {state.waiting}")
+
+
+def has_gate(configuration: Configuration, old: str, new: str) -> bool:
+    """Whether one of these, or both, has no agent in its process, so that a baton decides."""
+    return not all(configuration.component(name).has_agent for name in (old, new))
+
+
+def written_once(configuration: Configuration, new: PortRef, trigger: Trigger) -> bool:
+    """Whether a message of an output may have been written only once, and then behind its gate."""
+    relayed = configuration.component(new.instance).gate == "relay"
+    return trigger == "none" or (relayed and not configuration.rate(new))
+
+
+def require_baton(configuration: Configuration, old: str, new: str) -> None:
+    """Raises StepFailed where the gates of the two do not fit: one of them knows no baton, or neither has a gate."""
+    components = {name: configuration.component(name) for name in (old, new)}
+    if (because := _misfit(components, old, new)) is not None:
+        raise StepFailed(because)
+
+
+def require_batons(plan: Plan) -> None:
+    """Raises PlanRefused where :func:`require_baton` would fail a step of ``plan``.
+
+    By then the new program would run, and one that nothing holds back would publish beside the old one.
+    """
+    instances = {
+        step.action.instance.name: step.action.instance for step in plan.steps if isinstance(step.action, Create)
+    }
+    for step in plan.steps:
+        for swap in step.action.swaps if isinstance(step.action, Handover) else ():
+            pair = swap.old.instance, swap.new.instance
+            found = {name: (instances.get(name) or plan.change.start.instances[name]).component for name in pair}
+            if (because := _misfit(found, *pair)) is not None:
+                raise PlanRefused(because)
+
+
+def _misfit(components: Mapping[str, ComponentSpec], old: str, new: str) -> str | None:
+    """Why ``old`` cannot hand over to ``new``, because of the kinds of their gates."""
+    gates = {name: component.gate for name, component in components.items()}
+    if gates[old] == gates[new] == "none":
+        words = "both have `gate none`, so neither can be held back"
+    elif gates[old] == gates[new]:
+        return None
+    else:
+        loose = next((name for name, each in components.items() if not each.has_agent and not each.preloads), None)
+        if loose is None:
+            return None
+        kinds = " and ".join(
+            f"{name} has `gate {gate}`" if gate else f"{name} uses Midstride's API" for name, gate in gates.items()
+        )
+        words = f"{kinds}, so {loose} cannot be held back for the other"
+    return f"{old} cannot hand over to {new}: {words}; use `--strategy paper`"

@@ -1,0 +1,144 @@
+"""Fencing: an old component that hangs, or is slower than the time-outs, is replaced all the same.
+
+The exception to "never inside a call" of docs/semantics.md section 7: its outputs are closed from its control thread,
+whatever its user code is doing; where that thread does not answer either, its process is killed. One that is stopped
+(SIGSTOP) could be continued at any time, and must not be heard then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Final
+
+from midstride.errors import BackendError, CallTimeout, CommandRefused, MidstrideError, StepFailed, Unreachable
+from midstride.model.component import PortRef
+from midstride.runtime.backend_protocol import Exited
+from midstride.runtime.handover.state_transfers import keeps_state
+from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.process.launcher import Launcher
+from midstride.runtime.records.events import EventLog
+from midstride.runtime.records.reports import FencedInstance
+from midstride.runtime.running_system import RunningSystem
+from midstride.wire.commands import AwaitIdleCommand, FenceCommand
+
+# For how long a change tries without a fence, unless the request says otherwise (s).
+DEFAULT_WAIT: Final = 5.0
+# How long an old side has at least to show that it is free (s), and how often a silent one is asked again.
+PATIENCE: Final = 0.5
+INTERVAL: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class StepBudget:
+    """The time that one step has without a fence, for ``instances``, which may be fenced: ``until`` (steady s)."""
+
+    client: ComponentClient
+    instances: Collection[str]
+    until: float
+
+    def timeout(self, instance: str, usual: float) -> float:
+        """How long a command to ``instance`` may wait for user code: what is left, or ``usual`` seconds for others."""
+        if instance not in self.instances:
+            return usual
+        return max(PATIENCE, self.until - self.client.clock.steady())
+
+    def is_spent(self, instance: str) -> bool:
+        return instance in self.instances and self.client.clock.steady() >= self.until
+
+
+@dataclass(slots=True)
+class Fences:
+    """Those of one change. ``wait``: how long it tries without (s). ``fenced``: by instance, what was done and why."""
+
+    client: ComponentClient
+    launcher: Launcher
+    system: RunningSystem
+    events: EventLog
+    wait: float = DEFAULT_WAIT
+    fenced: dict[str, FencedInstance] = field(default_factory=dict)
+    _attachments: dict[str, list[tuple[str, str]]] = field(default_factory=dict)  # of those fenced by their gates
+
+    def now(self) -> float:
+        return self.client.clock.steady()
+
+    def budget(self, instances: Collection[str]) -> StepBudget:
+        """That of a step that begins now. ``instances``: those that it may fence."""
+        return StepBudget(self.client, instances, self.now() + self.wait)
+
+    def hangs_already(self, instance: str) -> bool:
+        """Whether it reports a call that has been running for longer than this change would wait."""
+        state = self.client.responsive(instance)
+        return state is not None and any((each.busy or 0.0) > self.wait for each in state.functionalities.values())
+
+    async def unresponsive(self, instance: str, deadline: float) -> str | None:
+        """Why ``instance`` is not free until ``deadline`` (steady s); None as soon as it is free, or has exited."""
+        while True:
+            if self.now() >= deadline and self.client.is_stopped(instance):
+                return f"{instance} does not answer (stopped, or hanging outside of Python)"
+            try:
+                idle = AwaitIdleCommand(timeout=max(PATIENCE, deadline - self.now()))
+                busy = (await self.client.read(instance, idle)).busy
+                return None if busy is None else f"{instance} hangs: {busy}"
+            except (CommandRefused, Unreachable):
+                return None
+            except CallTimeout:
+                if self.now() >= deadline:
+                    return f"{instance} does not answer (stopped, or hanging outside of Python)"
+            await self.client.clock.sleep(INTERVAL)
+
+    async def fence(
+        self, instance: str, because: str, attachments: Iterable[tuple[PortRef, str]]
+    ) -> dict[PortRef, int | None]:
+        """Keep ``instance`` from publishing on these topics; the number of each output's last message, where known.
+
+        Raises StepFailed where that is not possible.
+        """
+        links = [(port.port, topic) for port, topic in attachments]
+        last: dict[str, int] = {}
+        killed = False
+        try:
+            if self.client.responsive(instance) is None:
+                raise CallTimeout(f"{instance} does not answer")
+            last = (await self.client.read(instance, FenceCommand(attachments=links))).last
+            self._attachments[instance] = links
+        except MidstrideError as error:
+            await self._kill(instance, error)
+            killed = True
+        what = "its process was killed" if killed else "its outputs were closed inside a call"
+        lost = ", and its state could not be exported" if keeps_state(self.client, instance) else ""
+        words = f"{because}; {what}{lost}"
+        self.fenced[instance] = FencedInstance(
+            instance=instance, how="killed" if killed else "gate", because=because, words=words
+        )
+        self.events.add("fenced", words, instance=instance)
+        return {PortRef(instance, port): last.get(f"{port} {topic}") for port, topic in links}
+
+    async def _kill(self, instance: str, error: MidstrideError) -> None:
+        if instance not in self.launcher.handles:
+            raise StepFailed(
+                f"{instance} was started elsewhere, so it cannot be killed: {error}; end its process, then try again"
+            ) from error
+        try:
+            await self.launcher.end(instance, grace=0.0)
+        except BackendError as failure:
+            raise StepFailed(f"{instance} could neither be fenced ({error}) nor killed: {failure}") from failure
+        self.system.crashed[instance] = Exited(instance, None)
+
+    def problems(self) -> Iterator[str]:
+        """Why a roll-back is incomplete."""
+        for name, fenced in sorted(self.fenced.items()):
+            yield f"{name} was fenced, and its topics are not handed back to it: {fenced.because}"
+
+    async def lift(self, instances: Collection[str]) -> None:
+        """No successor took over: let these publish again, if they live."""
+        for name in sorted(self.fenced.keys() & set(instances)):
+            links = self._attachments.pop(name, None)
+            if links is None:
+                continue  # it was killed
+            try:
+                await self.client.read(name, FenceCommand(attachments=links, lift=True))
+                del self.fenced[name]
+                self.events.add("note", f"{name} may publish again")
+            except MidstrideError as error:
+                self.events.add("note", f"{name} could not be let publish again: {error}")

@@ -1,0 +1,397 @@
+"""The hand-over on live components: both publishers exist at once, and switch at an agreed moment, the *cut*.
+
+The new publisher is behind a closed gate until both sides know the cut, a future slot of the old publisher's time grid
+(docs/semantics.md section 7). The old side is sent the cut first, and resumes publishing unless the new side reports
+its first message: if the manager exits at any point, the topic is silent for at most ``RESUME_PERIODS`` periods
+(:mod:`.agreed_cut`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Final
+
+from immutables import Map
+
+from midstride.errors import CallTimeout, CommandRefused, MidstrideError, StepFailed, Unreachable
+from midstride.model.action import Swap
+from midstride.model.component import PortRef
+from midstride.model.configuration import Configuration
+from midstride.runtime.handover.agreed_cut import (
+    Cut,
+    agree_cuts,
+    early_publishers,
+    has_gate,
+    publishers_found,
+    require_baton,
+    require_found,
+    require_same_clock,
+    written_once,
+)
+from midstride.runtime.handover.cut_turns import CutTurn, only_turn
+from midstride.runtime.handover.fences import Fences
+from midstride.runtime.handover.new_publishers import DETACH_TIMEOUT, NewPublishers
+from midstride.runtime.handover.state_transfers import StateTransfers
+from midstride.runtime.process.answering_instance import have_answer
+from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.records.events import EventLog
+from midstride.runtime.watch.simulated_time import stretch_of
+from midstride.wire import commands
+from midstride.wire.replies import CutResult
+
+# How far ahead the cut is (s): many round trips, so that both sides know it in time. If the machine is too busy for one
+# of these, the next one is tried.
+LEADS: Final = (0.1, 0.3, 1.0)
+# None is tried that is shorter than so many of the exchanges just before it: a cut that one side learns of too late
+# makes the messages after its moment late.
+EXCHANGES: Final = 2.0
+# The same for an old side that was too slow for these, at most: as far as it may still take to become free.
+LONGEST_LEAD: Final = 10.0
+# An old side that is not free for so long after a cut could not be agreed was too busy for it (s).
+AT_ONCE: Final = 0.2
+# One that refuses a cut after this part of the time ahead of it was busy until then.
+SLOW: Final = 0.9
+# How often, and how long each time (s), the two sides try to connect to each other.
+MEET_ATTEMPTS: Final = 10
+MEET_TIMEOUT: Final = 0.5
+# How often, and at which interval (s), an old side that cannot be reached is looked for before it counts as running.
+EXIT_ATTEMPTS: Final = 10
+EXIT_INTERVAL: Final = 0.01
+
+
+class OldSideFailed(StepFailed):
+    """The old side may not have done its part."""
+
+
+@contextlib.contextmanager
+def _old_side_needed() -> Iterator[None]:
+    try:
+        yield
+    except (CommandRefused, CallTimeout) as error:
+        raise OldSideFailed(str(error)) from error
+
+
+def _raised(result: CutResult | BaseException) -> CutResult:
+    """The result; raises it if it is an exception."""
+    if isinstance(result, BaseException):
+        raise result
+    return result
+
+
+@dataclass(slots=True)
+class LiveHandover:
+    """One hand-over on the components of ``configuration``.
+
+    ``fences`` is for old sides that hang. ``lingering_readers`` says how many readers on a topic the middleware still
+    counts although their processes have exited, ``is_gone`` whether a component has exited. ``states`` moves their
+    state; there may be state to move without any swap. ``before_cut(old, new)`` is called when both are ready for it.
+    It is cut when it is its ``turn``: others may be prepared at the same time.
+    """
+
+    client: ComponentClient
+    events: EventLog
+    configuration: Configuration
+    swaps: Sequence[Swap]
+    lingering_readers: Callable[[str], Awaitable[int]]
+    is_gone: Callable[[str], bool]
+    states: StateTransfers
+    fences: Fences
+    before_cut: Callable[[str, str], Awaitable[None]] | None = None
+    timing: Mapping[str, float] = field(default_factory=Map)  # of the specification
+    turn: CutTurn = field(default_factory=only_turn)
+    _new: NewPublishers = field(init=False)
+    _cuts: list[Cut] = field(default_factory=list)
+    _too_slow: bool = False  # the old side was not free until the last moment that was tried
+    _published: bool = False  # the new side has published after the cut
+    _deadline: float = 0.0  # until when an old side that hangs may become free (steady s)
+
+    def __post_init__(self) -> None:
+        self._new = NewPublishers(
+            self.client, self.events, self.configuration, self.lingering_readers, self.is_gone, self.timing
+        )
+
+    async def run(self) -> dict[PortRef, int | None]:
+        """The number of each old output's last message. Raises StepFailed with the reason.
+
+        Then the old publishers publish as before, and the new ones have no endpoint on the topics. What fails after the
+        cut is only noted.
+        """
+        try:
+            last = await self._exchange()
+        except MidstrideError as error:
+            await self._undo()
+            raise StepFailed(str(error)) from error
+        except (Exception, asyncio.CancelledError):
+            await self._undo()
+            raise
+        await self._change_answering()
+        for swap in self.swaps:
+            if self.is_gone(swap.old.instance) or swap.old.instance in self.fences.fenced:
+                continue
+            try:
+                detach = commands.DetachCommand(port=swap.old.port, topic=self._topic(swap), timeout=DETACH_TIMEOUT)
+                await self.client.change(swap.old.instance, detach)
+            except MidstrideError as error:
+                words = f"{swap.old} could not be taken off {swap.connector} after the hand-over: {error}"
+                self.events.add("note", words)
+        return last
+
+    async def _exchange(self) -> dict[PortRef, int | None]:
+        """Hand over at an agreed moment; or take over from old sides that have exited, or that are fenced.
+
+        One that hangs has until ``fences.wait`` seconds from now to become free, not counting the time in which it is
+        not asked since it is the turn of others; then it is tried once more, with more time ahead.
+        """
+        self._deadline = self.fences.now() + self.fences.wait
+        olds = sorted({old for old, _ in self._pairs})
+        attempt: Callable[[], Awaitable[dict[PortRef, int | None]]] = partial(self._agree, LEADS)
+        while True:
+            try:
+                return await attempt()
+            except MidstrideError as error:
+                failure = error
+            asked = self.fences.now()
+            hung: dict[str, str] = {}
+            if isinstance(failure, OldSideFailed) and not await self._have_exited():
+                if self._published:
+                    self._deadline = asked  # nothing is gained by waiting: it may only disturb the new one
+                found = await asyncio.gather(*(self.fences.unresponsive(old, self._deadline) for old in olds))
+                hung = {old: words for old, words in zip(olds, found, strict=True) if words is not None}
+            if await self._have_exited():
+                return await self._take_over()
+            slow = self._too_slow or self.fences.now() - asked > AT_ONCE
+            if not isinstance(failure, OldSideFailed) or not (hung or slow):
+                raise failure
+            if hung or self.fences.now() >= self._deadline:
+                return await self._take_over(hung or {old: f"{old} is too slow: {failure}" for old in olds})
+            if self._published:
+                attempt = self._await_cuts
+            else:
+                await self._undo()
+                self._cuts = []
+                attempt = partial(self._agree, (max(LEADS[-1], min(LONGEST_LEAD, self._deadline - self.fences.now())),))
+
+    async def _have_exited(self) -> bool:
+        return all([await self._has_exited(old) for old, _ in self._pairs])
+
+    async def _change_answering(self) -> None:
+        """Have each replacement answer the requests to its role's node."""
+        instances = self.configuration.instances
+        for old, new in self._pairs:
+            if old != new and instances[old].role == instances[new].role:
+                try:
+                    await have_answer(self.client, new, instead_of=None if self.is_gone(old) else old)
+                except MidstrideError as error:
+                    self.events.add("note", f"{new} does not answer requests to {instances[new].role} yet: {error}")
+
+    async def _agree(self, leads: Sequence[float]) -> dict[PortRef, int | None]:
+        """Hand over at an agreed moment; the number of each old output's last message.
+
+        Raises OldSideFailed where the old side may be to blame.
+        """
+        pairs = self._pairs
+        for old, new in pairs:
+            require_baton(self.configuration, old, new)
+            with _old_side_needed():
+                if not has_gate(self.configuration, old, new):  # the baton needs no clock
+                    await require_same_clock(self.client, old, new)
+        connectors = sorted({swap.connector for swap in self.swaps})
+        found: dict[str, dict[PortRef, int]] = {}
+        for name in connectors:
+            early = early_publishers(self.configuration, (swap.new for swap in self.swaps if swap.connector == name))
+            found[name] = await publishers_found(self.client, self.configuration, name, self.is_gone, early)
+        for swap in self.swaps:
+            with _old_side_needed():
+                readers, ids = await self._new.readers(swap)
+            await self._new.attach_beside(swap, readers, ids)
+        for connector in connectors:
+            await require_found(self.client, self.configuration, self.swaps, connector, found[connector], self.is_gone)
+        await self._await_turn(self.swaps, lambda: any(self.is_gone(old) for old, _ in pairs))
+        begun = self.fences.now()
+        for old, new in pairs:
+            with _old_side_needed():
+                await self._meet(new, old)
+        shortest = EXCHANGES * (self.fences.now() - begun)
+        await self.states.prepare()
+        await self._before_cut()
+        for lead in [lead for lead in leads if lead >= shortest] or leads[-1:]:
+            with _old_side_needed():
+                self._cuts = await agree_cuts(self.client, self.configuration, self.swaps, lead, self.states.agreed)
+                if await self._announce(last_try=lead == leads[-1]):
+                    break
+        return await self._await_cuts()
+
+    async def _await_turn(self, swaps: Iterable[Swap], old_is_silent: Callable[[], bool]) -> None:
+        """Wait for the probation of the new publishers, and then until it is their turn. Raises GivenUp."""
+        for swap in swaps:
+            await self.turn.prepare(self._new.await_probation(swap))
+        ready = self.fences.now()
+        await self.turn.begin(old_is_silent)
+        self._deadline += self.fences.now() - ready
+
+    async def _before_cut(self) -> None:
+        for old, new in self._pairs:
+            if self.before_cut is not None:
+                await self.before_cut(old, new)
+
+    async def _take_over(self, hung: Mapping[str, str] = Map()) -> dict[PortRef, int | None]:
+        """Have the new publishers publish at once, because the old ones have exited, or are fenced since they hang.
+
+        Of one that has exited, going back would leave the topics without a publisher. One that is ``hung``, and why, is
+        fenced when the new ones are ready to publish, and before they do.
+        """
+        last: dict[PortRef, int | None] = {}
+        if hung and self._cuts:  # the new ones are ready, and may publish already
+            last = await self._fence(hung)
+        published = [cut for cut in self._cuts if await self._publishes(cut)]
+        waiting = [swap for swap in self.swaps if not any(swap in cut.swaps for cut in published)]
+        await self._cancel(cut for cut in self._cuts if cut not in published)
+        for swap in waiting:
+            if not self._new.attached(swap):
+                await self._new.attach(swap)
+        await self._await_turn(waiting, lambda: True)
+        if hung and not last:
+            await self._before_cut()
+            last = await self._fence(hung)
+        for swap in waiting:
+            grid = await self.client.read(swap.new.instance, commands.GridCommand(port=swap.new.port))
+            latch = written_once(self.configuration, swap.new, grid.trigger)
+            opening = commands.GateCommand(port=swap.new.port, topic=self._topic(swap), gate="open", latch=latch)
+            await self.client.change(swap.new.instance, opening)
+        for old, new in self._pairs:
+            how = "was fenced" if old in hung else "exited during the hand-over"
+            self.events.add("note", f"{old} {how}, and {new} took over at once")
+            if not any((cut.old, cut.new) == (old, new) for cut in published):
+                self.states.note_exit(old, new, hangs=old in hung)
+        return last
+
+    async def _fence(self, hung: Mapping[str, str]) -> dict[PortRef, int | None]:
+        """Fence the old sides that hang. Raises StepFailed. Those that do not were asked to agree with them in vain."""
+        last: dict[PortRef, int | None] = {}
+        for old in sorted({old for old, _ in self._pairs}):
+            because = hung.get(old, f"{old} hands over together with {', '.join(sorted(hung))}")
+            links = [(swap.old, self._topic(swap)) for swap in self.swaps if swap.old.instance == old]
+            last |= await self.fences.fence(old, because, links)
+        return last
+
+    async def _publishes(self, cut: Cut) -> bool:
+        """Whether the new side of ``cut`` has published, or will at the agreed moment."""
+        try:
+            incoming = await self.client.read(cut.new, self._await_cut(cut))
+            if incoming.outcome == "done":
+                self.states.ended(cut, incoming)
+            return incoming.outcome == "done"
+        except CommandRefused:
+            return False  # it was not sent the cut
+
+    async def _has_exited(self, instance: str) -> bool:
+        """Whether its process has exited. A connection that has just closed may not be known to be yet."""
+        for _ in range(EXIT_ATTEMPTS):
+            if self.is_gone(instance):
+                return True
+            if self.client.responsive(instance) is None and self.client.latest(instance) is not None:
+                return False  # it is connected, and silent
+            try:
+                await self.client.peek(instance)
+            except Unreachable:
+                await asyncio.sleep(EXIT_INTERVAL)
+                continue
+            except MidstrideError:
+                pass
+            return False
+        return self.is_gone(instance)
+
+    @property
+    def _pairs(self) -> list[tuple[str, str]]:
+        """Old and new components: those of the swaps, and those between which only state moves."""
+        return sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps} | {*self.states.pairs})
+
+    def _topic(self, swap: Swap) -> str:
+        return self.configuration.topic(swap.connector)
+
+    async def _meet(self, new: str, old: str) -> None:
+        """Have the new side connect to the old one.
+
+        Several short attempts, because the topic is silent if the old side has exited: each attempt checks that first.
+        """
+        for _ in range(MEET_ATTEMPTS):
+            await self.client.peek(old)
+            try:
+                meet = commands.MeetCommand(peer=old, address=self.client.address(old), timeout=MEET_TIMEOUT)
+                await self.client.change(new, meet)
+                return
+            except CommandRefused as error:
+                refused = error
+        raise refused
+
+    async def _announce(self, last_try: bool) -> bool:
+        """Send each cut to both sides. False if one side received it too late; then all cuts have been cancelled."""
+        self._too_slow = False
+        try:
+            for cut in self._cuts:  # the old side first: it resumes if the new side never learns of the cut
+                sent = self.fences.now()
+                try:
+                    await self.client.change(cut.old, cut.outgoing(await cut.seat(self.client, cut.old)))
+                except CommandRefused:
+                    self._too_slow = self.fences.now() - sent >= SLOW * cut.lead
+                    raise
+            for cut in self._cuts:
+                seat = await cut.seat(self.client, cut.new)
+                await self.client.change(cut.new, cut.incoming(self.client.address(cut.old), seat))
+        except CommandRefused:
+            if last_try:
+                raise
+            await self._cancel(self._cuts)
+            return False
+        return True
+
+    async def _await_cuts(self) -> dict[PortRef, int | None]:
+        last: dict[PortRef, int | None] = {}
+        for cut in self._cuts:
+            await_cut = self._await_cut(cut)
+            new, old = await asyncio.gather(
+                self.client.read(cut.new, await_cut), self.client.read(cut.old, await_cut), return_exceptions=True
+            )
+            incoming = _raised(new)
+            self._published = any(incoming.first.values())
+            with _old_side_needed():
+                outgoing = _raised(old)
+            because = incoming.because or outgoing.because
+            reason = "" if because is None else f": {because}"
+            if incoming.outcome != "done" and not any(incoming.first.values()):
+                reason = reason or await self._new.waits_for(cut.new)
+                what = "publish after the cut" if cut.swaps else "take over"
+                # An old side that is busy with exporting its state does not hang.
+                failed = OldSideFailed if because is None else StepFailed
+                raise failed(f"{cut.new} did not {what}; {cut.old} continues{reason}")
+            # A new side that has published, and is still reporting it, has taken over if the old one knows.
+            if incoming.outcome not in ("done", "waiting") or outgoing.outcome != "done":
+                raise OldSideFailed(f"{cut.old} resumed before it learned that {cut.new} had published{reason}")
+            self.states.ended(cut, incoming)
+            if because is not None and self.configuration.component(cut.new).gate == "lifecycle":
+                self.events.add("note", f"{cut.old} was deactivated before {cut.new} was activated: {because}")
+            for swap in cut.swaps:
+                write = outgoing.last.get(f"{swap.old.port} {self._topic(swap)}")
+                last[swap.old] = None if write is None else write.number
+        return last
+
+    def _await_cut(self, cut: Cut) -> commands.AwaitCutCommand:
+        timeout = max(each.timeout(stretch_of(self.client, each.old)) for each in self._cuts)
+        return commands.AwaitCutCommand(cut=cut.id, timeout=timeout)
+
+    async def _cancel(self, cuts: Iterable[Cut]) -> None:
+        for cut in cuts:
+            for side in (cut.new, cut.old):
+                if side in self.fences.fenced:
+                    continue  # it may hang for ever, and publishes nothing
+                await self.client.undo(side, commands.CancelCutCommand(cut=cut.id))
+
+    async def _undo(self) -> None:
+        """Reopen the gates of the old publishers and detach the new ones, as far as they can be reached."""
+        await self.fences.lift({old for old, _ in self._pairs})
+        await self._cancel(self._cuts)
+        await self._new.detach()

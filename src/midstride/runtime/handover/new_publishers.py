@@ -1,0 +1,141 @@
+"""The new publishers of a hand-over, until they may publish: attached behind a closed gate, found, and on probation.
+
+They must find the subscribers of the model and, as far as possible, the readers outside it that the old publishers
+have. Behind the gate they must write (docs/semantics.md section 7).
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+from midstride.errors import MidstrideError, StepFailed
+from midstride.model.action import Swap
+from midstride.model.configuration import Configuration
+from midstride.runtime.handover.probation import require_rate
+from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.records.events import EventLog
+from midstride.runtime.watch.simulated_time import stretch_of
+from midstride.wire import commands
+
+# How long the new component may take to write once behind its gate (s), on top of 10 of its periods.
+PROBATION: Final = 5.0
+# From how many calls its code must have returned behind the gate, as far as they come within so many seconds of its
+# first message: what raises at once in most cases is not let in, and a slow component costs no time.
+CALLS: Final = 3
+CALLS_PATIENCE: Final = 0.5
+ATTACH_TIMEOUT: Final = 5.0
+# How long to wait for readers outside the model, such as `ros2 topic echo` (s). By default the middleware's discovery
+# announces every 3 s. The limit is for readers that were killed and that the middleware still counts.
+OUTSIDE_READERS_TIMEOUT: Final = 4.0
+DETACH_TIMEOUT: Final = 2.0
+
+
+@dataclass(slots=True)
+class NewPublishers:
+    """Those of one hand-over on the components of ``configuration``.
+
+    ``lingering_readers`` says how many readers on a topic the middleware still counts although their processes have
+    exited, ``is_gone`` whether a component has exited; ``timing`` is that of the specification.
+    """
+
+    client: ComponentClient
+    events: EventLog
+    configuration: Configuration
+    lingering_readers: Callable[[str], Awaitable[int]]
+    is_gone: Callable[[str], bool]
+    timing: Mapping[str, float]
+    # The swaps whose new publisher may be attached, and those where it is.
+    _begun: list[Swap] = field(default_factory=list)
+    _attached: list[Swap] = field(default_factory=list)
+    _proved: list[Swap] = field(default_factory=list)  # those that have passed their probation
+
+    async def attach_beside(self, swap: Swap, readers: int, ids: Sequence[str]) -> None:
+        """As :meth:`attach`, and note if the new publisher does not find the :meth:`readers` of the old one."""
+        matched = await self.attach(swap, readers, ids)
+        # Asked again if some are missing: the old publisher may have counted readers whose lease was about to expire.
+        if matched < readers and matched < (readers := (await self.readers(swap))[0]):
+            self.events.add(
+                "note",
+                f"{swap.old} had {readers} readers on {swap.connector}, and {swap.new} has found {matched} of them: "
+                "subscribers outside this system may miss messages",
+            )
+
+    async def readers(self, swap: Swap) -> tuple[int, list[str]]:
+        """How many living readers the old publisher has, and which, unless some of them are dead."""
+        topic = self._topic(swap)
+        grid = await self.client.read(swap.old.instance, commands.GridCommand(port=swap.old.port, topic=topic))
+        dead = await self.lingering_readers(topic)
+        return (grid.readers or 0) - dead, [] if dead else grid.reader_ids
+
+    async def attach(self, swap: Swap, readers: int = 0, ids: Sequence[str] = ()) -> int:
+        """Attach the new publisher with a closed gate; how many readers it is matched with.
+
+        It waits for the subscribers of the model, and for a while for so many readers, those with ``ids`` among them.
+        """
+        topic = self._topic(swap)
+        subscribers = self.configuration.subscribers_on(swap.connector)
+        attach = commands.AttachCommand(
+            port=swap.new.port,
+            topic=topic,
+            gate="closed",
+            peers=sum(not self.is_gone(port.instance) for port in subscribers),
+            everyone=readers,
+            reader_ids=list(ids),
+            patience=OUTSIDE_READERS_TIMEOUT,
+            timeout=ATTACH_TIMEOUT + OUTSIDE_READERS_TIMEOUT,
+        )
+        self._begun.append(swap)
+        matched = (await self.client.change(swap.new.instance, attach)).matched
+        self._attached.append(swap)
+        return matched
+
+    def attached(self, swap: Swap) -> bool:
+        return swap in self._attached
+
+    async def detach(self) -> None:
+        """Detach those that have been attached, as far as they can be reached."""
+        for swap in self._begun:
+            await self.client.undo(swap.new.instance, self._detachment(swap))
+        self._begun, self._attached, self._proved = [], [], []
+
+    async def await_probation(self, swap: Swap) -> None:
+        """Wait until the new publisher has written behind its gate, once. Raises StepFailed with what it lacks."""
+        component = self.configuration.component(swap.new.instance)
+        if component.gate == "lifecycle" or swap in self._proved:
+            return  # until it takes over it is inactive, and writes nothing; or the old side has exited since
+        rate = self.configuration.rate(swap.new)
+        duration = stretch_of(self.client, swap.old.instance)  # of a second of its clock (s)
+        timeout = PROBATION + (10 / rate * duration if rate else 0.0)
+        # Without a rate, messages drive it, or it is called once.
+        calls = min(CALLS, 1 + int(rate / duration * CALLS_PATIENCE)) if rate else 1
+        await_write = commands.AwaitWriteCommand(
+            port=swap.new.port, topic=self._topic(swap), calls=calls, patience=CALLS_PATIENCE, timeout=timeout
+        )
+        seen = await self.client.read(swap.new.instance, await_write)
+        if seen.wrong_type:
+            raise StepFailed(f"{swap.new} wrote a message of the wrong type behind its gate: {seen.wrong_type}")
+        if seen.failed:
+            raise StepFailed(f"the code that writes {swap.new} has raised behind its gate")
+        if not seen.gated:
+            because = await self.waits_for(swap.new.instance)
+            raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over{because}")
+        if rate:
+            foreign = component.gate is not None
+            await require_rate(self.client, swap.new, self._topic(swap), rate, self.timing, duration, foreign)
+        self._proved.append(swap)
+
+    async def waits_for(self, instance: str) -> str:
+        """What the component waits for, if anything, as the end of a sentence."""
+        with contextlib.suppress(MidstrideError):
+            if (waiting := (await self.client.peek(instance)).waiting) is not None:
+                return f": {waiting}"
+        return ""
+
+    def _topic(self, swap: Swap) -> str:
+        return self.configuration.topic(swap.connector)
+
+    def _detachment(self, swap: Swap) -> commands.DetachCommand:
+        return commands.DetachCommand(port=swap.new.port, topic=self._topic(swap), timeout=DETACH_TIMEOUT)

@@ -1,0 +1,62 @@
+"""State that moves although no topic is handed over: between components without outputs (docs/semantics.md section 7).
+
+Such a replacement is muted when it is upgraded: the old component still makes every call. Before the first step that
+takes anything from the old one, its state moves at a cut without outputs, and from then on the new one makes the calls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Container
+from dataclasses import dataclass, field
+
+from midstride.errors import CommandRefused
+from midstride.model.action import Action, Degrade, Detach, Remove, Upgrade
+from midstride.runtime.process.component_client import ComponentClient
+from midstride.wire.commands import MuteCommand, PrepareStateCommand
+
+
+@dataclass(slots=True)
+class StateMoves:
+    """Those of one change; ``predecessors`` is as :func:`midstride.plan.state_continuity.without_outputs` returns it.
+
+    ``move(old, new)`` moves the state of live components; ``keeps_own(old, new, because)`` is called where it cannot.
+    """
+
+    client: ComponentClient
+    move: Callable[[str, str], Awaitable[None]]
+    keeps_own: Callable[[str, str, str], None]
+    predecessors: dict[str, str] = field(default_factory=dict)
+    _muted: set[str] = field(default_factory=set)
+
+    async def before(self, action: Action, live: Container[str], gone: Container[str]) -> None:
+        """Do what must precede ``action``. Raises MidstrideError.
+
+        ``live`` are the instances of the configuration, ``gone`` those that have exited, or are fenced.
+        """
+        for new, old in list(self.predecessors.items()):
+            if new not in live or old not in live:
+                continue
+            if isinstance(action, Upgrade) and new in action.instances():
+                await self._mute(old, new, gone)
+            elif isinstance(action, (Degrade, Detach, Remove)) and old in action.instances() and new in self._muted:
+                self._muted.discard(new)
+                if old in gone:
+                    self.keeps_own(old, new, f"{old} exited or hangs, so it could not export its state")
+                else:
+                    await self.move(old, new)
+                    del self.predecessors[new]
+                    self.predecessors[old] = new  # a roll-back moves it back
+                    self._muted.add(old)
+
+    async def _mute(self, old: str, new: str, gone: Container[str]) -> None:
+        """Have ``new`` wait for the state of ``old``, if that exports any."""
+        if new in self._muted or old in gone:
+            return
+        try:
+            offer = await self.client.change(new, PrepareStateCommand(peer=old, address=self.client.address(old)))
+        except CommandRefused as error:
+            self.keeps_own(old, new, str(error))
+            return
+        if offer.has_state:
+            await self.client.change(new, MuteCommand())
+            self._muted.add(new)

@@ -1,0 +1,126 @@
+"""The manager's part in moving state at a cut: what moves, the bulk beforehand, and what became of it.
+
+The transfer itself is between the two components (midstride/node/handover/state_transfer.py, docs/semantics.md section 7).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Container
+from dataclasses import dataclass, field
+from typing import Final
+
+from msgspec import structs
+
+from midstride.errors import MidstrideError
+from midstride.runtime.handover.agreed_cut import Cut
+from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.records.events import EventLog
+from midstride.wire.commands import PrepareStateCommand, StateTransfer
+from midstride.wire.replies import CutResult
+
+# How long state may take to move at a cut (s): the topic is silent meanwhile.
+STATE_TIMEOUT: Final = 2.0
+# How long a new side may wait at a cut until the old one, a relay, has passed on what was published before (s).
+ORDER_TIMEOUT: Final = 1.0
+# How long the bulk of a state, which moves while the old component works, may take (s).
+BULK_TIMEOUT: Final = 30.0
+
+
+def keeps_state(client: ComponentClient, instance: str) -> bool:
+    """Whether the component exports state, as it last reported."""
+    latest = client.latest(instance)
+    return latest is not None and latest.state.keeps_state
+
+
+def own_state(old: str, new: str, because: str, bulk: float | None = None) -> str:
+    """That ``new`` continues with its own state, and what of ``old`` is lost; ``bulk``: when its bulk had moved."""
+    if bulk is None:
+        lost = f"all that {old} had kept until {_time_of_day(time.time())}"
+    else:
+        lost = f"what changed in the state of {old} from {_time_of_day(bulk)} to {_time_of_day(time.time())}"
+    return f"{new} continues with its own state ({because}); lost is {lost}"
+
+
+def _time_of_day(at: float) -> str:
+    return time.strftime("%H:%M:%S", time.localtime(at))
+
+
+@dataclass(slots=True)
+class StateTransfers:
+    """Those of one hand-over, for ``pairs`` of old and new components.
+
+    If a transfer fails, so does the hand-over, unless state is not ``required``: then the new one continues with its
+    own.
+    """
+
+    client: ComponentClient
+    events: EventLog
+    pairs: Collection[tuple[str, str]] = ()
+    required: bool = True
+    # How state moves at the cuts of a pair; and by how much the first slot of a new component was late (s).
+    agreed: dict[tuple[str, str], StateTransfer] = field(default_factory=dict)
+    late: dict[str, float] = field(default_factory=dict)
+    keeping: Container[str] = ()  # the components that keep state
+    # By new component: what state of the old one it continues without, and why.
+    lost: dict[str, str] = field(default_factory=dict)
+    _bulks: dict[str, float] = field(default_factory=dict)  # by new component: when the bulk had moved (Unix time, s)
+
+    async def prepare(self) -> None:
+        """Find out what is exported at the cuts, and move the bulks that can move before. Raises MidstrideError."""
+        for old, new in sorted(self.pairs):
+            try:
+                await self._prepare(old, new)
+            except MidstrideError as error:
+                if self.required:
+                    raise
+                self.note_own_state(old, new, str(error))
+
+    async def _prepare(self, old: str, new: str) -> None:
+        prepare = PrepareStateCommand(peer=old, address=self.client.address(old))
+        offer = await self.client.change(new, prepare)
+        changes = offer.exports == "changes"
+        if changes:
+            begun = time.time()  # what changes while it moves comes later
+            await self.client.change(new, structs.replace(prepare, bulk=True, timeout=BULK_TIMEOUT))
+            self._bulks[new] = begun
+        if offer.exports != "nothing":
+            order_only = offer.exports == "order"
+            self.agreed[old, new] = StateTransfer(
+                id="",
+                cuts=0,
+                at=0,
+                changes=changes,
+                required=self.required and not order_only,
+                timeout=ORDER_TIMEOUT if order_only else STATE_TIMEOUT,
+                new=new,
+                address=self.client.address(new),
+                order_only=order_only,
+            )
+        if not offer.has_state and old in self.keeping:
+            self.note_own_state(old, new, "it does not use Midstride's API")
+
+    def note_own_state(self, old: str, new: str, because: str) -> None:
+        self.lost[new] = own_state(old, new, because, self._bulks.get(new))
+        self.events.add("note", f"{new} keeps its own state: {because}")
+
+    def note_exit(self, old: str, new: str, *, hangs: bool) -> None:
+        """``old`` has exited, or ``hangs``, before its state moved, if it keeps any."""
+        agreed = self.agreed.get((old, new))
+        if old in self.keeping or (agreed is not None and not agreed.order_only):
+            how = "hangs" if hangs else "exited before it had exported its state"
+            self.note_own_state(old, new, f"{old} {how}")
+
+    def ended(self, cut: Cut, incoming: CutResult) -> None:
+        """A cut is done on its new side: note what is missing, and a first slot that was late by more than a period."""
+        if incoming.because is not None and (cut.state is None or not cut.state.order_only):
+            self.note_own_state(cut.old, cut.new, incoming.because)
+        written = [write.source for write in incoming.first.values() if write is not None and write.source is not None]
+        if cut.state is None or cut.trigger != "rate" or not cut.period or not written:
+            return
+        late = (min(written) - cut.at) / 1e9
+        if late > cut.period:
+            self.late[cut.new] = max(round(late, 6), self.late.get(cut.new, 0.0))
+            self.events.add(
+                "note", f"{cut.new} wrote its first slot {late * 1e3:.0f} ms late, after its state had moved"
+            )

@@ -1,0 +1,1 @@
+"""The processes of components: started, registered, reached by commands, and ended."""

@@ -1,0 +1,363 @@
+"""Starts and terminates components: the process, its registration, its termination."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import os
+import shlex
+from collections.abc import Callable, Container, Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from immutables import Map
+
+from midstride.errors import (
+    BackendError,
+    CallTimeout,
+    CommandRefused,
+    MidstrideError,
+    SpecificationError,
+    StartFailed,
+    Unreachable,
+)
+from midstride.model.component import GATES, Gate
+from midstride.model.configuration import Instance
+from midstride.runtime.backend_protocol import RELAY_SUFFIX, Backend, Exited, Handle, Launch
+from midstride.runtime.options import NO_OPTIONS, SystemOptions
+from midstride.runtime.process.component_client import STOPPED, ComponentClient
+from midstride.runtime.process.registration import mismatches, unexpected_endpoints
+from midstride.runtime.timeouts import within
+from midstride.wire.commands import ReleaseCommand, WelcomeCommand
+from midstride.wire.frames import Greeting, Registration
+from midstride.wire.state import ComponentState
+
+# The gates that each back end has.
+GATES_OF: Final[Mapping[str, tuple[Gate, ...]]] = {"ros2": GATES, "ros1": ("relay",)}
+# How long a process may take to register (s), including imports of large libraries, if no other registers meanwhile.
+REGISTRATION_TIMEOUT: Final = float(os.environ.get("MIDSTRIDE_REGISTRATION_TIMEOUT", "30"))
+# On a machine that is busy with the starts of others: how long it may take at most (s).
+REGISTRATION_LIMIT: Final = 10 * REGISTRATION_TIMEOUT
+# How often a process that starts is checked for having been stopped (s).
+CHECK_STOPPED: Final = 0.5
+# How long a component may take to terminate before it is killed (s), unless it asks for longer.
+STOP_GRACE: Final = 3.0
+# How long a running component may take to accept a connection of a new manager (s).
+ADOPT_TIMEOUT: Final = 5.0
+# How long a component started by hand may take to leave its modes and topics (s).
+RELEASE_TIMEOUT: Final = 5.0
+
+
+class Launcher:
+    """Starts, adopts and terminates the processes of components; ``handles`` has those that a manager started.
+
+    The back end's exit events are passed to :meth:`exited`.
+    """
+
+    def __init__(
+        self, backend: Backend, client: ComponentClient, directory: Path, options: SystemOptions = NO_OPTIONS
+    ) -> None:
+        self._backend = backend
+        self._client = client
+        self._directory = directory
+        self._options = options
+        self._starting: dict[str, asyncio.Future[tuple[Greeting, Registration]]] = {}
+        self._exits: dict[str, asyncio.Future[Exited]] = {}
+        self._graces: dict[str, float] = {}
+        self._last_registration = -REGISTRATION_TIMEOUT  # steady s
+        self.handles: dict[str, Handle] = {}
+        self.ending: set[str] = set()
+
+    def exited(self, event: Exited) -> None:
+        """A process has exited: if its registration is awaited, the start fails."""
+        waiting = self._exits.get(event.instance)
+        if waiting is not None and not waiting.done():
+            waiting.set_result(event)
+
+    def disconnected(self, name: str) -> None:
+        """The connection of a component that was started by hand has closed."""
+        self._backend.disconnected(name)
+
+    async def start(
+        self,
+        instance: Instance,
+        *,
+        standby: bool = False,
+        start_values: Callable[[Instance], dict[str, Any]] = lambda _: {},
+        topics: Mapping[str, str] = Map(),
+    ) -> bool:
+        """Start the process of ``instance`` and return at once; :meth:`registered` waits for it.
+
+        Returns False if it is already starting. A component without ``run`` is started by hand. ``standby``: another
+        instance of its role answers requests. ``start_values``: the values of parameters that it starts with instead of
+        the declared ones. ``topics``: those of its ports, which a program without Midstride's API is started with.
+        Raises StartFailed, or what ``start_values`` raises.
+        """
+        name = instance.name
+        if name in self._starting:
+            return False
+        set_values = start_values(instance)
+        self._exits[name] = asyncio.get_running_loop().create_future()
+        self._starting[name] = asyncio.ensure_future(self._client.registered(name))
+        self._starting[name].add_done_callback(self._registration_done)
+        command, gate = instance.component.run, instance.component.gate
+        if command is None:
+            return True
+        known = GATES_OF.get(self._backend.name, ())
+        if gate is not None and gate not in known:
+            self._forget_start(name)
+            instead = " or ".join(f"`gate {kind}` only" for kind in known) or "none"
+            raise StartFailed(f"{name} has a gate (`gate {gate}`), and the back end {self._backend.name} has {instead}")
+        package = instance.component.package
+        if package is not None and self._backend.name != "ros2":
+            self._forget_start(name)
+            raise StartFailed(f"{name} is in package {package}, which the back end {self._backend.name} cannot look up")
+        try:
+            arguments = tuple(shlex.split(command))
+            if not arguments:
+                raise StartFailed(f"{name}: component {instance.component.name} has an empty `run` command")
+            namespace = instance.role.rpartition("/")[0]
+            parameters: dict[str, object] = {"use_sim_time": True} if self._options.use_sim_time else {}
+            parameters.update(instance.parameters)
+            token, directory = self._client.token, self._directory
+            # A program without Midstride's API has the instance's name: nothing in it could answer for the role.
+            node, foreign = (instance.role, None) if gate is None else (name, instance.component)
+            if gate == "relay":  # whose process has a node as well, beside that of the program
+                node = f"{name}{RELAY_SUFFIX}"
+            launch = Launch(
+                name,
+                namespace,
+                arguments,
+                token,
+                directory,
+                parameters,
+                set_values,
+                node,
+                standby,
+                foreign,
+                {**topics},
+                package,
+            )
+            self.handles[name] = await self._backend.start(launch)
+        except ValueError as error:
+            self._forget_start(name)
+            raise StartFailed(f"{name}: the `run` command {command!r} cannot be split: {error}") from None
+        except BaseException:
+            self._forget_start(name)
+            raise
+        return True
+
+    def _registration_done(self, registering: asyncio.Future[tuple[Greeting, Registration]]) -> None:
+        if not registering.cancelled() and registering.exception() is None:
+            self._last_registration = self._backend.clock.steady()
+
+    def takes_spare(self, instance: Instance) -> bool:
+        """Whether the program of ``instance`` can be started in a spare process."""
+        try:
+            arguments = shlex.split(instance.component.run or "")
+        except ValueError:
+            return False
+        return (
+            instance.component.gate is None
+            and instance.component.package is None
+            and bool(arguments)
+            and self._backend.takes_spare(arguments, self._directory)
+        )
+
+    def starting(self) -> int:
+        """How many processes have been started and have neither registered nor exited."""
+        return sum(not (registering.done() or self._exits[name].done()) for name, registering in self._starting.items())
+
+    async def first_exit(self, names: Iterable[str]) -> tuple[str, StartFailed] | None:
+        """The first of these processes that exits before it has registered, and how; None if all have registered."""
+        exits = {self._exits[name]: name for name in names if name in self._exits}
+        while exits:
+            done, _ = await asyncio.wait(exits, return_when=asyncio.FIRST_COMPLETED)
+            for exit in done:
+                name = exits.pop(exit)
+                if not exit.cancelled():
+                    return name, StartFailed(_describe_exit(exit.result()))
+        return None
+
+    async def registered(self, instance: Instance) -> None:
+        """Start ``instance`` unless it is starting, wait until it registers, check its declaration, and accept it.
+
+        As long as other components register, it has more time: the machine is busy with them. Raises StartFailed, after
+        terminating the process that was started.
+        """
+        name = instance.name
+        await self.start(instance)
+        try:
+            greeting, registration = await self._registration(instance)
+            self._verify(instance, greeting, registration)
+            self._remember_grace(await self._welcome(name))
+        except (Exception, asyncio.CancelledError) as error:
+            await self.abandon(name)
+            if isinstance(error, MidstrideError) and not isinstance(error, StartFailed):
+                raise StartFailed(f"{name} registered but could not be accepted: {error}") from error
+            raise
+        finally:
+            self._forget_start(name)
+
+    async def _registration(self, instance: Instance) -> tuple[Greeting, Registration]:
+        name, run = instance.name, instance.component.run
+        registering, exiting = self._starting[name], self._exits[name]
+        timeout, stopped = asyncio.ensure_future(self._patience()), asyncio.ensure_future(self._stopped(name))
+        first: set[asyncio.Future[Any]] = {registering, exiting, timeout, stopped}
+        try:
+            await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            timeout.cancel()
+            stopped.cancel()
+        if registering.done():
+            return registering.result()
+        if exiting.done():
+            raise StartFailed(_describe_exit(exiting.result()))
+        if stopped.done():
+            raise StartFailed(f"{name} was stopped (SIGSTOP) before it registered, and not continued for {STOPPED:g} s")
+        where = f"was started with `{run}`" if run else "is started elsewhere"
+        log = f" Its log: {self.handles[name].log}" if name in self.handles and self.handles[name].log else ""
+        raise StartFailed(
+            f"{name} did not register within {timeout.result():g} s (it {where}); does its program "
+            f"create a Component and call start()?{log}"
+        )
+
+    async def _welcome(self, name: str) -> ComponentState:
+        """Accept a component that has registered; returns its state.
+
+        One that does not answer is asked again as long as others are starting: the machine is busy with them. Raises
+        MidstrideError.
+        """
+        clock = self._backend.clock
+        deadline = clock.steady() + REGISTRATION_LIMIT
+        while True:
+            try:
+                await self._client.observe(name)
+                return await self._client.change(name, WelcomeCommand(manager=str(os.getpid())))
+            except CallTimeout:
+                if not self.starting() or self._backend.is_stopped(name) or clock.steady() >= deadline:
+                    raise
+            await clock.sleep(CHECK_STOPPED)
+
+    async def _stopped(self, name: str) -> None:
+        """Return once the process has been stopped for ``STOPPED`` seconds: it is not just slow."""
+        clock, since = self._backend.clock, math.inf
+        while clock.steady() - since < STOPPED:
+            await clock.sleep(CHECK_STOPPED)
+            since = min(since, clock.steady()) if self._backend.is_stopped(name) else math.inf
+
+    async def _patience(self) -> float:
+        """Wait as long as a component may take to register; returns how long that was (s)."""
+        clock = self._backend.clock
+        begun = clock.steady()
+        while True:
+            last = max(begun, self._last_registration)
+            remaining = min(last + REGISTRATION_TIMEOUT, begun + REGISTRATION_LIMIT) - clock.steady()
+            if remaining <= 0:
+                return round(clock.steady() - begun, 1)
+            await clock.sleep(remaining)
+
+    def _verify(self, instance: Instance, greeting: Greeting, registration: Registration) -> None:
+        name, component = instance.name, instance.component
+        if component.run is not None and greeting.start_token != self._client.token:
+            raise StartFailed(f"another node called {name} is running already; end it, or give the node another name")
+        try:
+            registered = registration.declaration.checked()
+        except SpecificationError as error:
+            raise StartFailed(f"{name} registered something that is no component: {error}") from None
+        faults = mismatches(component, registered)
+        extra = unexpected_endpoints(component, {name, instance.role}, registration.endpoints)
+        faults += [f"its node has {endpoint}, which component {component.name} does not allow" for endpoint in extra]
+        if faults:
+            raise StartFailed(f"{name} is not the {component.name} that was declared: " + "; ".join(faults))
+
+    def _forget_start(self, name: str) -> None:
+        for waiting in (self._starting.pop(name, None), self._exits.pop(name, None)):
+            if waiting is not None:
+                waiting.cancel()
+
+    async def abandon(self, name: str) -> BackendError | None:
+        """Stop waiting for ``name``, and terminate its process if there is one; returns why that failed."""
+        self._forget_start(name)
+        if name in self.handles:
+            try:
+                await self.end(name)
+            except BackendError as error:
+                return error
+        return None
+
+    async def end(self, name: str, grace: float | None = None) -> None:
+        """Terminate a component that a manager started. Raises BackendError; then its handle is kept.
+
+        It is killed if it has not ended after ``grace`` (s), by default as long as it asks for.
+        """
+        self._client.forget(name)
+        self.ending.add(name)
+        try:
+            await self._backend.end(name, self._graces.get(name, STOP_GRACE) if grace is None else grace)
+        finally:
+            self.ending.discard(name)
+        self._client.disconnect(name)
+        self._graces.pop(name, None)
+        self.handles.pop(name, None)
+
+    async def release(self, name: str) -> None:
+        """Release a component that was started by hand: degraded and unattached, it waits for the next manager.
+
+        Does nothing if it has exited. Raises MidstrideError if it does not answer, or a call of user code does not
+        return in time.
+        """
+        with contextlib.suppress(Unreachable):
+            await self._client.change(name, ReleaseCommand(timeout=RELEASE_TIMEOUT))
+        self._client.disconnect(name)
+
+    async def adopt(self, handle: Handle, *, owned: bool = True) -> ComponentState | None:
+        """Connect to a component of an earlier manager. None if it has exited or belongs to another system.
+
+        ``owned``: that manager started it, so this one may terminate it. Raises Unreachable if it runs but does not
+        answer.
+        """
+        if not await self._backend.adopt(handle):
+            return None
+        if owned:
+            self.handles[handle.instance] = handle
+        try:
+            async with within(ADOPT_TIMEOUT):
+                await self._client.connect(handle.instance)
+            state = await self._client.observe(handle.instance)
+        except CommandRefused:
+            return None
+        except (asyncio.TimeoutError, CallTimeout, Unreachable):
+            which, remedy, pid = "", "", handle.pid
+            if owned:
+                which = f" (process {pid})"
+                remedy = (
+                    f": continue it (`kill -CONT {pid}`) or end it (`kill -9 {pid}`), then run `midstride up` again"
+                )
+            words = f"{handle.instance} runs{which}, but does not answer on its control socket{remedy}"
+            raise Unreachable(words) from None
+        self._remember_grace(state)
+        return state
+
+    async def end_orphans(self, known: Container[str]) -> list[str]:
+        """Terminate the system's processes whose instance is not ``known``. Raises BackendError."""
+        ended = await self._backend.end_orphans(self._client.token, known, STOP_GRACE)
+        for name in ended:
+            await self._backend.end(name, 0.0)  # the graph may still show it, and its name may be used again
+        return ended
+
+    def _remember_grace(self, state: ComponentState) -> None:
+        """Remember how long the component may take to terminate (``on_stop``)."""
+        self._graces[state.instance] = max(STOP_GRACE, state.stopping)
+
+
+def _describe_exit(event: Exited) -> str:
+    if event.status is None:
+        how = "ended"
+    elif event.status < 0:
+        how = f"was killed by signal {-event.status}"
+    else:
+        how = f"exited with status {event.status}"
+    tail = event.log_tail.strip()
+    return f"{event.instance} {how} before it registered" + (f":\n{tail}" if tail else " and wrote nothing to its log")

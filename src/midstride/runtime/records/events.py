@@ -1,0 +1,59 @@
+"""A bounded log of the manager's events, which clients can read from any point and follow."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Callable
+from itertools import islice
+from typing import Any
+
+from midstride.runtime.records.reports import Event
+
+
+class EventLog:
+    """The latest events of one manager. ``on_event`` is called with each, and so are ``listeners``."""
+
+    def __init__(self, on_event: Callable[[Event], object] = lambda _: None) -> None:
+        self.on_event = on_event
+        self.listeners: list[Callable[[Event], object]] = []
+        self._events: deque[Event] = deque(maxlen=10_000)
+        self._count = 0
+        self._wakers: set[asyncio.Event] = set()
+
+    def add(self, kind: str, words: str, **details: Any) -> Event:
+        """A new event; ``details`` are further fields of :class:`Event`."""
+        self._count += 1
+        event = Event(n=self._count, at=time.time(), kind=kind, words=words, **details)
+        self._events.append(event)
+        self.on_event(event)
+        for listener in self.listeners:
+            listener(event)
+        for waker in self._wakers:
+            waker.set()
+        return event
+
+    @property
+    def last(self) -> int:
+        """The number of the latest event; 0 before the first."""
+        return self._count
+
+    def since(self, n: int = 0) -> list[Event]:
+        """The events after number ``n`` that are still kept; all of them if ``n`` is from an earlier manager."""
+        new = self._count if n > self._count else self._count - n
+        return list(islice(reversed(self._events), new))[::-1]
+
+    async def follow(self, n: int = 0) -> AsyncIterator[Event]:
+        """The events after number ``n`` as in ``since``, then each new one. A slow reader loses the oldest."""
+        waker = asyncio.Event()
+        self._wakers.add(waker)
+        try:
+            while True:
+                waker.clear()
+                for event in self.since(n):
+                    n = event.n
+                    yield event
+                await waker.wait()
+        finally:
+            self._wakers.discard(waker)

@@ -1,0 +1,47 @@
+"""What a manager asks of a rehearsal, and what comes of it (:mod:`midstride.simulation.rehearsal`)."""
+
+from __future__ import annotations
+
+from typing import Annotated, TypeAlias
+
+from msgspec import Meta
+
+from midstride.codec.form import Form, Report
+from midstride.codec.specification_form import SpecificationForm
+from midstride.plan.forms.request_form import ChangeRequest
+
+
+class RehearsalOrder(Form, frozen=True, kw_only=True):
+    """What to rehearse: a change of the system of a specification, ``seeds`` of them from ``first`` on.
+
+    No seed is begun after ``within`` seconds.
+    """
+
+    specification: SpecificationForm
+    request: ChangeRequest
+    seeds: int
+    first: int
+    within: float
+
+
+class RehearsedSeed(Report, frozen=True):
+    """What came of one seed: the invariants that it violates, and how the change and its recovery ended."""
+
+    seed: int
+    problems: list[str]
+    outcomes: list[str]
+
+
+FaultCounts: TypeAlias = Annotated[
+    dict[str, dict[str, int]],
+    Meta(description="by kind of fault: how often it struck, and how often each branch of recovery followed"),
+]
+
+
+class Rehearsal(Report, frozen=True, kw_only=True):
+    """What came of the seeds, as `midstride simulate --json` prints it."""
+
+    seeds: int
+    outcomes: Annotated[dict[str, int], Meta(description="how often the change ended in each way")]
+    faults: FaultCounts
+    failed: Annotated[list[RehearsedSeed], Meta(description="those that violate an invariant")]

@@ -1,0 +1,139 @@
+"""What the manager reports of what it has done, as it goes out in JSON: outcomes, events; and the live configuration.
+
+What it says of the running system is in :mod:`.status_forms`. The answers of the HTTP API are instances of these
+classes, and its OpenAPI document describes them. A client ignores fields that it does not know: later versions may add
+some.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, TypeAlias
+
+from msgspec import UNSET, Meta, UnsetType, field
+
+from midstride.codec.configuration_form import ConfigurationForm
+from midstride.codec.form import Form, Report
+from midstride.plan.forms.plan_forms import PlanForm, PlanPreview
+from midstride.plan.forms.step_forms import AnyStep
+from midstride.plan.runtime_values import RuntimeValue
+from midstride.runtime.records.measure import SwapReport
+from midstride.runtime.records.status_forms import SilenceFault
+from midstride.verify.verdict import Verdict
+
+OutcomeKind: TypeAlias = Literal["done", "refused", "rolled_back", "failed"]
+
+
+class LoweredFunctionality(Report, frozen=True, kw_only=True):
+    """A functionality of a role that is in a worse mode than before the change, or if it is new, than its normal one.
+
+    `planned`: the plan led there. Otherwise its code raised, say, or what it relies on has exited.
+    """
+
+    functionality: str
+    before: Annotated[str | None, Meta(description="the better mode")] = field(name="from")
+    after: Annotated[str | None, Meta(description="the mode now; null: no instance serves it")] = field(name="to")
+    planned: bool
+    because: str | None
+
+
+class UpReport(Report, frozen=True):
+    """The system is up, with these instances. `incomplete`: it ran before, and what is `missing` is not restored."""
+
+    outcome: Literal["done", "incomplete"]
+    components: list[str]
+    lowered: Annotated[list[LoweredFunctionality], Meta(description="what is not in its normal mode")] = []
+    missing: Annotated[dict[str, str], Meta(description="why nodes could not be restored")] = {}
+
+
+class DownReport(Report, frozen=True):
+    """The system is down."""
+
+    outcome: Literal["done"] = "done"
+
+
+class FencedInstance(Report, frozen=True, kw_only=True):
+    """An instance that hung, was stopped or too slow, and was replaced inside a call of its user code."""
+
+    instance: str
+    how: Annotated[Literal["gate", "killed"], Meta(description="its outputs were closed, or its process was killed")]
+    because: str
+    words: str
+
+
+class StepTime(Report, frozen=True):
+    """How long a step took, and when it began after the first one, in seconds. Steps that overlap are in one round."""
+
+    step: Annotated[int, Meta(description="its number in the plan, from 1")]
+    begun: float
+    seconds: float
+
+
+class ModeSkew(Report, frozen=True):
+    """Functionalities of several instances that support each other, and so changed their modes in one step."""
+
+    kind: Annotated[str, Meta(description="`degrade` or `upgrade`")]
+    functionalities: list[str]
+    seconds: Annotated[float, Meta(description="between the first and the last of them, as measured")]
+
+
+class Outcome(Report, frozen=True, kw_only=True):
+    """The result of a change; `refused`: nothing was changed."""
+
+    outcome: OutcomeKind
+    plan: PlanForm | None = None
+    seconds: float = 0.0
+    steps: Annotated[list[StepTime], Meta(description="those that were done, as measured")] = []
+    skews: list[ModeSkew] = []
+    fallen: Annotated[dict[str, float], Meta(description="measured seconds below the baseline")] = {}
+    swaps: list[SwapReport] = []
+    late: Annotated[
+        dict[str, float],
+        Meta(description="seconds by which a new component's first slot waited for its state, over a period"),
+    ] = {}
+    own_state: Annotated[
+        dict[str, str],
+        Meta(description="new components that continue without the state of the old one: what is lost, and why"),
+    ] = {}
+    because: str | None = None
+    parameters: Annotated[list[RuntimeValue], Meta(description="what became of values that were set at run time")] = []
+    ended: Annotated[list[str], Meta(description="instances that exited unexpectedly meanwhile")] = []
+    degraded: Annotated[list[str], Meta(description="functionalities that degraded unexpectedly meanwhile")] = []
+    fenced: Annotated[list[FencedInstance], Meta(description="replaced although they hung")] = []
+    silences: Annotated[list[SilenceFault], Meta(description="faults that began meanwhile, and last")] = []
+    lowered: Annotated[list[LoweredFunctionality], Meta(description="what is lower afterwards")] = []
+    verdict: Annotated[Verdict | UnsetType, Meta(description="what Alloy found, where requested")] = UNSET
+
+
+class PlannedChange(PlanForm, frozen=True, kw_only=True):
+    """A plan, and the revision of the configuration that it was made for: `expected` of a change."""
+
+    revision: int
+
+
+class LiveConfiguration(Report, frozen=True):
+    """The configuration as its components report it; those in `silent` are as in the manager's model."""
+
+    revision: int
+    silent: list[str]
+    configuration: ConfigurationForm
+
+
+class Event(Form, frozen=True, kw_only=True, forbid_unknown_fields=False):
+    """What happened: numbered from 1, at a time (unix seconds), its kind, in words, with the details of that kind."""
+
+    n: int
+    at: float
+    kind: str
+    words: str
+    command: Annotated[str | UnsetType, Meta(description="waiting: the command that waits")] = UNSET
+    id: Annotated[str | UnsetType | None, Meta(description="waiting, command: the id in its request")] = UNSET
+    index: Annotated[int | UnsetType, Meta(description="step…: which step, from 0")] = UNSET
+    of: Annotated[int | UnsetType, Meta(description="step…, rollback: of how many steps")] = UNSET
+    step: Annotated[AnyStep | UnsetType, Meta(description="step…: the step of the plan")] = UNSET
+    plan: Annotated[PlanPreview | UnsetType, Meta(description="plan: what will be done")] = UNSET
+    swaps: Annotated[list[SwapReport] | UnsetType, Meta(description="measured: what each subscriber saw")] = UNSET
+    verdict: Annotated[Verdict | UnsetType, Meta(description="verified: what Alloy found")] = UNSET
+    outcome: Annotated[OutcomeKind | UnsetType, Meta(description="outcome, parameters: how the command ended")] = UNSET
+    functionality: Annotated[str | UnsetType, Meta(description="degraded: which functionality")] = UNSET
+    instance: Annotated[str | UnsetType, Meta(description="fenced: which instance")] = UNSET
+    log: Annotated[str | UnsetType, Meta(description="exited: the last of the instance's output")] = UNSET

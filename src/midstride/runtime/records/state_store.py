@@ -1,0 +1,309 @@
+"""The database from which the next manager recovers a running system, in the system's workspace.
+
+A manager may be killed at any moment, so each process is recorded as soon as it is started: one without a record would
+run forever and keep its name in use. Each write is one row and durable when the call returns; its cost does not depend
+on the size of the system.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import msgspec
+from immutables import Map
+
+from midstride.codec.component_form import ComponentForm
+from midstride.codec.configuration_form import InstanceForm
+from midstride.codec.specification_form import NodeForm, SpecificationForm, TopicForm, decode_saved_specification
+from midstride.codec.writing import to_json
+from midstride.errors import ManagerError, MidstrideError, Superseded
+from midstride.model.configuration import Instance
+from midstride.model.specification import Specification
+from midstride.runtime.backend_protocol import Handle
+from midstride.runtime.options import NO_OPTIONS, SystemOptions
+from midstride.runtime.records.disk import DISK, Database, Disk, Lease, Statement, refused
+from midstride.wire.folders import COMPONENTS
+
+# The form of the database; a manager of another version refuses it.
+VERSION: Final = 3
+_SCHEMA: Final = """
+CREATE TABLE IF NOT EXISTS system (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS specification (
+    section TEXT, name TEXT, form TEXT NOT NULL, PRIMARY KEY (section, name)
+) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS instances (name TEXT PRIMARY KEY, form TEXT NOT NULL, handle TEXT) WITHOUT ROWID;
+"""
+# The section of the specification with all that is in none of the other three.
+_REST: Final = "rest"
+# Before the name of a role, for its parameter values that were set at run time.
+_VALUES: Final = "values of "
+# Statements by what they write.
+_Statements: TypeAlias = dict[str, Statement]
+
+
+@dataclass(frozen=True, slots=True)
+class SavedInstance:
+    """An instance that an earlier manager knew. ``handle`` is None if it was started elsewhere."""
+
+    instance: Instance
+    handle: Handle | None
+
+
+@dataclass(frozen=True, slots=True)
+class SavedState:
+    """The state that an earlier manager saved.
+
+    ``values``: by role, the parameter values that were set at run time. ``file`` was brought up or applied last, if
+    any, and ``changed_since``: another command has changed the specification then.
+    """
+
+    backend: str
+    token: str
+    specification: Specification
+    instances: tuple[SavedInstance, ...]
+    options: SystemOptions = NO_OPTIONS
+    values: dict[str, dict[str, Any]] = field(default_factory=dict)
+    file: str | None = None
+    changed_since: bool = False
+
+
+class StateStore:
+    """The state of one system in the file ``path``. ``warn`` is called once when the disk starts to refuse writes.
+
+    A failed write does not interrupt a change: ``unwritten`` says why it failed until a later write succeeds.
+    """
+
+    def __init__(self, path: Path, warn: Callable[[str], object] = lambda _: None, disk: Disk = DISK) -> None:
+        self.path = path
+        self.unwritten: str | None = None
+        self._warn = warn
+        self._disk = disk
+        self._database: Database | None = None
+        self._specification = Specification("")  # as last written
+        self._pending: _Statements = {}  # writes that failed
+        self._lease = Lease("system")
+
+    @property
+    def superseded(self) -> bool:
+        """Another manager of the system has taken the lease."""
+        return self._lease.superseded(self._database)
+
+    # -- reading -----------------------------------------------------------------------------------
+
+    def load(self) -> SavedState | None:
+        """The state that an earlier manager saved, or None. Raises ManagerError if it cannot be read."""
+        try:
+            database = self._disk.read_only(self.path)
+            if database is None:
+                return None
+            with closing(database):
+                system = dict(database.read("SELECT key, CAST(value AS TEXT) FROM system"))
+                if not system and database.read("PRAGMA user_version") == [(0,)]:
+                    return None  # killed before `begin`: no component had the token
+                if system.get("version") != str(VERSION):
+                    raise self._unreadable("another version of Midstride wrote it")
+                parts = database.read("SELECT section, name, form FROM specification")
+                rows = database.read("SELECT form, handle FROM instances ORDER BY name")
+            return SavedState(
+                system["backend"],
+                system["token"],
+                _specification(tuple(parts)),
+                tuple(_instance(form, handle) for form, handle in rows),
+                msgspec.json.decode(system.get("options", "{}"), type=SystemOptions),
+                {
+                    key.removeprefix(_VALUES): msgspec.json.decode(value, type=dict[str, Any])
+                    for key, value in system.items()
+                    if key.startswith(_VALUES)
+                },
+                system.get("file") or None,
+                bool(system.get("changed_since")),
+            )
+        except ManagerError:
+            raise
+        except KeyError as error:
+            raise self._unreadable(f"it is damaged: it has no {error}") from error
+        except RecursionError as error:
+            raise self._unreadable("it is damaged: it is nested too deep") from error
+        except (sqlite3.Error, OSError, msgspec.DecodeError, MidstrideError, ValueError, TypeError) as error:
+            if refused(error):
+                raise ManagerError(
+                    f"cannot read {self.path} now: {error}. The components that were started keep running; make room "
+                    "if its disk is full, then try again"
+                ) from error
+            raise self._unreadable(f"it is damaged: {error}") from error
+
+    def _unreadable(self, why: str) -> ManagerError:
+        folder = self.path.parent
+        return ManagerError(
+            f"cannot read {self.path}: {why}. No manager can take over the components that were started, and they keep "
+            f"running. So it is unknown which components of {folder.name} still run: stop them yourself (their control "
+            f"sockets are in {folder / COMPONENTS}), then remove the file"
+        )
+
+    # -- writing -----------------------------------------------------------------------------------
+
+    def begin(
+        self,
+        backend: str,
+        token: str,
+        specification: Specification,
+        options: SystemOptions = NO_OPTIONS,
+        file: str | None = None,
+        changed_since: bool = False,
+    ) -> None:
+        """The system is being brought up or recovered."""
+        kept = msgspec.json.encode(options).decode()
+        system = ("version", str(VERSION), "backend", backend, "token", token, "options", kept)
+        self._specification = Specification("")
+        # At once: half of this could not be read.
+        statements: _Statements = {
+            **_puts(*system),
+            **_origin(file, changed_since),
+            "specification": ("DELETE FROM specification", ()),
+        }
+        self._write({**statements, **self._parts(specification), "begun": (f"PRAGMA user_version = {VERSION}", ())})
+
+    def take_over(self) -> None:
+        """Take the lease: what an earlier manager writes from now on is not kept."""
+        self._write({})
+
+    def write_specification(self, specification: Specification) -> None:
+        """The specification that the system runs now: a row for each part that differs from what was written last.
+
+        It is that of no file, until :meth:`write_file`.
+        """
+        parts = self._parts(specification)
+        self._write({**parts, **_puts("changed_since", "yes")} if parts else {})
+
+    def _parts(self, specification: Specification) -> _Statements:
+        """The statements that turn the specification that was written last into this one."""
+        before, self._specification = self._specification, specification
+        sections: list[tuple[str, Mapping[str, Any], Mapping[str, Any], Callable[[Any], object]]] = [
+            ("topics", before.connectors, specification.connectors, TopicForm.of_connector),
+            ("components", before.components, specification.components, ComponentForm.of),
+            ("nodes", before.nodes, specification.nodes, lambda node: NodeForm.of(node, specification)),
+            (_REST, {"": _rest(before)}, {"": _rest(specification)}, SpecificationForm.of),
+        ]
+        statements: _Statements = {}
+        for section, old, new, form in sections:
+            for name in _changed(old, new):
+                if name in new:
+                    row = (section, name, msgspec.json.encode(form(new[name])).decode())
+                    statements[f"{section} {name}"] = ("INSERT OR REPLACE INTO specification VALUES (?, ?, ?)", row)
+                else:
+                    delete = "DELETE FROM specification WHERE section = ? AND name = ?"
+                    statements[f"{section} {name}"] = (delete, (section, name))
+        return statements
+
+    def write_file(self, file: str) -> None:
+        """The file that the specification was read from."""
+        self._write(_origin(file))
+
+    def write_instance(self, instance: Instance, handle: Handle | None) -> None:
+        """An instance has been started, or its parameters have changed."""
+        form = msgspec.json.encode(InstanceForm.of(instance)).decode()
+        kept = None if handle is None else to_json(handle).decode()
+        row = ("INSERT OR REPLACE INTO instances VALUES (?, ?, ?)", (instance.name, form, kept))
+        self._write({f"instance {instance.name}": row})
+
+    def remove_instance(self, name: str) -> None:
+        """An instance has exited or was released."""
+        self._write({f"instance {name}": ("DELETE FROM instances WHERE name = ?", (name,))})
+
+    def write_values(self, role: str, values: Mapping[str, Any]) -> None:
+        """The values of a role's parameters that were set at run time."""
+        key = f"{_VALUES}{role}"
+        if values:
+            self._put(key, msgspec.json.encode(values).decode())
+        else:
+            self._write({key: ("DELETE FROM system WHERE key = ?", (key,))})
+
+    def require(self) -> None:
+        """Raises ManagerError if the state cannot be written."""
+        self._put("checked", "")
+        if self.unwritten is not None:
+            raise ManagerError(self.unwritten)
+
+    def forget(self) -> None:
+        """Delete the database: the system is down, or was never up."""
+        self.close()
+        self._disk.remove(self.path)
+        self._lease.renew()
+
+    def close(self) -> None:
+        database, self._database = self._database, None
+        if database is not None:
+            database.close()
+
+    def _put(self, *pairs: str) -> None:
+        self._write(_puts(*pairs))
+
+    def _write(self, statements: _Statements) -> None:
+        for key in statements:  # each in the order in which they were asked for last: one of them empties a table
+            self._pending.pop(key, None)
+        self._pending.update(statements)
+        try:
+            self._lease.write(self._open(), self._pending.values())
+        except Superseded as error:
+            self.unwritten = str(error)
+            self._pending.clear()
+            return
+        except (sqlite3.Error, OSError) as error:
+            why = f"cannot write {self.path}: {error}"
+            if self.unwritten is None:
+                self._warn(f"{why}; a later manager would not find everything again")
+            self.unwritten = why
+            return
+        self._pending.clear()
+        self.unwritten = None
+
+    def _open(self) -> Database:
+        if self._database is None:
+            self._database = self._disk.open(self.path, _SCHEMA)  # for its user alone: it holds the system's token
+        return self._database
+
+
+def _puts(*pairs: str) -> _Statements:
+    rows = zip(pairs[::2], pairs[1::2], strict=True)
+    return {key: ("INSERT OR REPLACE INTO system VALUES (?, ?)", (key, value)) for key, value in rows}
+
+
+def _origin(file: str | None, changed_since: bool = False) -> _Statements:
+    return _puts("file", file or "", "changed_since", "yes" if changed_since else "")
+
+
+def _changed(before: Mapping[str, object], after: Mapping[str, object]) -> Iterator[str]:
+    """The names of what was added, removed or replaced."""
+    if before is after:
+        return
+    yield from (name for name in before if name not in after)
+    yield from (name for name, value in after.items() if (old := before.get(name)) is not value and old != value)
+
+
+def _rest(specification: Specification) -> Specification:
+    return replace(specification, connectors=Map(), components=Map(), nodes=Map())
+
+
+@lru_cache(maxsize=4)
+def _specification(parts: tuple[tuple[str, str, str], ...]) -> Specification:
+    rest: dict[str, Any] = {}
+    sections: dict[str, dict[str, Any]] = {}
+    for section, name, form in parts:
+        if section == _REST:
+            rest = msgspec.json.decode(form, type=dict[str, Any])
+        else:
+            sections.setdefault(section, {})[name] = msgspec.json.decode(form)
+    return decode_saved_specification({**rest, **sections})
+
+
+def _instance(form: str, handle: str | None) -> SavedInstance:
+    return SavedInstance(
+        msgspec.json.decode(form, type=InstanceForm).instance(),
+        None if handle is None else msgspec.json.decode(handle, type=Handle),
+    )

@@ -1,0 +1,1 @@
+"""The way back to what the specification asks for: after a crash, a degradation, or the end of a manager."""

@@ -1,0 +1,162 @@
+"""Bringing a system up: finds what an earlier manager left, finishes or rolls back its change, and restores the rest.
+
+Each of these is an ordinary plan (docs/semantics.md section 7); what still runs is found by :mod:`.recovery`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from midstride.errors import CommandRefused, ManagerError, PlanRefused, StepFailed
+from midstride.model.component import FunctionalityRef
+from midstride.model.specification import Specification
+from midstride.plan.change_builder import change_between
+from midstride.plan.forms.plan_forms import PlanPreview
+from midstride.plan.runtime_values import of_change
+from midstride.plan.strategies.registry import planner
+from midstride.plan.strategies.restore import restore
+from midstride.runtime.change.change_session import ChangeSession
+from midstride.runtime.change.reconciler import Reconciler
+from midstride.runtime.options import SystemOptions
+from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.process.launcher import Launcher
+from midstride.runtime.records.events import EventLog
+from midstride.runtime.records.journal import Journal
+from midstride.runtime.records.journal_records import Interrupted, NewChange
+from midstride.runtime.records.state_store import SavedState, StateStore
+from midstride.runtime.restore.recovery import recover
+from midstride.runtime.running_system import RunningSystem
+
+
+@dataclass(frozen=True, slots=True)
+class BringUp:
+    """One ``up`` of the system ``workspace`` on the platform ``backend``.
+
+    ``improved``: the better modes of functionalities that are supported by what is measured.
+    """
+
+    system: RunningSystem
+    client: ComponentClient
+    launcher: Launcher
+    reconciler: Reconciler
+    session: ChangeSession
+    store: StateStore
+    journal: Journal
+    events: EventLog
+    options: SystemOptions
+    backend: str
+    workspace: str
+    improved: Callable[[Collection[FunctionalityRef]], dict[FunctionalityRef, int]]
+
+    async def restore_missing(self, absent: set[str], *, is_new: bool) -> dict[str, str]:
+        """Bring up what does not run, without the roles ``absent``; returns why each of the others could not be.
+
+        One that cannot be started does not keep the others down, or the manager from managing what runs. Raises
+        StepFailed or PlanRefused where nothing else runs, or all roles do.
+        """
+        present = self.system.configuration.instances_by_role
+        gone = [role for role in self.system.specification.roles() if role not in absent and not present.get(role)]
+        missing, alone = dict.fromkeys(gone, ""), not self.system.configuration.instances
+        for group in [gone, *([role] for role in gone if len(gone) > 1)]:
+            try:
+                without = {*absent, *missing}.difference(group)
+                await self._complete(without, self.system.specification, is_new=is_new)
+            except (PlanRefused, StepFailed) as error:
+                if alone or not gone:
+                    raise
+                missing |= dict.fromkeys(group, str(error))
+            else:
+                missing = {role: because for role, because in missing.items() if role not in group}
+                if not missing:
+                    break
+        return missing
+
+    async def finish(self, absent: Collection[str], interrupted: Sequence[Interrupted]) -> bool:
+        """Finish the change that an earlier manager began, if that is the system's policy; whether that was possible.
+
+        If not, the caller rolls it back.
+        """
+        if not interrupted or not self.options.finish_interrupted:
+            return False
+        change = interrupted[-1]
+        if change.target == self.system.specification:
+            return False
+        try:
+            await self._complete(absent, change.target)
+        except (PlanRefused, StepFailed) as error:
+            if isinstance(error, StepFailed) and error.outcome != "rolled_back":
+                raise
+            self.events.add("note", f"`{change.command}` was interrupted, and cannot be finished: {error}")
+            return False
+        return True
+
+    async def _complete(self, absent: Collection[str], specification: Specification, *, is_new: bool = False) -> None:
+        """Bring up the part of ``specification`` that does not run, without the roles ``absent``; ``is_new``: none ran.
+
+        Raises StepFailed after a roll-back.
+        """
+        system = self.system
+        running = system.specification
+        target = specification
+        for role in absent:
+            if role in target.nodes:
+                target = target.without_node(role)
+        change = change_between(self.system.configuration, running, target)
+        parameters = of_change(change, self.system.values.by_role(self.system.configuration))
+        if specification == running and not (change.instances() or change.parameters or change.renamed):
+            # Nothing but modes differs: what the local reflex has degraded waits until its input is back.
+            plan = restore(self.system.configuration, running, self.improved(change.pending), {})
+            change = plan.change
+        else:
+            plan = replace(await asyncio.to_thread(planner("minimal"), change), parameters=parameters)
+        # Before any component has the token.
+        self.store.begin(self.backend, self.client.token, running, self.options, system.file, system.changed_since)
+        if plan.steps or specification != running:
+            before = None if is_new else running
+            preview = await asyncio.to_thread(PlanPreview.of, plan)
+            new = NewChange("up", None, before, specification, len(plan.steps), preview)
+            entry = await self.journal.begin(new, required=False)
+            outcome = await self.session.carry_out(plan, specification, preview, entry)
+            if outcome.outcome != "done":
+                raise StepFailed(str(outcome.because), outcome.outcome)
+        else:
+            self.system.configuration = change.settled(self.system.configuration)
+
+    async def recover(self, saved: SavedState, interrupted: Iterable[Interrupted]) -> set[str]:
+        """Find what an earlier manager left, and degrade what has lost its support.
+
+        Returns the roles of components that are started by hand and do not run: nothing can restore these. Raises
+        ManagerError if a component hangs, or the earlier manager ran another system.
+        """
+        if saved.backend != self.backend:
+            raise ManagerError(
+                f"{self.workspace} runs on {saved.backend}; use that back end, or `midstride down` first"
+            )
+        if saved.specification != self.system.specification:
+            raise ManagerError(
+                f"{self.workspace} is running with another specification; "
+                "`midstride apply` changes a running system, `midstride down` ends it"
+            )
+        self.system.values.saved = dict(saved.values)
+        targets = [change.target for change in interrupted]
+        self.system.configuration = await recover(
+            saved.instances, self.system.specification, self.launcher, self.client, self.events, targets
+        )
+        running = self.system.configuration.instances
+        gone = [each.instance for each in saved.instances if each.instance.name not in running]
+        for instance in gone:
+            self.store.remove_instance(instance.name)
+            self.system.lost(instance)
+        self.system.forget_filled_roles()
+        self.reconciler.save_values()
+        names = ", ".join(instance.name for instance in gone)
+        await self.reconciler.reconcile_all(f"{names} exited" if names else "its input was lost")
+        if any(isinstance(error, CommandRefused) for error in self.reconciler.pending.values()):
+            await self.reconciler.reconcile()  # its state had just changed
+        if pending := self.reconciler.pending:
+            words = "; ".join(f"{ref} has lost its input and could not be degraded: {e}" for ref, e in pending.items())
+            raise ManagerError(f"{words}. End the process that hangs with `kill -9`, then run `midstride up` again")
+        present = self.system.configuration.instances_by_role
+        return {each.role for each in gone if each.component.run is None and not present.get(each.role)}

@@ -1,0 +1,174 @@
+"""Recovers a running system that an earlier manager left.
+
+The state store has the earlier manager's model; the components report the actual state, which takes precedence. A
+second instance of a role, left by a manager that was killed during a change, is terminated. What is left of that change
+is a difference to the specification, which the manager removes by an ordinary plan (docs/semantics.md section 7).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+
+from midstride.errors import CommandRefused, MidstrideError, ProtocolError, Unreachable
+from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.configuration import Configuration, Instance, configure
+from midstride.model.specification import Specification
+from midstride.runtime.backend_protocol import Handle
+from midstride.runtime.process.answering_instance import have_answer
+from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.process.launcher import Launcher
+from midstride.runtime.records.events import EventLog
+from midstride.runtime.records.state_store import SavedInstance
+from midstride.runtime.watch.observed_configuration import reported_modes
+from midstride.wire.commands import FenceCommand, GateCommand, RecordCommand, SettleCutsCommand
+from midstride.wire.state import NOT_WELCOMED, ComponentState
+
+
+async def recover(
+    saved: Sequence[SavedInstance],
+    specification: Specification,
+    launcher: Launcher,
+    client: ComponentClient,
+    events: EventLog,
+    targets: Sequence[Specification] = (),
+) -> Configuration:
+    """The configuration of the components that still run, after terminating those that were only partly started.
+
+    ``targets``: where interrupted changes led; components may be attached to the topics of these already. A component
+    started by hand that does not answer is left out. Raises Unreachable for those that a manager started.
+    """
+    found: dict[str, tuple[Instance, ComponentState]] = {}
+    hanging: list[str] = []
+    for entry in saved:
+        instance, handle = entry.instance, entry.handle
+        try:
+            state = await launcher.adopt(handle or Handle(instance.name), owned=handle is not None)
+        except (ProtocolError, Unreachable) as error:
+            if handle is not None:
+                if isinstance(error, ProtocolError):
+                    raise
+                hanging.append(str(error))
+                continue
+            events.add("note", f"{error}; it is left out until it does")
+            client.disconnect(instance.name)
+            continue
+        if state is None:
+            events.add("gone", f"{instance.name} is no longer running")
+            await launcher.abandon(instance.name)
+            continue
+        if state.waiting == NOT_WELCOMED and handle is not None:  # what it is has not been checked
+            events.add("ended", f"stopped {instance.name}, which an earlier manager had just started")
+            with suppress(MidstrideError):
+                await launcher.end(instance.name)
+            continue
+        found[instance.name] = (instance, state)
+        events.add("adopted", f"{instance.name} was reattached unchanged")
+    if hanging:
+        raise Unreachable("; ".join(hanging))
+    for name in await launcher.end_orphans(found):
+        events.add("ended", f"stopped {name}, which an earlier manager had just started")
+    found = await _settled(found, launcher, client, events)
+    redundant = _redundant(found)
+    for name in redundant:
+        events.add("ended", f"stopped {name}, which an earlier manager had left half done")
+        instance, _ = found.pop(name)
+        with suppress(MidstrideError):
+            for other, (successor, _) in found.items():
+                if successor.role == instance.role and other not in redundant:
+                    await have_answer(client, other, instead_of=name)
+        with suppress(MidstrideError):
+            await launcher.end(name)
+    for name in found:
+        await have_answer(client, name)
+    for name, (instance, observed) in found.items():
+        if fenced := _fenced(observed):  # the manager, and then its successor, exited before that took over
+            await client.read(name, FenceCommand(attachments=fenced, lift=True))
+        # A cut that was in progress may have changed its gates and modes since it was adopted.
+        found[name] = (instance, await client.observe(name))
+        # This manager does not need the recordings of the earlier one.
+        if inputs := list(instance.component.input_order):
+            await client.undo(name, RecordCommand(inputs=inputs, on=False))
+    return await _configuration(specification, targets, found, client)
+
+
+async def _settled(
+    found: Mapping[str, tuple[Instance, ComponentState]], launcher: Launcher, client: ComponentClient, events: EventLog
+) -> dict[str, tuple[Instance, ComponentState]]:
+    """``found`` once no cut of the earlier manager is under way, without those that have exited meanwhile.
+
+    One that is would close and open gates beside this manager's own changes: its moment may be seconds ahead. The new
+    sides are first, so that they do not write when the old ones do again.
+    """
+
+    async def settle(name: str, *, new: bool) -> None:
+        with suppress(CommandRefused):  # a node without Midstride's API, whose agent has done so by itself
+            await client.read(name, SettleCutsCommand(new=new))
+
+    settled = dict(found)
+    for ask in (partial(settle, new=True), partial(settle, new=False), client.observe):
+        for name, (instance, state) in list(settled.items()):
+            try:
+                answer = await ask(name)
+            except Unreachable:  # the earlier manager had just told it to exit, or it has crashed
+                handle = launcher.handles.get(name)
+                if await launcher.adopt(handle or Handle(name), owned=handle is not None) is None:
+                    events.add("gone", f"{name} is no longer running")
+                    await launcher.abandon(name)
+                    del settled[name]
+                    continue
+                answer = await ask(name)
+            settled[name] = (instance, answer or state)
+    return settled
+
+
+def _redundant(found: dict[str, tuple[Instance, ComponentState]]) -> list[str]:
+    """All instances of each role but the one with the most open gates, which publishes; else the one that answers.
+
+    One that was fenced hangs, so its successor stays.
+    """
+    by_role: dict[str, list[str]] = {}
+    for name, (instance, _) in found.items():
+        by_role.setdefault(instance.role, []).append(name)
+
+    def rank(name: str) -> tuple[bool, int, bool, int, str]:
+        links = [link for topics in found[name][1].ports.values() for link in topics.values()]
+        fenced = bool(_fenced(found[name][1]))
+        return fenced, -sum(link.gate == "open" for link in links), not found[name][1].answers, len(name), name
+
+    return [name for names in by_role.values() for name in sorted(names, key=rank)[1:]]
+
+
+def _fenced(observed: ComponentState) -> list[tuple[str, str]]:
+    """The fenced attachments: port and topic."""
+    return [(port, topic) for port, topics in observed.ports.items() for topic, link in topics.items() if link.fenced]
+
+
+async def _configuration(
+    specification: Specification,
+    targets: Sequence[Specification],
+    found: dict[str, tuple[Instance, ComponentState]],
+    client: ComponentClient,
+) -> Configuration:
+    connectors = specification.connectors
+    by_topic = {connector.topic: connector.name for connector in connectors.values()}
+    for target in targets:
+        for name, connector in target.connectors.items():
+            if name not in connectors and connector.topic not in by_topic:
+                connectors = connectors.set(name, connector)
+                by_topic[connector.topic] = name
+    context = replace(specification.context, connectors=connectors)
+    attachments: list[tuple[PortRef, str]] = []
+    modes: dict[FunctionalityRef, int] = {}
+    for name, (instance, observed) in sorted(found.items()):
+        for port, topics in observed.ports.items():
+            for topic, view in topics.items():
+                if topic not in by_topic:
+                    continue
+                if view.gate == "closed":  # the only instance of its role: otherwise its topic would stay silent
+                    await client.change(name, GateCommand(port=port, topic=topic, gate="open"))
+                attachments.append((PortRef(name, port), by_topic[topic]))
+        modes |= reported_modes(instance.component, observed)
+    return configure(context, [instance for instance, _ in found.values()], attachments, modes)

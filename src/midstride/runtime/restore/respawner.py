@@ -1,0 +1,183 @@
+"""Restarts nodes that have crashed, as their restart policies say.
+
+A restart is an ordinary plan, carried out as a command in its turn: it waits for the command in progress, and a user's
+command waits for it. A command that has restored or removed the node, or changed its policy, cancels the delay
+(docs/semantics.md section 7).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable
+from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass, field
+
+from midstride.model.respawn import RespawnPolicy
+from midstride.model.wording import counted
+from midstride.plan.request import PlanRequest
+from midstride.runtime.backend_protocol import Exited
+from midstride.runtime.manager_clock import Clock
+from midstride.runtime.records.events import EventLog
+from midstride.runtime.records.reports import Outcome
+from midstride.runtime.records.status_forms import RespawnStatus
+from midstride.runtime.restore.attempts import Attempts
+from midstride.runtime.running_system import RunningSystem
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(slots=True)
+class _Record:
+    """What is known of the crashes of one role.
+
+    ``crashes``: what has been decided on. ``due``: when the next restart begins (steady s); ``carrying_out``: its plan
+    has begun; ``left``: why there is no next one.
+    """
+
+    attempts: Attempts = field(default_factory=Attempts)
+    crashes: list[Exited] = field(default_factory=list)
+    due: float | None = None
+    carrying_out: bool = False
+    left: str | None = None
+    task: asyncio.Task[None] | None = None
+
+
+@dataclass(slots=True)
+class Respawner:
+    """Restarts crashed nodes. ``turn(words)`` waits until a command may run; ``change`` carries one out in its turn."""
+
+    system: RunningSystem
+    clock: Clock
+    events: EventLog
+    turn: Callable[[str], AbstractAsyncContextManager[None]]
+    change: Callable[[PlanRequest], Awaitable[Outcome]]
+    _records: dict[str, _Record] = field(default_factory=dict)  # by role
+    _tasks: set[asyncio.Task[None]] = field(default_factory=set)
+    _stopped: bool = False
+
+    def stop(self) -> None:
+        """Restart nothing any more: the system is being taken down, or left to the next manager."""
+        self._stopped = True
+        for task in self._tasks:
+            task.cancel()
+
+    async def close(self) -> None:
+        self.stop()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    def update(self) -> None:
+        """The model is up to date after a crash or a command: decide on new crashes, and cancel what is obsolete."""
+        if self._stopped:
+            return
+        for role, record in list(self._records.items()):
+            if record.carrying_out:
+                continue
+            if self._policy(role) is None or (self._runs(role) and record.attempts.runs_since is None):
+                self._forget(role, record)
+        for role, crashes in self._crashes().items():
+            policy, record = self._policy(role), self._records.get(role) or _Record()
+            if policy is None or self._runs(role) or record.carrying_out:
+                continue
+            new = [crash for crash in crashes if not any(crash is known for known in record.crashes)]
+            record.crashes = crashes
+            if new and record.task is None and record.left is None:
+                self._records[role] = record
+                self._on_crash(role, record, policy, f"{new[-1].instance} exited unexpectedly")
+
+    def _crashes(self) -> dict[str, list[Exited]]:
+        """The crashed instances of each role of the specification."""
+        found: dict[str, list[Exited]] = {}
+        for name, exited in self.system.missing.items():
+            if (role := self.system.role_of_missing(name)) is not None:
+                found.setdefault(role, []).append(exited)
+        return found
+
+    def status(self, role: str | None) -> RespawnStatus | None:
+        """Whether and when the node of that role, which has crashed, is restarted; None without a policy."""
+        record = self._records.get(role or "")
+        policy = None if role is None else self._policy(role)
+        if record is None or policy is None:
+            return None
+        number, words, seconds = len(record.attempts.made), "restarting", None
+        if record.left is not None:
+            words = f"it will not be restarted again: {record.left}"
+        elif record.due is not None:
+            seconds = max(0.0, round(record.due - self.clock.steady(), 3))
+            words += f" in {seconds:.1f} s" if seconds else " after the current command"
+        if record.left is None:
+            words += f" ({number} of {policy.limit})"
+        return RespawnStatus(
+            restarting=record.left is None,
+            seconds=seconds,
+            restarts=number,
+            max_retries=policy.max_retries,
+            window=policy.window,
+            words=words,
+        )
+
+    def _policy(self, role: str) -> RespawnPolicy | None:
+        node = self.system.specification.nodes.get(role)
+        return None if node is None else node.respawn
+
+    def _runs(self, role: str) -> bool:
+        return self.system.has_instance(role)
+
+    def _forget(self, role: str, record: _Record) -> None:
+        """A command has restored or removed the node, or removed its policy: what was counted begins anew."""
+        del self._records[role]
+        if record.task is not None:
+            record.task.cancel()
+            why = "it runs again" if self._runs(role) else "it has no restart policy any more"
+            self.events.add("respawn", f"the restart of {role} is cancelled: {why}")
+
+    def _on_crash(self, role: str, record: _Record, policy: RespawnPolicy, why: str) -> None:
+        """``role`` does not run because of ``why``: plan the next restart, or what comes after the last one."""
+        record.attempts.stopped(self.clock.steady())
+        if (number := record.attempts.next(policy)) is not None:
+            delay = policy.delay_before(number)
+            when = f"in {delay:.1f} s" if delay else "now"
+            self.events.add("respawn", f"{why}; restarting {role} {when} ({number} of {policy.limit})")
+            self._schedule(role, record, PlanRequest(restart=(role,)), f"respawn {role}", delay)
+            return
+        used_up = f"{counted(policy.max_retries, 'restart')} within {policy.window:g} s did not help"
+        fallback = policy.fallback
+        if fallback is None or self.system.specification.nodes[role].component == fallback:
+            self._leave(role, record, used_up, f"{why}; ")
+            return
+        record.attempts.made.clear()  # those of the fallback are counted anew
+        self.events.add("respawn", f"{why}; {used_up}: {role} is replaced by {fallback}")
+        request, words = PlanRequest(replace=((role, fallback),)), f"respawn {role} as {fallback}"
+        self._schedule(role, record, request, words, 0.0)
+
+    def _leave(self, role: str, record: _Record, why: str, event: str = "") -> None:
+        record.left = why
+        remedy = f"`midstride logs {role}` shows its output, `midstride restart {role}` restores it"
+        self.events.add("respawn_ended", f"{event}{role} will not be restarted again: {why}. {remedy}")
+
+    def _schedule(self, role: str, record: _Record, request: PlanRequest, words: str, delay: float) -> None:
+        record.due = self.clock.steady() + delay
+        record.task = asyncio.get_running_loop().create_task(self._restart(role, record, request, words, delay))
+        self._tasks.add(record.task)
+        record.task.add_done_callback(self._tasks.discard)
+
+    async def _restart(self, role: str, record: _Record, request: PlanRequest, words: str, delay: float) -> None:
+        failed = None
+        await self.clock.sleep(delay)
+        try:
+            async with self.turn(words):
+                record.carrying_out, record.due = True, None
+                outcome = await self.change(request)
+                failed = None if outcome.outcome == "done" else f"{words} failed: {outcome.because}"
+        except Exception as error:  # nothing awaits this task, so errors are logged here
+            log.exception("%s failed", words)
+            failed = f"{words} failed: {error}"
+        record.carrying_out, record.task = False, None
+        if self._runs(role):
+            record.attempts.runs_since = self.clock.steady()
+        elif failed is not None and (policy := self._policy(role)) is not None and not self._stopped:
+            if request.replace:
+                self._leave(role, record, failed)
+            else:
+                self._on_crash(role, record, policy, failed)
+        self.update()

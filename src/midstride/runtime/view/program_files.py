@@ -1,0 +1,130 @@
+"""Which files the programs of components consist of, and which of them have changed on disk since they started.
+
+Each component lists its files itself, since it alone knows what it has imported; so the next manager can ask again.
+The files that ``run`` names are added here: a component does not know of the script that has started it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import shlex
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from midstride.errors import BackendError
+from midstride.model.configuration import Configuration, Instance
+from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.records.status_forms import ProgramStatus
+from midstride.wire.commands import ProgramCommand
+from midstride.wire.program import FileFingerprint, Program, files_named
+from midstride.wire.state import ComponentState
+
+# How long to wait for the answers of components that are being asked (s).
+PATIENCE: Final = 1.0
+
+
+@dataclass
+class _Known:
+    """What the process ``uuid`` has said when it had ``imported`` so many modules; ``named``: the files of `run`.
+
+    ``latest`` has the files that were compared, each with its time of modification then.
+    """
+
+    uuid: str
+    imported: int
+    program: Program | None = None
+    named: list[FileFingerprint] | None = None
+    latest: dict[str, FileFingerprint] = field(default_factory=dict)
+
+    def changed(self, files: list[FileFingerprint]) -> list[str]:
+        """Those of ``files`` that have changed. One that was touched is read again once, not at each call."""
+        now = {file.path: self.latest.get(file.path, file).unchanged() for file in files}
+        self.latest |= {path: file for path, file in now.items() if file is not None}
+        return [path for path, file in now.items() if file is None]
+
+
+@dataclass
+class Programs:
+    """Asks each component for its files when it appears, and again when it has imported more modules.
+
+    ``directory`` is that of the system's processes.
+    """
+
+    client: ComponentClient
+    directory: Path
+    _known: dict[str, _Known] = field(default_factory=dict)
+    _asking: dict[str, asyncio.Task[None]] = field(default_factory=dict)
+
+    def on_report(self, state: ComponentState) -> None:
+        """A component has reported its state."""
+        known = self._known.get(state.instance)
+        if known is None or known.uuid != state.uuid:
+            known = self._known[state.instance] = _Known(state.uuid, 0)
+        if known.imported != state.imported:
+            known.imported = state.imported
+            self._asking[state.instance] = asyncio.get_running_loop().create_task(self._ask(state.instance, known))
+
+    async def _ask(self, instance: str, known: _Known) -> None:
+        try:
+            known.program = await self.client.read(instance, ProgramCommand())
+        except BackendError:
+            known.imported = 0  # its next report makes this ask again
+
+    async def settled(self) -> None:
+        """Wait until the components that are being asked have answered, or have had the time for it."""
+        if pending := [asking for asking in self._asking.values() if not asking.done()]:
+            await asyncio.wait(pending, timeout=PATIENCE)
+
+    async def status(self, configuration: Configuration) -> list[ProgramStatus]:
+        """What is known of the program of each instance, by name."""
+        running = configuration.instances
+        for gone in [name for name, asking in self._asking.items() if name not in running and asking.done()]:
+            del self._asking[gone]
+            self._known.pop(gone, None)
+        found = [(instance, self._known.get(name)) for name, instance in sorted(running.items())]
+        return await asyncio.to_thread(lambda: [self._of(instance, known) for instance, known in found])
+
+    def _of(self, instance: Instance, known: _Known | None) -> ProgramStatus:
+        program = None if known is None else known.program
+        files: list[FileFingerprint] = []
+        changed: list[str] = []
+        if known is not None and program is not None:
+            if known.named is None:
+                known.named = self._named(instance, program)
+            files = [*program.files, *known.named]
+            changed = known.changed(files)
+        return ProgramStatus(
+            name=instance.name,
+            role=instance.role,
+            files=[file.path for file in files],
+            changed=changed,
+            unknown=_unknown(instance, program),
+            startable=instance.component.run is not None,
+        )
+
+    def _named(self, instance: Instance, program: Program) -> list[FileFingerprint]:
+        try:
+            words = shlex.split(instance.component.run or "")
+        except ValueError:
+            words = []
+        listed = {file.path for file in program.files}
+        paths = dict.fromkeys(path for path in files_named(words, str(self.directory)) if path not in listed)
+        return [file for path in paths if (file := FileFingerprint.read(path, program.started)) is not None]
+
+    async def close(self) -> None:
+        for asking in self._asking.values():
+            asking.cancel()
+        await asyncio.gather(*self._asking.values(), return_exceptions=True)
+
+
+def _unknown(instance: Instance, program: Program | None) -> str | None:
+    if program is None:
+        return "it has not said which files its program has"
+    if instance.component.gate is not None:
+        return "it does not use Midstride's API: only the files that its `run` command names are compared"
+    if not program.complete:
+        return f"it has more modules than the {len(program.files)} that are compared"
+    if instance.component.run is None:
+        return "it was started by hand: the files on its command line are not known"
+    return None

@@ -1,0 +1,154 @@
+"""Why a functionality is in its mode, and what an operator can do about it."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from midstride.errors import PlanRefused
+from midstride.model.component import FunctionalityRef, InputAlternatives, PortRef
+from midstride.model.configuration import Configuration
+from midstride.model.diagnostics import suggestion
+from midstride.model.rules import Evaluator
+from midstride.runtime.records.status_forms import Why
+from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.view.watched_system import WatchedSystem
+
+
+@dataclass(frozen=True, slots=True)
+class Explainer:
+    """Answers ``midstride why``. ``changing`` is the command that is changing the system."""
+
+    watched: WatchedSystem
+    changing: str | None
+
+    @property
+    def system(self) -> RunningSystem:
+        return self.watched.system
+
+    def why(self, functionality: str) -> Why:
+        """Why ``functionality`` (of a role or an instance) is in its mode. Raises PlanRefused for an unknown one."""
+        ref = self._find(functionality)
+        configuration, evaluator = self.system.configuration, Evaluator(self.system.configuration)
+        declared, state = configuration.functionality(ref), self.watched.client.responsive(ref.instance)
+        reported = None if state is None else state.functionalities[ref.functionality]
+        mode = configuration.mode(ref).name if reported is None else reported.mode
+        inputs = [PortRef(ref.instance, name) for name in declared.inputs]
+        return Why(
+            functionality=str(_of_role(configuration, ref)),
+            instance=ref.instance,
+            mode=mode,
+            normal=mode == declared.modes[0].name,
+            because=None if reported is None else reported.because,
+            chain=self._reasons(evaluator, ref),
+            inputs={str(port): evaluator.input_satisfied(port) for port in inputs},
+            remedies=self._remedies(evaluator, ref),
+        )
+
+    def _find(self, functionality: str) -> FunctionalityRef:
+        configuration, asked = self.system.configuration, FunctionalityRef.parse(functionality)
+        every = [ref for instance in configuration.instances.values() for ref in instance.functionality_refs()]
+        matching = [ref for ref in every if ref == asked] or [
+            ref
+            for ref in every
+            if ref.functionality == asked.functionality and configuration.instances[ref.instance].role == asked.instance
+        ]
+        if not matching:
+            for node in (asked.instance, functionality):
+                if missing := self._missing(node):
+                    raise PlanRefused(f"nothing serves {functionality} now: {missing}")
+            named = [_of_role(configuration, ref) for ref in every]
+            of_node = [ref for ref in named if ref.instance in (functionality, asked.instance)]
+            hint = suggestion(functionality, map(str, of_node or named)) or "nothing runs"
+            raise PlanRefused(f"there is no functionality {functionality}; {hint}")
+        return sorted(matching)[0]
+
+    def _reasons(self, evaluator: Evaluator, ref: FunctionalityRef) -> list[str]:
+        """For each better mode than the current one: which of its assumptions are not satisfied."""
+        configuration = self.system.configuration
+        functionality, reasons = configuration.functionality(ref), []
+        for mode in functionality.modes[: configuration.modes[ref]]:
+            missing = [a for a in mode.assumptions if not evaluator.assumption_satisfied(ref, functionality, a)]
+            reasons += [f"not {mode.name}: it {evaluator.why_assumption_unsatisfied(ref, a)}" for a in missing]
+            if not missing:
+                reasons.append(f"not {mode.name}: its assumptions are satisfied")
+        return reasons
+
+    # -- what to do --------------------------------------------------------------------------------------
+
+    def _remedies(self, evaluator: Evaluator, ref: FunctionalityRef) -> list[str]:
+        """What to do so that ``ref`` gets back into its normal mode: for each root cause, the nearest first."""
+        if not self.system.configuration.modes[ref]:
+            return []
+        if self.changing is not None:
+            return [f"wait for `{self.changing}`, which is being carried out"]
+        found: dict[str, None] = {}
+        waiting, seen = deque([ref]), {ref}
+        while waiting:
+            below = waiting.popleft()
+            suppliers, missing = self._lacking(evaluator, below)
+            if own := self._own_remedy(evaluator, below):
+                found[own if below == ref else f"{_of_role(self.system.configuration, below)}: {own}"] = None
+            found |= dict.fromkeys(missing)
+            waiting.extend(other for other in suppliers if other not in seen)
+            seen.update(suppliers)
+        return list(found)
+
+    def _own_remedy(self, evaluator: Evaluator, ref: FunctionalityRef) -> str | None:
+        """What to do about a functionality that is not lowered because of what it relies on alone."""
+        configuration = self.system.configuration
+        role = configuration.instances[ref.instance].role
+        if self.watched.client.responsive(ref.instance) is None:
+            return f"it does not answer; `midstride restart {role}` replaces it"
+        if restoring := self.watched.restorer.status(ref):
+            return restoring
+        if evaluator.mode_satisfied(ref, 0):
+            return f"fix the cause, then {self.system.remedy(role)}"
+        return None
+
+    def _lacking(self, evaluator: Evaluator, ref: FunctionalityRef) -> tuple[list[FunctionalityRef], list[str]]:
+        """The lowered publishers on the inputs that the normal mode lacks, and why and how others are missing."""
+        configuration = self.system.configuration
+        functionality = configuration.functionality(ref)
+        suppliers: list[FunctionalityRef] = []
+        missing: list[str] = []
+        for assumption in functionality.modes[0].assumptions:
+            if evaluator.assumption_satisfied(ref, functionality, assumption):
+                continue
+            names = assumption.inputs if isinstance(assumption, InputAlternatives) else functionality.inputs
+            for topic in (topic for name in names for topic in configuration.attached_to(PortRef(ref.instance, name))):
+                for output in sorted(configuration.publishers_on(topic)):
+                    owner = configuration.component(output.instance).find_owner(output.port)
+                    other = None if owner is None else FunctionalityRef(output.instance, owner.name)
+                    if other is not None and configuration.modes[other]:
+                        suppliers.append(other)
+                missing += [words for role in self._roles_missing_on(topic) if (words := self._missing(role))]
+        return suppliers, missing
+
+    def _roles_missing_on(self, topic: str) -> list[str]:
+        """The roles without an instance that publish on ``topic``."""
+        specification, roles = self.system.specification, map(self.system.role_of_missing, self.system.missing)
+        return [
+            role
+            for role in dict.fromkeys(filter(None, roles))
+            if any(
+                topic in topics and specification.component_of(role).has_output(port)
+                for port, topics in specification.nodes[role].attachments.items()
+            )
+        ]
+
+    def _missing(self, node: str) -> str | None:
+        """Why a role or an instance that has exited is missing, and what comes next; None for any other."""
+        for name in reversed(self.system.missing):
+            role = self.system.role_of_missing(name)
+            if role is None or node not in (name, role) or self.system.has_instance(role):
+                continue
+            respawn = self.watched.respawner.status(role)
+            next_ = None if respawn is None else respawn.words
+            remedy = None if respawn is not None and respawn.restarting else self.system.remedy(role)
+            return "; ".join(filter(None, [f"{name} exited unexpectedly", next_, remedy]))
+        return None
+
+
+def _of_role(configuration: Configuration, ref: FunctionalityRef) -> FunctionalityRef:
+    return FunctionalityRef(configuration.instances[ref.instance].role, ref.functionality)

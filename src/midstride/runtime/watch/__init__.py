@@ -1,0 +1,1 @@
+"""Observation of the running system: silences, degradations, and what the subscribers of a topic receive."""

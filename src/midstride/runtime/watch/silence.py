@@ -1,0 +1,179 @@
+"""Prolonged silence of a component that should answer, an output that should publish, or an input that should receive.
+
+Components report the counts of their ports twice a second, and the monitor compares the reports over time. What it
+finds are faults of the running system: they are part of the status, of the events, and of the outcome of a change
+during which they began (docs/semantics.md section 7).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterator, Mapping, Set
+from dataclasses import dataclass, field
+from typing import Final
+
+from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.configuration import Configuration
+from midstride.runtime.manager_clock import Clock
+from midstride.runtime.process.component_client import SILENCE, ComponentClient
+from midstride.runtime.records.events import EventLog
+from midstride.runtime.records.status_forms import SilenceFault, SilenceKind
+from midstride.runtime.watch.simulated_time import stretch
+from midstride.wire.state import ComponentState, LinkState
+
+# How long a port may be silent before that is a fault (s); for an output, also how many of its periods.
+PORT_SILENCE: Final = 3.0
+SILENT_PERIODS: Final = 10
+# An input is not receiving once this many messages were published on its topic, the first of them at least so long
+# after the last one that it received (s): the reports of two components are up to half a second apart.
+UNRECEIVED: Final = 3
+REPORT_SKEW: Final = 1.0
+# How often the faults are looked for, for the events (s).
+CHECK_INTERVAL: Final = 1.0
+_ENDED: Final = {
+    "not_answering": "{0.instance} answers again",
+    "not_discovering": "{0.instance} discovers endpoints again",
+    "not_publishing": "{0.port} publishes on {0.topic} again",
+    "not_receiving": "{0.port} receives messages on {0.topic} again",
+}
+
+
+@dataclass(slots=True)
+class _Link:
+    """One attachment as last reported, and since when its count is the same (steady s).
+
+    For an input: how many messages others have published on its topic since, and when the first of them was.
+    """
+
+    state: LinkState
+    since: float
+    unreceived: int = 0
+    unreceived_since: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Report:
+    """When an instance last reported (steady s), and the topics and ports of its attachments then."""
+
+    at: float
+    attached: Set[tuple[str, PortRef]]
+
+
+@dataclass(slots=True)
+class SilenceMonitor:
+    client: ComponentClient
+    clock: Clock
+    events: EventLog
+    ending: Container[str]  # the instances that have been asked to end, and do not answer any more
+    crashed: Container[str]  # those that have exited: that is known, and has its own events
+    # Those whose middleware stands still, and since when that is known (steady s).
+    undiscovering: Mapping[str, float] = field(default_factory=dict)
+    _links: dict[str, dict[PortRef, _Link]] = field(default_factory=dict)  # by topic
+    _reports: dict[str, _Report] = field(default_factory=dict)  # the last one of each instance
+    _known: dict[str, SilenceFault] = field(default_factory=dict)  # the faults of the last check
+    _checked: float = 0.0
+
+    def on_report(self, state: ComponentState, configuration: Configuration) -> None:
+        """A component has reported its state."""
+        now = self.clock.steady()
+        # What happened while it did not report is not known.
+        last = self._reports.get(state.instance)
+        fresh = last is not None and now - last.at > SILENCE
+        current = {
+            (topic, PortRef(state.instance, port)): link
+            for port, topics in state.ports.items()
+            for topic, link in topics.items()
+        }
+        self._forget(state.instance, kept=current.keys())
+        self._reports[state.instance] = _Report(now, current.keys())
+        for (topic, port), link in current.items():
+            links = self._links.setdefault(topic, {})
+            known = links.get(port)
+            # While simulated time stands still, nothing is due on it.
+            free = fresh or (state.clock_speed == 0 and link.gate is not None)
+            if known is None or free or (known.state.gate, known.state.count) != (link.gate, link.count):
+                links[port] = _Link(link, now)
+                if known is not None and not fresh and link.gate is not None:
+                    self._published(links, link.count - known.state.count, now)
+        if (since := now - self._checked) >= CHECK_INTERVAL:
+            self._checked = now
+            if since <= SILENCE:  # else this process may have been stopped, and the other reports are still to be read
+                self._check(configuration)
+
+    def _forget(self, instance: str, kept: Set[tuple[str, PortRef]] = frozenset()) -> None:
+        """Drop the attachments of ``instance`` except ``kept``."""
+        if (last := self._reports.pop(instance, None)) is not None:
+            for topic, port in last.attached - kept:
+                del self._links[topic][port]
+
+    @staticmethod
+    def _published(links: dict[PortRef, _Link], count: int, now: float) -> None:
+        for link in links.values():
+            if link.state.gate is None and now - link.since >= REPORT_SKEW:
+                link.unreceived_since = link.unreceived_since if link.unreceived else now
+                link.unreceived += max(0, count)
+
+    def _check(self, configuration: Configuration) -> None:
+        """An event for each fault that has begun or ended; instances that have been removed are forgotten."""
+        for instance in self._reports.keys() - configuration.instances.keys():
+            self._forget(instance)
+        found = {fault.words: fault for fault in self.faults(configuration)}
+        for words in sorted(found.keys() - self._known.keys()):
+            self.events.add("silence", words)
+        for words in sorted(self._known.keys() - found.keys()):
+            if (fault := self._known[words]).instance in configuration.instances:
+                self.events.add("note", _ENDED[fault.kind].format(fault))
+        self._known = found
+
+    def faults(self, configuration: Configuration) -> list[SilenceFault]:
+        """What is silent now, by instance and port."""
+        return [fault for name in sorted(configuration.instances) for fault in self._faults_of(name, configuration)]
+
+    def _faults_of(self, instance: str, configuration: Configuration) -> Iterator[SilenceFault]:
+        state, latest = self.client.responsive(instance), self.client.latest(instance)
+        if state is None:
+            if instance in self.ending or instance in self.crashed:
+                return
+            seconds = None if latest is None else round(self.clock.steady() - latest.at, 3)
+            words = f"{instance} does not answer"
+            yield SilenceFault(kind="not_answering", instance=instance, seconds=seconds, words=words)
+            return
+        if (since := self.undiscovering.get(instance)) is not None:
+            words = f"{instance} discovers no new endpoints, although its data flows: its middleware stands still"
+            seconds = round(self.clock.steady() - since, 3)
+            yield SilenceFault(kind="not_discovering", instance=instance, seconds=seconds, words=words)
+        if not configuration.component(instance).counts_messages:
+            return
+        for port, connector in configuration.attached_ports(instance):
+            topic = configuration.topic(connector)
+            link = self._links.get(topic, {}).get(port)
+            if link is None:
+                continue
+            if link.state.gate == "open":
+                yield from self._not_publishing(configuration, state, port, topic, link.since)
+            elif link.unreceived >= UNRECEIVED and self.clock.steady() - link.unreceived_since > PORT_SILENCE:
+                yield not_receiving(port, topic, self.clock.steady() - link.unreceived_since)
+
+    def _not_publishing(
+        self, configuration: Configuration, state: ComponentState, port: PortRef, topic: str, since: float
+    ) -> Iterator[SilenceFault]:
+        ref = FunctionalityRef(port.instance, configuration.component(port.instance).owner(port.port).name)
+        rate, reported = configuration.rate(port), state.functionalities[ref.functionality]
+        if reported.mode != configuration.mode(ref).name:
+            return  # a mode that has just been left guarantees nothing
+        seconds = min(self.clock.steady() - since, reported.since)
+        if rate and seconds > stretch(state) * max(PORT_SILENCE, SILENT_PERIODS / rate):
+            words = f"{port} publishes nothing on {topic}, although mode {reported.mode} guarantees {rate:g} Hz"
+            yield _port_fault("not_publishing", port, topic, seconds, words)
+
+
+def not_receiving(port: PortRef, topic: str, seconds: float) -> SilenceFault:
+    """The fault of an input that has received none of the messages published for so long (s)."""
+    return _port_fault(
+        "not_receiving", port, topic, seconds, f"{port} receives nothing of what is published on {topic}"
+    )
+
+
+def _port_fault(kind: SilenceKind, port: PortRef, topic: str, seconds: float, words: str) -> SilenceFault:
+    return SilenceFault(
+        kind=kind, instance=port.instance, port=str(port), topic=topic, seconds=round(seconds, 3), words=words
+    )

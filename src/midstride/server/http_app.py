@@ -1,0 +1,282 @@
+"""The HTTP API (docs/http.md): ``/api/v1``, its OpenAPI document, and the event stream.
+
+Every operation is the manager's; nothing is decided here. A change that has started is completed, or rolled back by the
+manager, even if the client disconnects.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from typing import Annotated, Final
+
+from fastapi import APIRouter, FastAPI, Header, Query, Request, Response
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import HTMLResponse, StreamingResponse
+from msgspec import UNSET
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
+
+from midstride import __version__
+from midstride.codec.specification_form import SpecificationForm
+from midstride.errors import MidstrideError, SpecificationError
+from midstride.plan.alternatives import alternatives
+from midstride.plan.forms.request_form import ChangeRequest
+from midstride.runtime.records.change_history import History, SpecificationVersion
+from midstride.runtime.records.change_report import ChangeReport
+from midstride.runtime.records.rehearsal_forms import Rehearsal
+from midstride.runtime.records.reports import DownReport, Event, LiveConfiguration, Outcome, PlannedChange, UpReport
+from midstride.runtime.records.status_forms import ParametersReport, ProgramStatus, Service, Status, Why
+from midstride.server import event_stream
+from midstride.server.checked_text import CheckedText, checked
+from midstride.server.error_answers import Failure, answer, in_one_line, status_of
+from midstride.server.manager_lifecycle import Lifecycle
+from midstride.server.openapi import answers, document_forms, failures, request_body
+from midstride.server.rehearsing import Rehearser
+from midstride.server.report.documents import change_file
+from midstride.server.requests import (
+    ParameterSetting,
+    SubmittedChange,
+    SubmittedRehearsal,
+    SubmittedText,
+    read_change,
+    read_rehearsal,
+    read_request,
+    read_setting,
+    read_text,
+)
+from midstride.server.static import dashboard
+from midstride.server.view.live import LiveView
+from midstride.server.view.routes import viewing
+
+# No table of the journal has more rows.
+_LARGEST: Final = 2**31 - 1
+
+
+def create_app(live: LiveView) -> FastAPI:
+    """The application of the manager that ``live`` shows. It keeps no state."""
+    lifecycle = live.lifecycle
+    app = FastAPI(
+        title="Midstride",
+        version=__version__,
+        summary="The manager of a running system: its state, plans, changes and events",
+        openapi_url="/api/v1/openapi.json",
+        docs_url=None,  # the page would load its scripts from elsewhere
+        redoc_url=None,
+    )
+    app.include_router(_reading(lifecycle, live.backend), prefix="/api/v1", tags=["reading"])
+    app.include_router(viewing(live), prefix="/api/v1", tags=["viewing"])
+    app.include_router(_changing(lifecycle), prefix="/api/v1", tags=["changing"])
+    app.include_router(dashboard())
+    app.add_exception_handler(MidstrideError, _refused)
+    app.add_exception_handler(SpecificationError, _faulty)
+    app.add_exception_handler(RequestValidationError, _invalid)
+    app.add_exception_handler(HTTPException, _http_error)
+    app.add_exception_handler(ClientDisconnect, _disconnected)
+    app.add_exception_handler(Exception, _internal_error)
+    document_forms(app)
+    return app
+
+
+async def _refused(_: Request, error: Exception) -> Response:
+    return answer(Failure.of(error), status_of(error))
+
+
+async def _faulty(_: Request, error: Exception) -> Response:
+    return await asyncio.to_thread(lambda: answer(Failure.of(error), status_of(error)))  # of thousands of faults
+
+
+async def _invalid(_: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)
+    return answer(Failure.named("SpecificationError", in_one_line(list(error.errors()))), 422)
+
+
+async def _http_error(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    kind, message, headers = "TooLarge", error.detail, error.headers
+    if error.status_code == 405:  # the first route of the path knows nothing of the others
+        headers = {"Allow": ", ".join(sorted(_methods(request)))}
+    if error.status_code != 413:
+        kind = "NoOperation"
+        message = f"{request.method} {request.url.path}: {message}; /api/v1/openapi.json lists every operation"
+    return answer(Failure.named(kind, message), error.status_code, headers)
+
+
+def _methods(request: Request) -> set[str]:
+    """The methods of all operations of the request's path, in capitals."""
+    operations = request.app.openapi()["paths"].get(request.url.path, {})
+    return {method.upper() for method in operations} or {"GET", "HEAD"}  # the dashboard's files are not documented
+
+
+async def _disconnected(_: Request, __: Exception) -> Response:
+    return Response(status_code=400)  # nothing reads it
+
+
+async def _internal_error(_: Request, error: Exception) -> Response:
+    return answer(Failure.named("InternalError", f"internal error: {error!r}"), 500)
+
+
+def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
+    router, manager = APIRouter(), lifecycle.manager
+
+    @router.get("", responses=answers(Service))
+    async def service() -> Response:
+        """The manager that answers, and whether its system is up."""
+        name = manager.specification.name
+        return answer(Service(name, backend, __version__, os.getpid(), lifecycle.phase))
+
+    @router.get("/up", responses=answers(UpReport))
+    async def up() -> Response:
+        """The result of bringing the system up; waits until it is known."""
+        return answer(await lifecycle.outcome_of_up())
+
+    @router.get("/status", responses=answers(Status))
+    async def status() -> Response:
+        """The live components and their modes, as they report them."""
+        return answer(await manager.status())
+
+    @router.get("/programs", responses=answers(list[ProgramStatus]))
+    async def programs() -> Response:
+        """The files of the programs that run, and which of them have changed on disk since they started."""
+        return answer(await manager.programs())
+
+    @router.get("/configuration", responses=answers(LiveConfiguration))
+    async def configuration() -> Response:
+        """The configuration as its components report it, with its topics and environment."""
+        return answer(await manager.live())
+
+    @router.get("/specification", responses=answers(SpecificationForm))
+    async def specification() -> Response:
+        """The specification that the system runs, in its JSON form."""
+        return answer(SpecificationForm.of(manager.specification))
+
+    @router.get("/specification/earlier", responses=answers(SpecificationVersion))
+    async def earlier_specification(
+        version: Annotated[int | None, Query(ge=1, le=_LARGEST, description="as in /history")] = None,
+    ) -> Response:
+        """A version of the specification; by default the one before the latest change of it."""
+        return answer(await manager.earlier_specification(version))
+
+    @router.get("/history", responses=answers(History))
+    async def history(
+        latest: Annotated[int, Query(ge=1, le=_LARGEST, description="how many changes, and incidents")] = 20,
+    ) -> Response:
+        """The latest changes with their figures, also those of earlier managers, and incidents such as crashes."""
+        return answer(await manager.history(latest))
+
+    @router.get("/change", responses=answers(ChangeReport))
+    async def past_change(
+        number: Annotated[int | None, Query(ge=1, le=_LARGEST, description="as in /history")] = None,
+    ) -> Response:
+        """A change of the history, by default the latest: its plan, both specifications, what happened, the figures."""
+        return answer(await manager.change_report(number))
+
+    @router.get(
+        "/report",
+        response_class=HTMLResponse,
+        responses={200: {"content": {"text/html": {}}, "description": "one self-contained file"}, **failures()},
+    )
+    async def report(
+        number: Annotated[int | None, Query(ge=1, le=_LARGEST, description="as in /history")] = None,
+    ) -> Response:
+        """A change of the history, by default the latest, as an HTML file that needs nothing else."""
+        found = await manager.change_report(number)
+        text = await asyncio.to_thread(change_file, found, manager.specification.name, backend)
+        headers = {"Content-Disposition": 'attachment; filename="change.html"', "X-Content-Type-Options": "nosniff"}
+        return HTMLResponse(text, headers=headers)
+
+    @router.get("/why", responses=answers(Why))
+    async def why(functionality: Annotated[str, Query(description="as `listener.listen`")]) -> Response:
+        """Why a functionality is in the mode it is in."""
+        return answer(await manager.why(functionality))
+
+    @router.get("/log", responses=answers(list[Event]))
+    async def log(
+        since: Annotated[int, Query(ge=0, description="the last event's number")] = 0,
+    ) -> Response:
+        """The events so far."""
+        return answer(manager.log(since))
+
+    @router.get(
+        "/events",
+        response_class=StreamingResponse,
+        responses={
+            200: {"content": {"text/event-stream": {}}, "description": "server-sent events, as in /log"},
+            **failures(),
+        },
+    )
+    async def events(
+        since: Annotated[int, Query(ge=0)] = 0,
+        last_event_id: Annotated[int | None, Header(description="takes precedence over `since`")] = None,
+    ) -> Response:
+        """The events after number `since`, and each new one as it comes."""
+        begin = since if last_event_id is None else last_event_id
+        headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+        return StreamingResponse(event_stream.events(lifecycle, begin), media_type="text/event-stream", headers=headers)
+
+    return router
+
+
+def _changing(lifecycle: Lifecycle) -> APIRouter:
+    router, manager, rehearser = APIRouter(), lifecycle.manager, Rehearser()
+
+    @router.post("/plan", responses=answers(PlannedChange, body=True), openapi_extra=request_body(ChangeRequest))
+    async def plan(http: Request) -> Response:
+        """The plan for a change; nothing is changed. Pass its `revision` as `expected` to `/change`."""
+        request = await read_request(http)
+        lifecycle.require_up()
+        revision = manager.revision
+        found = await manager.plan(request)
+
+        def response() -> Response:
+            others = alternatives(found) if request.explain else UNSET
+            return answer(PlannedChange.of(found, revision=revision, alternatives=others))
+
+        return await asyncio.to_thread(response)
+
+    @router.post("/check", responses=answers(CheckedText, body=True), openapi_extra=request_body(SubmittedText))
+    async def check(http: Request) -> Response:
+        """Check the text of a specification; no file is read for it. Its `request` can be planned and carried out."""
+        submitted = await read_text(http)
+        return await asyncio.to_thread(lambda: answer(checked(submitted)))
+
+    @router.post("/rehearsal", responses=answers(Rehearsal, body=True), openapi_extra=request_body(SubmittedRehearsal))
+    async def rehearsal(http: Request) -> Response:
+        """Rehearse a change in the simulator, with stand-ins for programs, while faults strike. Nothing is changed."""
+        asked = await read_rehearsal(http)
+        lifecycle.require_up()
+        return answer(await rehearser.rehearse(manager.specification, asked))
+
+    @router.post("/change", responses=answers(Outcome, body=True), openapi_extra=request_body(SubmittedChange))
+    async def change(http: Request) -> Response:
+        """Carry out a change, once the commands before it are done; responds when it has been measured."""
+        change, request = await read_change(http)
+        lifecycle.require_up()
+        work = manager.change(
+            request,
+            expected=change.expected,
+            verify=change.verify,
+            brief=change.brief,
+            wait=change.wait,
+            id=change.id,
+            by=change.by,
+            file=change.file,
+        )
+        return answer(await lifecycle.carry_out(work))
+
+    @router.post(
+        "/parameters", responses=answers(ParametersReport, body=True), openapi_extra=request_body(ParameterSetting)
+    )
+    async def parameters(http: Request) -> Response:
+        """Set parameters of a running node, once the commands before are done; a replacement keeps the values."""
+        node, values = await read_setting(http)
+        lifecycle.require_up()
+        return answer(await lifecycle.carry_out(manager.set_parameters(node, values)))
+
+    @router.post("/down", responses=answers(DownReport))
+    async def down() -> Response:
+        """Stop every component, and then the manager."""
+        await lifecycle.carry_out(lifecycle.take_down(), breakable=False)
+        return answer(DownReport())
+
+    return router

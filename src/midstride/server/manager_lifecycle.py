@@ -1,0 +1,138 @@
+"""The life of a manager: bringing the system up, serving it, taking it down or leaving it.
+
+The API answers while the system is being brought up, so that a client can follow. A manager that could not bring its
+system up exits once a client has read why.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import time
+from collections.abc import Callable, Coroutine
+from typing import Any, Final, TypeVar
+
+from midstride.errors import ManagerError, MidstrideError
+from midstride.runtime.manager import Manager
+from midstride.runtime.records.reports import Event, UpReport
+from midstride.runtime.records.status_forms import Phase
+from midstride.runtime.timeouts import within
+
+log = logging.getLogger(__name__)
+
+T = TypeVar("T")
+
+# How long a manager that has failed waits for a client to read why (s).
+LINGER: Final = 5.0
+_INTERRUPTED: Final = "the manager was terminated; the operation was interrupted and rolled back"
+_ROLLING_BACK: Final = (
+    "the manager was terminated and is still rolling back; `midstride up` with the system's file finds what is running"
+)
+_STILL_ENDING: Final = "the manager was terminated and still ends the components; what it cannot end keeps running"
+_NO_MORE: Final = "the manager was told to end and begins nothing more; nothing was changed"
+
+
+class Lifecycle:
+    """Owns the tasks that outlive the request that began them. Used on the manager's loop alone.
+
+    ``on_phase`` is called when ``phase`` has changed. ``settled`` is set once it is known whether the system came up,
+    ``ended`` once the manager shall exit.
+    """
+
+    def __init__(self, manager: Manager) -> None:
+        self.manager = manager
+        self.phase: Phase = "starting"
+        self.on_phase: Callable[[], object] = lambda: None
+        self.settled = asyncio.Event()
+        self.ended = asyncio.Event()
+        self.failure: MidstrideError | None = None
+        self._failure_read = asyncio.Event()
+        self._report: UpReport | None = None
+        self._tasks: set[asyncio.Task[Any]] = set()
+        self._breakable: set[asyncio.Task[Any]] = set()
+
+    async def bring_up(self) -> None:
+        """Bring the system up; afterwards ``phase`` is ``up`` or ``failed``. Raises nothing."""
+        try:
+            self._report = await self.manager.up()
+        except MidstrideError as error:
+            self.failure = error
+        except asyncio.CancelledError:
+            self.failure = ManagerError(f"the system is not up: {_INTERRUPTED}")
+        except Exception as error:  # a fault of ours must still end in an answer
+            log.exception("bringing the system up failed")
+            self.failure = ManagerError(f"internal error while bringing the system up: {error!r}")
+        self.phase = "up" if self.failure is None else "failed"
+        self.on_phase()
+        self.settled.set()
+
+    async def outcome_of_up(self) -> UpReport:
+        """The result of bringing up, once it is known. Raises the MidstrideError it failed with."""
+        await self.settled.wait()
+        if self.failure is not None:
+            self._failure_read.set()
+            raise self.failure
+        assert self._report is not None
+        return self._report
+
+    async def carry_out(self, work: Coroutine[Any, Any, T], *, breakable: bool = True) -> T:
+        """Await ``work`` even if the client that requested it disconnects.
+
+        ``breakable`` work is interrupted when the manager is terminated, and raises ManagerError then. Once the manager
+        shall exit, none is begun: nothing would interrupt it.
+        """
+        if self.ended.is_set():
+            work.close()
+            raise ManagerError("the system is down" if self.phase == "down" else _NO_MORE)
+        task = asyncio.ensure_future(work)
+        for tasks in (self._tasks, self._breakable) if breakable else (self._tasks,):
+            tasks.add(task)
+            task.add_done_callback(tasks.discard)
+        try:
+            return await asyncio.shield(task)
+        except asyncio.CancelledError:
+            if task.cancelled():
+                raise ManagerError(_INTERRUPTED) from None
+            if self.ended.is_set():  # the server closed before the work was complete
+                raise ManagerError(_ROLLING_BACK if breakable else _STILL_ENDING) from None
+            raise
+
+    async def interrupt(self) -> None:
+        """Interrupt every change and wait for its roll-back, while the components can still be reached."""
+        for task in list(self._breakable):
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    def require_up(self) -> None:
+        """Raises ManagerError while there is no running system to change."""
+        if self.phase == "starting":
+            raise ManagerError("the system is still being brought up; ask again when it is up")
+        if self.phase == "failed":
+            raise ManagerError(f"the system could not be brought up: {self.failure}")
+        if self.phase == "down":
+            raise ManagerError("the system is down")
+
+    async def take_down(self) -> None:
+        """Stop the system and then the manager. Raises ManagerError if a component would not exit."""
+        await self.manager.down()
+        self.phase = "down"
+        self.on_phase()
+        self.ended.set()
+
+    async def until_over(self) -> None:
+        """Wait until the system is down, the manager shall leave it, or a client has read why it did not come up."""
+        ended, settled = (asyncio.ensure_future(event.wait()) for event in (self.ended, self.settled))
+        await asyncio.wait({ended, settled}, return_when=asyncio.FIRST_COMPLETED)
+        settled.cancel()
+        if self.phase == "failed":
+            with contextlib.suppress(asyncio.TimeoutError):
+                async with within(LINGER):
+                    await self._failure_read.wait()
+            ended.cancel()
+        else:
+            await ended
+
+    def failure_event(self, n: int) -> Event:
+        """The failure as an event, numbered ``n``: the last one in a stream."""
+        return Event(n=n, at=time.time(), kind="up_failed", words=str(self.failure))

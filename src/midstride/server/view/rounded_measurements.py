@@ -1,0 +1,70 @@
+"""Measured figures as they are shown: rounded, and the same as before until they have changed noticeably.
+
+So a system in which nothing happens sends next to nothing, although no two measurements are equal.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+from midstride.server.view.view_forms import PortView
+from midstride.wire.state import Measured
+
+# By which share of the shown value, and by how much, a figure must differ from it to be refreshed.
+_RATE: Final = (0.01, 0.0)
+_AGE: Final = (0.5, 1.0)
+_TIMES: Final = (0.25, 0.002)
+
+
+class Figures(NamedTuple):
+    """Of one attachment: the rate in Hz, times in seconds; None where nothing is known."""
+
+    rate: float | None = None
+    age: float | None = None
+    jitter: float | None = None
+    longest: float | None = None
+
+
+NO_FIGURES: Final = Figures()
+
+
+def figures(measured: Measured | None, shown: Figures = NO_FIGURES) -> Figures:
+    """What to show of an attachment, where ``shown`` is shown of it."""
+    if measured is None:
+        return NO_FIGURES
+    return Figures(
+        _refreshed(shown.rate, measured.rate, *_RATE),
+        _refreshed(shown.age, measured.age, *_AGE),
+        _refreshed(shown.jitter, measured.jitter, *_TIMES),
+        _refreshed(shown.longest, measured.longest, *_TIMES),
+    )
+
+
+def differ(shown: Figures | PortView, measured: Measured | None) -> bool:
+    """Whether :func:`figures` are others than those ``shown``. Called for every port, so it must be cheap."""
+    if measured is None:
+        return (shown.rate, shown.age, shown.jitter, shown.longest) != NO_FIGURES
+    return not (
+        _stays(shown.rate, measured.rate, *_RATE)
+        and _stays(shown.age, measured.age, *_AGE)
+        and _stays(shown.jitter, measured.jitter, *_TIMES)
+        and _stays(shown.longest, measured.longest, *_TIMES)
+    )
+
+
+def _refreshed(shown: float | None, value: float | None, share: float, least: float) -> float | None:
+    if value is None:
+        return None
+    return shown if _stays(shown, value, share, least) else _three_digits(value)
+
+
+def _stays(shown: float | None, value: float | None, share: float, least: float) -> bool:
+    if value is None or shown is None or value == shown:
+        return value == shown
+    # A zero is not rounded up to what was there before: it may mean that nothing comes any more.
+    return abs(value - shown) <= max(share * shown, least) and (value > 0) == (shown > 0)
+
+
+def _three_digits(value: float) -> float:
+    return value if value == 0 or not math.isfinite(value) else round(value, 2 - math.floor(math.log10(abs(value))))
