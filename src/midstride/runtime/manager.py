@@ -2,9 +2,9 @@
 
 It joins the platform, brings the system up or recovers a running one, and runs one command at a time; others wait.
 Its three parts share its knowledge of the system (:mod:`.running_system`): the change session carries out changes
-(:mod:`.change.change_session`), the reconciler handles unexpected events (:mod:`.change.reconciler`), and the state store keeps what
-the next manager needs (:mod:`.records.state_store`). The robot does not depend on the manager: components keep running without
-it, and the next manager finds them again (docs/semantics.md section 7).
+(:mod:`.change.change_session`), the reconciler handles unexpected events (:mod:`.change.reconciler`), and the state
+store keeps what the next manager needs (:mod:`.records.state_store`). The robot does not depend on the manager:
+components keep running without it, and the next manager finds them again (docs/semantics.md section 7).
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The workspace of a running system: the files that its next manager needs (socket, state, logs, lock).
 
 ``$XDG_RUNTIME_DIR/midstride/<system>``, a folder only its user can open. The control sockets of its components are in
-a folder below it (:mod:`midstride.wire.sockets`); the state is :mod:`.records.state_store`'s, the journal :mod:`.records.journal`'s.
+a folder below it (:mod:`midstride.wire.sockets`); the state is that of
+:mod:`.records.state_store`, and the journal that of :mod:`.records.journal`.
 """
 
 from __future__ import annotations

@@ -266,7 +266,7 @@ class FunctionalityRunner(OutputOwner):
 def format_error(error: BaseException) -> str:
     """The exception, then its traceback from the user's code on; legible."""
     frames = traceback.extract_tb(error.__traceback__)
-    own = __file__.rpartition("/")[0]
+    own = __file__.rpartition("/data/")[0]  # the package `node`
     theirs = [frame for frame in frames if not frame.filename.startswith(own)] or list(frames)
     lines = "".join(traceback.format_list(theirs))
     return legible(f"{''.join(traceback.format_exception_only(type(error), error)).strip()}\n{lines}".rstrip())
