@@ -1,6 +1,6 @@
 # Each target sets up what it needs by itself, from python3 (3.10 or later) and pip: tools/setup says how.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-long wheel bench docs recording animation screenshots lint alloy verify
+.PHONY: help demo test test-all test-long wheel bench docs changelog recording animation screenshots lint alloy verify
 
 # ROS 2 writes a log file for every process: beside the Makefile rather than in the home folder.
 export ROS_LOG_DIR ?= $(CURDIR)/.ros/log
@@ -32,6 +32,10 @@ bench: ## every benchmark, one after another: a table each, and JSON
 docs: ## the documentation as a site to open from the disk: site/index.html
 	@tools/setup test
 	@tools/in-venv tools/docs $(ARGS)
+
+changelog: ## what has changed since the last version, from changes/
+	@tools/setup test
+	@tools/in-venv towncrier build --draft --version next
 
 recording: ## docs/recording.svg, the animation of the README, from commands that it runs
 	@tools/setup test
