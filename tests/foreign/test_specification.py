@@ -29,14 +29,8 @@ from midstride.plan.change_builder import change_between
 from midstride.plan.specification_diff import differences
 from midstride.plan.strategies.registry import planner
 from midstride.runtime.backend_protocol import Launch
-from midstride.runtime.handover.agreed_cut import (
-    early_publishers,
-    has_gate,
-    publishers_found,
-    require_baton,
-    require_batons,
-    require_found,
-)
+from midstride.runtime.handover.agreed_cut import early_publishers, publishers_found, require_found
+from midstride.runtime.handover.arbiter_choice import BATON, CLAIM, choose_arbiter, require_arbiters
 from midstride.wire.commands import AwaitMatchCommand
 from midstride.wire.replies import Attached
 from midstride.wire.sockets import SocketFolder
@@ -223,20 +217,19 @@ def test_a_hand_over_is_between_two_that_can_be_held_back(tmp_path: Path) -> Non
     unmodified = specification.instance("talker")
     other = specification.with_replaced("talker", "Other").instance("talker", "talker_2")
     both = Configuration(specification.context).with_instance(unmodified).with_instance(other)
-    require_baton(both, "talker", "talker")
+    assert choose_arbiter(both.component, "talker", "talker") is BATON
     words = "talker has `gate preload` and talker_2 has `gate none`, so talker_2 cannot be held back for the other; use"
     with pytest.raises(StepFailed, match=words):
-        require_baton(both, "talker", "talker_2")
+        choose_arbiter(both.component, "talker", "talker_2")
     ours = replace(unmodified, name="talker_3", component=replace(unmodified.component, gate=None))
     relayed = replace(unmodified, name="talker_4", component=replace(unmodified.component, gate="relay"))
     mixed = both.with_instance(ours).with_instance(relayed)
     for pair in pairwise(("talker", "talker_3", "talker_4", "talker", "talker_4", "talker_3", "talker")):
-        require_baton(mixed, *pair)
-        assert has_gate(mixed, *pair) == ("talker" in pair)  # the others agree on a slot
+        assert choose_arbiter(mixed.component, *pair) is (BATON if "talker" in pair else CLAIM)
     with pytest.raises(StepFailed, match="talker_3 uses Midstride's API and talker_2 has `gate none`"):
-        require_baton(mixed, "talker_3", "talker_2")
+        choose_arbiter(mixed.component, "talker_3", "talker_2")
     with pytest.raises(StepFailed, match="talker_4 has `gate relay`, so talker_2 cannot be held back for the other"):
-        require_baton(mixed, "talker_2", "talker_4")
+        choose_arbiter(mixed.component, "talker_2", "talker_4")
     port = initial(specification).attached_ports("talker")[0][0]
     assert early_publishers(both, [port]) == 1
     assert early_publishers(mixed, [PortRef("talker_4", "out")]) == 0
@@ -294,9 +287,9 @@ def test_a_plan_is_refused_if_it_hands_over_to_one_that_cannot_be_held_back(tmp_
     specification = parsed(TEXT.replace('other.py"', 'other.py" gate none'), tmp_path)
     change = change_between(initial(specification), specification, specification.with_replaced("talker", "Other"))
     with pytest.raises(PlanRefused, match="talker_2 has `gate none`, so talker_2 cannot be held back for the other"):
-        require_batons(planner("minimal")(change))
-    require_batons(planner("paper")(change))
+        require_arbiters(planner("minimal")(change))
+    require_arbiters(planner("paper")(change))
     ungated = parsed(TEXT.replace("gate preload", "gate none").replace('other.py"', 'other.py" gate none'), tmp_path)
     change = change_between(initial(ungated), ungated, ungated.with_replaced("talker", "Other"))
     with pytest.raises(PlanRefused, match="both have `gate none`, so neither can be held back"):
-        require_batons(planner("minimal")(change))
+        require_arbiters(planner("minimal")(change))

@@ -40,7 +40,7 @@ from midstride.runtime.change.parameter_transfer import ParameterTransfer
 from midstride.runtime.change.reconciler import Reconciler
 from midstride.runtime.change.runtime_verification import StepVerifier, Verifier
 from midstride.runtime.change.stalled_first import replaced_first
-from midstride.runtime.handover.agreed_cut import require_batons
+from midstride.runtime.handover.arbiter_choice import require_arbiters
 from midstride.runtime.handover.fences import DEFAULT_WAIT
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.process.component_client import ComponentClient
@@ -120,7 +120,7 @@ class ChangeSession:
         plan, target = await asyncio.to_thread(
             _plan, request, system.specification, system.configuration, values, measured, orders
         )
-        require_batons(plan)
+        require_arbiters(plan)
         return replace(plan, remarks=(*remarks, *plan.remarks)), target
 
     async def change(

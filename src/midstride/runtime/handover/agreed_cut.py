@@ -16,11 +16,11 @@ from typing import Final
 
 from msgspec import structs
 
-from midstride.errors import CallTimeout, PlanRefused, StepFailed, Unreachable
-from midstride.model.action import Create, Handover, Swap
-from midstride.model.component import ComponentSpec, PortRef
+from midstride.errors import CallTimeout, StepFailed, Unreachable
+from midstride.model.action import Swap
+from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
-from midstride.plan.plan import Plan
+from midstride.runtime.handover.arbiter_choice import ArbiterKind, choose_arbiter
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.wire.commands import (
     AwaitMatchCommand,
@@ -40,8 +40,6 @@ RESUME_PERIODS: Final = 10
 SHORTEST_RESUME: Final = 0.1
 # The same if no rate defines a period (s).
 RESUME_WITHOUT_RATE: Final = 2.0
-# How long two lifecycle nodes may take to be deactivated and activated (s).
-TRANSITIONS: Final = 10.0
 # How long a subscriber may take to find the new publishers (s).
 FIND_TIMEOUT: Final = 5.0
 # How often, and at which interval (s), a subscriber may still count a publisher that has left.
@@ -59,6 +57,7 @@ class Cut:
     configuration: Configuration
     old: str
     new: str
+    arbiter: ArbiterKind
     swaps: list[Swap] = field(default_factory=list)
     id: str = field(default_factory=lambda: uuid.uuid4().hex)
     trigger: Trigger = "none"
@@ -68,11 +67,6 @@ class Cut:
     at: int = 0
     lead: float = 0.0
     state: StateTransfer | None = None
-
-    @property
-    def by_baton(self) -> bool:
-        """Whether one side, or both, has a gate: then the baton decides instead of the moment."""
-        return has_gate(self.configuration, self.old, self.new)
 
     def resume_after(self) -> float:
         """How long the old side waits for the new one's first write (s, on the clock of the cut)."""
@@ -105,9 +99,8 @@ class Cut:
 
     def timeout(self, stretch: float) -> float:
         """How long it may take until both sides know how it ended (s); ``stretch`` as for a slow clock."""
-        transitions = TRANSITIONS if self.configuration.component(self.new).gate == "lifecycle" else 0.0
         moving = 0.0 if self.state is None else self.state.timeout
-        return self.lead + self.resume_after() * stretch + 2.0 + moving + transitions
+        return self.lead + self.resume_after() * stretch + 2.0 + moving + self.arbiter.exchange
 
     def incoming(self, address: str, seat: Seat | None = None) -> CutInCommand:
         """The cut as the new side is sent it; ``address`` is that of the old side."""
@@ -116,9 +109,9 @@ class Cut:
             CutSwap(
                 port=swap.new.port,
                 topic=self.configuration.topic(swap.connector),
-                latch=not self.configuration.rate(swap.new)
-                if self.by_baton
-                else written_once(self.configuration, swap.new, self.trigger),
+                latch=written_once(self.configuration, swap.new, self.trigger)
+                if self.arbiter.by_moment
+                else not self.configuration.rate(swap.new),
             )
             for swap in self.swaps
         ]
@@ -140,7 +133,7 @@ class Cut:
         """The seat of ``side`` in the page of the gates, where only the other side has a gate."""
         old = side == self.old
         other = self.new if old else self.old
-        if not (self.configuration.component(side).has_agent and self.by_baton):
+        if self.arbiter.by_moment or not self.configuration.component(side).has_agent:
             return None
         own = [(swap.old if old else swap.new, self.configuration.topic(swap.connector)) for swap in self.swaps]
         ports = [SeatPort(topic=topic, rate=self.configuration.rate(port)) for port, topic in own]
@@ -166,12 +159,12 @@ async def agree_cuts(
     moments: dict[CutClock, int] = {}
     for swap in swaps:
         old, new = swap.old.instance, swap.new.instance
-        by_baton = has_gate(configuration, old, new)  # one for all outputs, whatever their grids
-        key = (old, new, "" if by_baton else configuration.component(old).owner(swap.old.port).name)
+        arbiter = choose_arbiter(configuration.component, old, new)
+        key = (old, new, configuration.component(old).owner(swap.old.port).name if arbiter.by_moment else "")
         if key not in cuts:
             grid = grids[key] = await client.read(old, GridCommand(port=swap.old.port))
-            cuts[key] = cut = Cut(configuration, old, new, clock=grid.clock)
-            if not by_baton:
+            cuts[key] = cut = Cut(configuration, old, new, arbiter, clock=grid.clock)
+            if arbiter.by_moment:
                 cut.trigger, cut.epoch, cut.period = grid.trigger, grid.epoch, grid.period
             moment = grid.now + int(lead * (grid.speed or 1.0) * 1e9)
             moments[grid.clock] = max(moments.get(grid.clock, 0), moment)
@@ -181,7 +174,8 @@ async def agree_cuts(
     for old, new in states:
         if not any((cut.old, cut.new) == (old, new) for cut in cuts.values()):  # no output: only its state moves
             grid = grids[old, new, ""] = await client.read(old, GridCommand())
-            cuts[old, new, ""] = Cut(configuration, old, new, clock=grid.clock, at=grid.now + int(lead * 1e9))
+            arbiter, at = choose_arbiter(configuration.component, old, new), grid.now + int(lead * 1e9)
+            cuts[old, new, ""] = Cut(configuration, old, new, arbiter, clock=grid.clock, at=at)
     for pair, state in states.items():
         own = sorted((cut for cut in cuts.values() if (cut.old, cut.new) == pair), key=lambda cut: -(cut.period or 0.0))
         latest = dict(moments)
@@ -282,53 +276,7 @@ async def require_same_clock(client: ComponentClient, old: str, new: str) -> Non
         raise StepFailed(f"{old} cannot hand over: {state.waiting}")
 
 
-def has_gate(configuration: Configuration, old: str, new: str) -> bool:
-    """Whether one of these, or both, has no agent in its process, so that a baton decides."""
-    return not all(configuration.component(name).has_agent for name in (old, new))
-
-
 def written_once(configuration: Configuration, new: PortRef, trigger: Trigger) -> bool:
     """Whether a message of an output may have been written only once, and then behind its gate."""
     relayed = configuration.component(new.instance).gate == "relay"
     return trigger == "none" or (relayed and not configuration.rate(new))
-
-
-def require_baton(configuration: Configuration, old: str, new: str) -> None:
-    """Raises StepFailed where the gates of the two do not fit: one of them knows no baton, or neither has a gate."""
-    components = {name: configuration.component(name) for name in (old, new)}
-    if (because := _misfit(components, old, new)) is not None:
-        raise StepFailed(because)
-
-
-def require_batons(plan: Plan) -> None:
-    """Raises PlanRefused where :func:`require_baton` would fail a step of ``plan``.
-
-    By then the new program would run, and one that nothing holds back would publish beside the old one.
-    """
-    instances = {
-        step.action.instance.name: step.action.instance for step in plan.steps if isinstance(step.action, Create)
-    }
-    for step in plan.steps:
-        for swap in step.action.swaps if isinstance(step.action, Handover) else ():
-            pair = swap.old.instance, swap.new.instance
-            found = {name: (instances.get(name) or plan.change.start.instances[name]).component for name in pair}
-            if (because := _misfit(found, *pair)) is not None:
-                raise PlanRefused(because)
-
-
-def _misfit(components: Mapping[str, ComponentSpec], old: str, new: str) -> str | None:
-    """Why ``old`` cannot hand over to ``new``, because of the kinds of their gates."""
-    gates = {name: component.gate for name, component in components.items()}
-    if gates[old] == gates[new] == "none":
-        words = "both have `gate none`, so neither can be held back"
-    elif gates[old] == gates[new]:
-        return None
-    else:
-        loose = next((name for name, each in components.items() if not each.has_agent and not each.preloads), None)
-        if loose is None:
-            return None
-        kinds = " and ".join(
-            f"{name} has `gate {gate}`" if gate else f"{name} uses Midstride's API" for name, gate in gates.items()
-        )
-        words = f"{kinds}, so {loose} cannot be held back for the other"
-    return f"{old} cannot hand over to {new}: {words}; use `--strategy paper`"

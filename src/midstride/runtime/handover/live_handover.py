@@ -25,13 +25,12 @@ from midstride.runtime.handover.agreed_cut import (
     Cut,
     agree_cuts,
     early_publishers,
-    has_gate,
     publishers_found,
-    require_baton,
     require_found,
     require_same_clock,
     written_once,
 )
+from midstride.runtime.handover.arbiter_choice import choose_arbiter
 from midstride.runtime.handover.cut_turns import CutTurn, only_turn
 from midstride.runtime.handover.fences import Fences
 from midstride.runtime.handover.new_publishers import DETACH_TIMEOUT, NewPublishers
@@ -195,9 +194,8 @@ class LiveHandover:
         """
         pairs = self._pairs
         for old, new in pairs:
-            require_baton(self.configuration, old, new)
-            with _old_side_needed():
-                if not has_gate(self.configuration, old, new):  # the baton needs no clock
+            if choose_arbiter(self.configuration.component, old, new).by_moment:
+                with _old_side_needed():
                     await require_same_clock(self.client, old, new)
         connectors = sorted({swap.connector for swap in self.swaps})
         found: dict[str, dict[PortRef, int]] = {}
@@ -372,7 +370,7 @@ class LiveHandover:
             if incoming.outcome not in ("done", "waiting") or outgoing.outcome != "done":
                 raise OldSideFailed(f"{cut.old} resumed before it learned that {cut.new} had published{reason}")
             self.states.ended(cut, incoming)
-            if because is not None and self.configuration.component(cut.new).gate == "lifecycle":
+            if because is not None and cut.arbiter.exchange:
                 self.events.add("note", f"{cut.old} was deactivated before {cut.new} was activated: {because}")
             for swap in cut.swaps:
                 write = outgoing.last.get(f"{swap.old.port} {self._topic(swap)}")

@@ -14,6 +14,7 @@ from typing import Final
 from midstride.errors import MidstrideError, StepFailed
 from midstride.model.action import Swap
 from midstride.model.configuration import Configuration
+from midstride.runtime.handover.arbiter_choice import choose_arbiter
 from midstride.runtime.handover.probation import require_rate
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.records.events import EventLog
@@ -104,8 +105,9 @@ class NewPublishers:
     async def await_probation(self, swap: Swap) -> None:
         """Wait until the new publisher has written behind its gate, once. Raises StepFailed with what it lacks."""
         component = self.configuration.component(swap.new.instance)
-        if component.gate == "lifecycle" or swap in self._proved:
-            return  # until it takes over it is inactive, and writes nothing; or the old side has exited since
+        arbiter = choose_arbiter(self.configuration.component, swap.old.instance, swap.new.instance)
+        if not arbiter.needs_probation or swap in self._proved:
+            return  # it writes nothing until it takes over; or the old side has exited since
         rate = self.configuration.rate(swap.new)
         duration = stretch_of(self.client, swap.old.instance)  # of a second of its clock (s)
         timeout = PROBATION + (10 / rate * duration if rate else 0.0)

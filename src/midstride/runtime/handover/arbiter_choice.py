@@ -1,0 +1,76 @@
+"""What decides which of two components may write at a hand-over: chosen once, from how their outputs are held back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from midstride.errors import PlanRefused, StepFailed
+from midstride.model.action import Create, Handover
+from midstride.model.component import ComponentSpec
+from midstride.plan.plan import Plan
+
+
+@dataclass(frozen=True, slots=True)
+class ArbiterKind:
+    """One way to decide it (docs/semantics.md section 7).
+
+    ``by_moment``: both sides know the moment of the cut, on one clock, and each functionality of the old side has a cut
+    on its own time grid. Otherwise the right to write changes hands between two messages, for all outputs at once.
+    ``needs_probation``: the new side runs, and writes behind its gate, before it takes over. ``exchange``: how long
+    the two sides may take besides (s).
+    """
+
+    by_moment: bool
+    needs_probation: bool = True
+    exchange: float = 0.0
+
+
+# Both processes have an agent: a moment, and a claim for the case that one side does not keep to it.
+CLAIM: Final = ArbiterKind(by_moment=True)
+# A library holds back one side, or both: a word of shared memory.
+BATON: Final = ArbiterKind(by_moment=False)
+# Neither can be held back but by its lifecycle state.
+LIFECYCLE: Final = ArbiterKind(by_moment=False, needs_probation=False, exchange=10.0)
+
+
+def choose_arbiter(component: Callable[[str], ComponentSpec], old: str, new: str) -> ArbiterKind:
+    """The arbiter between two instances, of which ``component`` gives the components.
+
+    Raises StepFailed where one of them cannot be held back for the other.
+    """
+    pair = {name: component(name) for name in (old, new)}
+    gates = {name: component.gate for name, component in pair.items()}
+    loose = next((name for name, each in pair.items() if not each.counts_messages), None)
+    if loose is None:
+        return CLAIM if all(each.has_agent for each in pair.values()) else BATON
+    if gates[old] == gates[new] == "lifecycle":
+        return LIFECYCLE
+    if gates[old] == gates[new]:
+        words = "both have `gate none`, so neither can be held back"
+    else:
+        kinds = " and ".join(
+            f"{name} has `gate {gate}`" if gate else f"{name} uses Midstride's API" for name, gate in gates.items()
+        )
+        words = f"{kinds}, so {loose} cannot be held back for the other"
+    raise StepFailed(f"{old} cannot hand over to {new}: {words}; use `--strategy paper`")
+
+
+def require_arbiters(plan: Plan) -> None:
+    """Raises PlanRefused where :func:`choose_arbiter` would fail a step of ``plan``.
+
+    By then the new program would run, and one that nothing holds back would publish beside the old one.
+    """
+    components = {name: instance.component for name, instance in plan.change.start.instances.items()}
+    components |= {
+        step.action.instance.name: step.action.instance.component
+        for step in plan.steps
+        if isinstance(step.action, Create)
+    }
+    for step in plan.steps:
+        for swap in step.action.swaps if isinstance(step.action, Handover) else ():
+            try:
+                choose_arbiter(components.__getitem__, swap.old.instance, swap.new.instance)
+            except StepFailed as error:
+                raise PlanRefused(str(error)) from None
