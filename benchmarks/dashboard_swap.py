@@ -94,7 +94,7 @@ class System:
         outcome = change(url, {"request": {"replace": [["source", self._component]]}})
         way.windows.append((begun, time.monotonic_ns()))
         way.own.extend(outcome["swaps"])
-        way.lost_seconds.append(sum(outcome["fallen"].values()))
+        way.lost_seconds.append(sum(outcome["below_baseline_seconds"].values()))
         if outcome["outcome"] == "done":
             self._component, self._other = self._other, self._component
         elif outcome["outcome"] == "rolled_back":

@@ -152,7 +152,7 @@ class Case:
                 "p99_ms": sorted(taken)[int(0.99 * (len(taken) - 1))],
                 "steps": len(plan.steps),
                 "disruption": plan.disruption,
-                "fallen": len(plan.fallen),
+                "degraded": len(plan.degraded),
             }
         return self.row
 

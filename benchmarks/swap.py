@@ -154,7 +154,7 @@ async def midstride(way: Way, platform: Platform, strategy: str, swaps: int) -> 
                 outcome = await manager.change(PlanRequest(replace=(("source", component),), strategy=strategy))
                 way.windows.append((begun, time.monotonic_ns()))
                 way.own.extend(map(encode, outcome.swaps))
-                way.lost_seconds.append(sum(outcome.fallen.values()))
+                way.lost_seconds.append(sum(outcome.below_baseline_seconds.values()))
                 if outcome.outcome == "done":
                     component, other = other, component
                 elif outcome.outcome == "rolled_back":  # the subscriber is none the wiser: its window counts as well

@@ -52,7 +52,7 @@ class Bag:
         now = time.time()
         self.events.append({"name": name, "from": begun, "to": now})
         if isinstance(came_to, Outcome) and came_to.plan is not None:
-            for fall in came_to.plan.falls:
+            for fall in came_to.plan.degradations:
                 if fall.functionality == DRIVES and fall.unserved is not None:
                     self.silent.append({"from": begun, "to": now, "why": fall.because})
 

@@ -92,7 +92,7 @@ def test_a_publisher_that_hangs_in_its_code_is_replaced_and_the_report_is_true(t
             assert outcome.outcome == "done", outcome.because
             [fenced] = outcome.fenced
             assert (fenced.instance, fenced.how) == ("source", "gate") and "user code did not return" in fenced.words
-            assert outcome.ended == [] and (await manager.status()).valid
+            assert outcome.unexpected_exits == [] and (await manager.status()).valid
             compare(outcome, recorder.stop())
 
     with ended():
@@ -111,7 +111,7 @@ def test_a_stopped_publisher_is_replaced_and_never_continues(tmp_path: Path) -> 
             assert [(fenced.instance, fenced.how) for fenced in outcome.fenced] == [("source", "killed")]
             with pytest.raises(ProcessLookupError):
                 os.kill(pid, signal.SIGCONT)
-            assert outcome.ended == [] and (await manager.status()).valid
+            assert outcome.unexpected_exits == [] and (await manager.status()).valid
             compare(outcome, recorder.stop())
 
     with ended():

@@ -60,5 +60,5 @@ def test_ros2_two_are_prepared_and_watched_at_once(tmp_path: Path) -> None:
         assert_exactly_once(heard[:-1], topic)  # the last line may be half a line
     assert outcome.plan is not None
     found = [time for time in outcome.steps if outcome.plan.steps[time.step - 1].action == "handover"]
-    assert len(found) == 2 and found[0].begun == pytest.approx(found[1].begun, abs=0.1)
+    assert len(found) == 2 and found[0].began == pytest.approx(found[1].began, abs=0.1)
     assert max(time.seconds for time in found) < 2 * (PROBATION + WATCH), "no longer than one after the other"

@@ -70,7 +70,7 @@ def test_each_replaces_its_talker_while_the_other_does(tmp_path: Path, monkeypat
             for outcomes in await asyncio.gather(*(replace(manager) for manager in managers)):
                 for outcome in outcomes:
                     assert outcome.outcome == "done", outcome.because
-                    assert outcome.fallen == {}
+                    assert outcome.below_baseline_seconds == {}
                     (swap,) = outcome.swaps
                     assert (swap.subscriber, swap.lost) == ("listener.in", 0)
                     assert swap.duplicates in (0, None)  # not every ROS 2 tells the publisher's identity

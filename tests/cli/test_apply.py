@@ -254,7 +254,7 @@ def carry_out(chain: Running, change: Change) -> None:
         assert done.status == 0, done.out + done.err
         assert done.json["outcome"] == "done"
         assert structural(done.json["plan"]["steps"]) == sorted(change.steps)
-        assert not any(done.json["fallen"].values()), done.json["fallen"]
+        assert not any(done.json["below_baseline_seconds"].values()), done.json["below_baseline_seconds"]
         assert bool(done.json["swaps"]) == change.swapped
         assert not change.swapped or nothing_lost(done.json["swaps"])
         assert set().union(*chain.roles().values()) == {"normal"}

@@ -74,7 +74,7 @@ def test_up_that_cannot_restore_a_node_says_which_why_and_what_to_do(
 ) -> None:
     """Its manager stays: tests/runtime/test_up_again.py."""
     missing = {"talker": "create talker (Talker): talker exited with status 1 before it registered:\nno device"}
-    report = {"outcome": "incomplete", "components": ["listener"], "lowered": [], "missing": missing}
+    report = {"outcome": "incomplete", "instances": ["listener"], "degraded": [], "missing": missing}
     file = EXAMPLES / "talker" / "talker.json"
     monkeypatch.setattr(up, "bring_up", lambda *_: report)
     monkeypatch.setattr(Client, "get", lambda *_, **__: encode_specification(load(file)))

@@ -155,7 +155,7 @@ def test_impact(run: Any, patrol: Path) -> None:
     assert out.startswith("single point of failure: lidar (Lidar): loss 16\n")
     document = json.loads(run("impact", patrol, "detector", "--json")[1])
     assert [entry["node"] for entry in document["impacts"]] == ["detector"]
-    assert document["impacts"][0]["falls"][0]["to"] == "stop"
+    assert document["impacts"][0]["impacted"][0]["to"] == "stop"
     assert run("impact", patrol, "lidr")[0] == 1
 
 

@@ -24,12 +24,12 @@ def shown(rendered: RenderableType) -> list[str]:
 
 def plan(**changed: Any) -> dict[str, Any]:
     figures = {"disruption": 0.0, "proved_minimal": True, "seconds": 1.38, "makespan": 1.38, "strategy": "minimal"}
-    return {"steps": [], "falls": [], "afterwards": [], **figures, **changed}
+    return {"steps": [], "degradations": [], "level_shifts": [], **figures, **changed}
 
 
 def done(outcome: str = "done", **changed: Any) -> dict[str, Any]:
-    document = {"outcome": outcome, "plan": plan(), "seconds": 0.27, "fallen": {}, "swaps": [], "because": None}
-    return {**document, "lowered": [], **changed}
+    document = {"outcome": outcome, "plan": plan(), "seconds": 0.27, "below_baseline_seconds": {}, "swaps": [], "because": None}
+    return {**document, "remaining_degradations": [], **changed}
 
 
 def swap(missed: int | None = 0, lost: int | None = 0, duplicates: int | None = 0) -> dict[str, Any]:
@@ -58,8 +58,8 @@ def test_a_plan_shows_the_spread_of_what_was_measured_where_it_is_wide() -> None
 
 
 def test_the_report_sets_what_was_measured_beside_the_plan() -> None:
-    steps = [{"step": 1, "begun": 0.0, "seconds": 1.0}, {"step": 2, "begun": 1.0, "seconds": 0.5}]
-    steps.append({"step": 3, "begun": 1.0, "seconds": 0.25})
+    steps = [{"step": 1, "began": 0.0, "seconds": 1.0}, {"step": 2, "began": 1.0, "seconds": 0.5}]
+    steps.append({"step": 3, "began": 1.0, "seconds": 0.25})
     assert shown(render.outcome(done(plan=plan(duration=1.12, between=(1.0, 1.6)), steps=steps)))[1] == (
         "Planned: 1.12 s (1.00 s to 1.60 s; 1.38 s one step after another). "
         "Measured: 1.50 s, for steps of 1.75 s in all."
@@ -82,7 +82,7 @@ def test_what_stays_lower_is_reported() -> None:
         "Afterwards: brake.watch is in mode cautious instead of normal.",
     ]
     assert render.fallen_line(done(lowered=[lowered()])) == "brake.watch permanently"
-    assert render.fallen_line(done(fallen={"brake.watch": 1.5, "talker.talk": 0.0})) == "brake.watch 1.50 s"
+    assert render.fallen_line(done(below_baseline_seconds={"brake.watch": 1.5, "talker.talk": 0.0})) == "brake.watch 1.50 s"
     assert render.fallen_line(done()) == "nothing"
     lower = [{"functionality": "brake.watch", "from": "normal", "to": "cautious", "levels": 1}]
     rolled_back = done("rolled_back", plan=plan(afterwards=lower), because="create filter_2 (Median): it ended")
@@ -99,7 +99,7 @@ def test_a_plan_that_lowers_something_for_good_does_not_call_itself_free_of_disr
     lower = [{"functionality": "brake.watch", "from": "normal", "to": "cautious", "levels": 1}]
     afterwards = "brake.watch is in mode cautious instead of normal"
     lines = shown(
-        render.plan(plan(steps=[{"action": "remove", "component": "filter"}], afterwards=lower), "remove filter")
+        render.plan(plan(steps=[{"action": "remove", "instance": "filter"}], level_shifts=lower), "remove filter")
     )
     assert lines[3] == f"Afterwards: {afterwards}."
     assert "Nothing degrades" not in "".join(lines)
@@ -116,7 +116,7 @@ def test_a_plan_does_not_claim_to_degrade_what_is_degraded_already(
     fall = {"functionality": "see.see", "from_step": 0, "to_step": until, "seconds": 0.053, "because": "already"}
     step = {"action": "upgrade", "modes": {"see_2.see": {"from": "off", "to": "normal"}}}
     better = [{"functionality": "see.see", "from": "off", "to": "normal", "levels": -1}]
-    document = plan(steps=[step], falls=[{**fall, "unserved_from_step": unserved}], afterwards=better)
+    document = plan(steps=[step], degradations=[{**fall, "unserved_from_step": unserved}], level_shifts=better)
     lines = shown(render.plan(document, "apply robot.stride"))
     assert lines[3:5] == [
         f"Degraded already: see.see for about 53 ms more ({words})",
@@ -141,9 +141,9 @@ def test_nothing_fell_is_not_said_above_missed_messages(outcome: str) -> None:
     all_three = "Messages on /chatter at listener.in: 48 missed, 2 lost and 1 duplicate."
     assert report(outcome=outcome, swaps=[swap(48, 2, 1)]) == [all_three]
     assert report(outcome=outcome, swaps=[swap(None, 2, None)]) == ["Messages on /chatter at listener.in: 2 lost."]
-    assert report(outcome=outcome, swaps=[swap()], fallen={"a.b": 0.0}) == ["a.b was below its level for 0 ms."]
+    assert report(outcome=outcome, swaps=[swap()], below_baseline_seconds={"a.b": 0.0}) == ["a.b was below its level for 0 ms."]
     fell = "brake.watch was below its level for 500 ms."
-    assert report(outcome=outcome, swaps=[swap(missed=48)], fallen={"brake.watch": 0.5}) == [fell, missed]
+    assert report(outcome=outcome, swaps=[swap(missed=48)], below_baseline_seconds={"brake.watch": 0.5}) == [fell, missed]
 
 
 def test_nothing_fell_is_not_claimed_where_a_figure_is_unknown() -> None:
@@ -233,7 +233,7 @@ def with_attachment(gate: str | None = None, fields: Any = (), **figures: Any) -
     """A status with one attachment, whose rate is declared as 50 Hz."""
     known = {"declared": 50.0, "rate": 50.0, "met": True, "window": 1.0, "age": 0.019, "jitter": 0.0004}
     measured = {**known, "longest": 0.021, "fields": list(fields), **figures}
-    attachment = {"port": "talker.out", "connector": "/chatter", "gate": gate, "measured": measured}
+    attachment = {"port": "talker.out", "topic": "/chatter", "gate": gate, "measured": measured}
     return status(component("talker", attachments=[attachment]))
 
 

@@ -49,7 +49,7 @@ def test_up_shows_its_progress(midstride: Midstride) -> None:
     assert (down.status, down.out) == (0, "talker is down.\n")
     assert midstride("status").status == 1
     up = midstride("up", TALKER, "--backend", "sim", "--json")
-    assert (up.status, up.json["components"], up.err) == (0, ["listener", "talker"], "")
+    assert (up.status, up.json["instances"], up.err) == (0, ["listener", "talker"], "")
     assert midstride("down", "--json").json == {"outcome": "done", "system": "talker"}
 
 
@@ -229,7 +229,7 @@ def test_the_paper_s_strategy_is_measured_as_well(talker: Midstride) -> None:
     other = "NewTalker" if component == "Talker" else "Talker"
     done = talker("replace", "talker", other, "--yes", "--strategy", "paper", "--json").json
     assert done["outcome"] == "done"
-    assert done["fallen"]["listener.listen"] > 0
+    assert done["below_baseline_seconds"]["listener.listen"] > 0
     assert talker("replace", "talker", component, "--yes").status == 0
 
 

@@ -109,7 +109,7 @@ def test_a_fall_is_not_confused_with_that_of_a_node_with_a_longer_name() -> None
     """`cam_left` is no instance of `cam`, as `cam_2` is: a group degrades together, each to its own mode."""
     modes = {name: {"from": "on", "to": to} for name, to in (("cam_left.see", "slow"), ("cam_2.see", "off"))}
     fall = {"functionality": "cam.see", "from_step": 1, "to_step": None, "seconds": 1.0, "because": "…"}
-    document = {"steps": [{"action": "degrade", "modes": modes}], "falls": [fall], "afterwards": []}
+    document = {"steps": [{"action": "degrade", "modes": modes}], "degradations": [fall], "level_shifts": []}
     assert "cam.see to off for" in render.falls(document)
 
 
@@ -341,7 +341,7 @@ def test_a_plan_in_which_nothing_degrades(capsys: pytest.CaptureFixture[str]) ->
     assert "proved minimal" in out
     status, out, _ = run(capsys, "plan", TALKER, "--replace", "talker=NewTalker", "--json")
     document = json.loads(out)
-    assert (document["strategy"], document["proved_minimal"], document["fallen"]) == ("minimal", True, [])
+    assert (document["strategy"], document["proved_minimal"], document["degraded"]) == ("minimal", True, [])
     assert [step["action"] for step in document["steps"]] == ["create", "upgrade", "handover", "remove"]
     assert document["target"]["nodes"]["talker"]["component"] == "NewTalker"
 
@@ -405,7 +405,7 @@ def test_a_plan_may_make_detours(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "Detour: talker_3 (Light) stands in for talker during the change." in out
     assert "Disruption 0 weighted functionality-seconds (proved minimal, with detours)" in out
     plan = json.loads(run(capsys, *words, "--json")[1])
-    assert (plan["proof_space"], plan["proved_minimal"], plan["fallen"]) == ("detours", True, [])
+    assert (plan["proof_space"], plan["proved_minimal"], plan["degraded"]) == ("detours", True, [])
     plans = json.loads(run(capsys, *words, "--compare", "--json")[1])["strategies"]
     assert [plan["proof_space"] for plan in plans.values()] == ["detours", "direct", "direct", "direct"]
     status, _, err = run(capsys, *words, "--strategy", "paper")
@@ -485,7 +485,7 @@ def test_a_change_of_nothing_is_not_rehearsed(capsys: pytest.CaptureFixture[str]
 
 def test_a_node_to_add_may_be_written_as_ros_writes_it(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "plan", TALKER, "--add", "/second Listener in=/chatter", "--json")
-    assert (status, json.loads(out)["steps"][0]["component"]) == (0, "second")
+    assert (status, json.loads(out)["steps"][0]["instance"]) == (0, "second")
     status, out, _ = run(capsys, "plan", TALKER, "--add", "/talker Talker out=/chatter")
     assert (status, out) == (1, "")
 

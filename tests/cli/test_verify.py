@@ -44,7 +44,7 @@ def test_a_violation_is_explained_saved_and_drawn(run: Any, spoilt: Path, tmp_pa
     (finding,) = document["findings"]
     assert finding["where"] == "step 1, detach talker.out from /chatter"
     assert (finding["subject"], finding["assumption"]) == ("listener.listen in mode normal", "in")
-    assert finding["chain"]["under"][0]["under"][0]["name"] == "listener.in"
+    assert finding["chain"]["causes"][0]["causes"][0]["name"] == "listener.in"
     assert "pred step1_may { can_detach[S0, topic_chatter, talker_out] }" in kept.read_text(encoding="utf-8")
     assert "/chatter" in drawn.read_text(encoding="utf-8")
 

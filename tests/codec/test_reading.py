@@ -154,4 +154,4 @@ def test_a_configuration_names_what_does_not_fit() -> None:
     with pytest.raises(SpecificationError, match="/attachments/0/1: an attachment has 2 entries"):
         decode_configuration({**document, "attachments": [["talker.out"]]})
     with pytest.raises(SpecificationError, match="a configuration needs the key `instances`"):
-        decode_configuration({"world": {"system": "world"}, "attachments": [], "modes": {}})
+        decode_configuration({"context": {"system": "world"}, "attachments": [], "modes": {}})

@@ -89,7 +89,7 @@ def test_the_component_of_the_readme_is_added_to_the_running_robot(tmp_path: Pat
         try:
             before = set(manager.configuration.instances)
             outcome = await manager.change(PlanRequest(to=extended))
-            assert (outcome.outcome, outcome.fallen) == ("done", {})
+            assert (outcome.outcome, outcome.below_baseline_seconds) == ("done", {})
             assert set(manager.configuration.instances) == before | {"beeper"}
             assert (await manager.why("beeper.warn")).mode == "quiet"
         finally:

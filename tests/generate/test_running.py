@@ -78,7 +78,7 @@ def test_the_sample_is_generated_runs_and_is_changed(
         assert midstride("apply", str(calm), "--yes", "--json").json["plan"]["steps"] == []
         replaced = midstride("replace", "detector", "StereoDetector", "--yes", "--json", timeout=100)
         assert replaced.status == 0, replaced.out + replaced.err
-        assert set(replaced.json["fallen"]) == {"detector.detect", "controller.control"}
+        assert set(replaced.json["below_baseline_seconds"]) == {"detector.detect", "controller.control"}
         assert modes(midstride) == whole | played | {"detector": "StereoDetector"}
         # A lidar uses no resource: the new one starts beside the old one, and nothing is degraded.
         more = 'component SecondLidar like Lidar { run "python3 -m patrol.second" }\n'
@@ -87,7 +87,7 @@ def test_the_sample_is_generated_runs_and_is_changed(
         assert "written" in again.out and "second.py" in again.out
         handed = midstride("replace", "lidar", "SecondLidar", "--from", str(calm), "--yes", "--json", timeout=100)
         assert handed.status == 0, handed.out + handed.err
-        assert not any(handed.json["fallen"].values())
+        assert not any(handed.json["below_baseline_seconds"].values())
         assert nothing_lost(handed.json["swaps"])
         assert midstride("down").status == 0
 

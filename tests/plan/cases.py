@@ -168,4 +168,4 @@ def sound(plan: Plan) -> Plan:
 
 
 def fallen(plan: Plan) -> list[str]:
-    return [str(ref) for ref in plan.fallen]
+    return [str(ref) for ref in plan.degraded]

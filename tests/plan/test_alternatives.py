@@ -41,9 +41,9 @@ def test_what_cannot_be_kept_says_why() -> None:
 def test_what_can_be_kept_says_what_that_would_cost() -> None:
     start, target = two_on_one_device()
     plan = planner("minimal")(change_between(initial(start), start, target))
-    assert [str(ref) for ref in plan.fallen] == ["a.work"]
+    assert [str(ref) for ref in plan.degraded] == ["a.work"]
     (found,) = alternatives(plan)
-    assert (found.functionality, found.fallen, found.impossible) == ("a.work", ["b.work"], None)
+    assert (found.functionality, found.degraded, found.impossible) == ("a.work", ["b.work"], None)
     assert found.disruption == plan.disruption, "the two components are alike"
     assert "alternatives" not in encode_plan(plan)
     assert [each["functionality"] for each in encode_plan(plan, explain=True)["alternatives"]] == ["a.work"]

@@ -125,7 +125,7 @@ def test_a_limit_never_makes_a_bound_too_high(seeds: Sequence[int]) -> None:
     for seed in seeds:
         change = tight(seed)
         free = minimal(change)
-        if not free.fallen:
+        if not free.degraded:
             continue
         fall = free.degradations[0]
         limit = Limit(FunctionalityRef.parse(fall.functionality), round(fall.seconds * 0.9, 3))

@@ -77,7 +77,7 @@ def test_talker_minimal_lets_nothing_fall() -> None:
         "hand over /chatter from talker.out to talker_2.out",
         "remove talker",
     ]
-    assert (plan.disruption, plan.fallen, plan.proved_minimal) == (0.0, (), True)
+    assert (plan.disruption, plan.degraded, plan.proved_minimal) == (0.0, (), True)
 
 
 def test_talker_by_quiescence_lowers_all_that_it_reaches_first() -> None:
@@ -154,7 +154,7 @@ def obstacle() -> Specification:
 
 def test_obstacle_the_motor_notices_nothing_of_a_replacement() -> None:
     plan = sound(replaced(obstacle(), "detector", "StereoDetector", "minimal"))
-    assert (plan.disruption, plan.fallen) == (0.0, ())
+    assert (plan.disruption, plan.degraded) == (0.0, ())
 
 
 def test_obstacle_removing_the_detector_stops_the_motor_first() -> None:
@@ -166,7 +166,7 @@ def test_obstacle_removing_the_detector_stops_the_motor_first() -> None:
         "remove detector",
     ]
     # What the target cannot do either is no loss: the baseline is the worse of both ends.
-    assert (plan.disruption, plan.fallen) == (0.0, ())
+    assert (plan.disruption, plan.degraded) == (0.0, ())
 
 
 def test_obstacle_a_detector_again_starts_it() -> None:
@@ -262,7 +262,7 @@ def test_diamond_by_the_paper_lowers_the_one_reached_twice_once_and_first() -> N
 
 
 def test_diamond_minimal() -> None:
-    assert sound(replaced(diamond(), "source", "Other", "minimal")).fallen == ()
+    assert sound(replaced(diamond(), "source", "Other", "minimal")).degraded == ()
 
 
 def two_eyes(*, alternatives: bool) -> Specification:
@@ -280,7 +280,7 @@ def two_eyes(*, alternatives: bool) -> Specification:
 def test_stereo_the_right_eye_does_not_make_good_for_the_left() -> None:
     plan = sound(replaced(two_eyes(alternatives=False), "left", "NewEye", "paper"))
     assert "stereo.see" in fallen(plan)
-    assert sound(replaced(two_eyes(alternatives=False), "left", "NewEye", "minimal")).fallen == ()
+    assert sound(replaced(two_eyes(alternatives=False), "left", "NewEye", "minimal")).degraded == ()
 
 
 def test_redundant_eyes_do() -> None:
@@ -323,7 +323,7 @@ def test_cycle_is_replaced_by_every_strategy(strategy: str) -> None:
     plan = sound(replaced(cycle(), "ping", "NewPing", strategy))
     groups = [step for step in plan.steps if len(step.modes) > 1]
     if strategy == "minimal":
-        assert plan.fallen == ()
+        assert plan.degraded == ()
     else:
         assert told(plan)[:2] == [
             "degrade sink.work from normal to degraded",
@@ -439,7 +439,7 @@ def test_a_whole_system_is_brought_up_under_its_own_names(strategy: str) -> None
     plan = sound(STRATEGIES[strategy](change_between(empty, specification, specification)))
     *_, last = plan.configurations()
     assert last == initial(specification)
-    assert (plan.disruption, plan.fallen) == (0.0, ())
+    assert (plan.disruption, plan.degraded) == (0.0, ())
 
 
 @pytest.mark.parametrize("strategy", LOCAL)
@@ -450,7 +450,7 @@ def test_what_has_crashed_comes_again(strategy: str) -> None:
     plan = sound(STRATEGIES[strategy](change_between(configuration, specification, specification)))
     *_, last = plan.configurations()
     assert last == initial(specification)
-    assert plan.fallen == ()
+    assert plan.degraded == ()
 
 
 def test_what_stands_lower_than_it_could_is_raised() -> None:
@@ -499,7 +499,7 @@ def test_more_environment_raises_who_waited_for_it() -> None:
     target = replace(start, environment=(EnvironmentGuarantee("lamp", NEED),))
     plan = sound(changed(start, target, "minimal"))
     assert told(plan) == ["upgrade eye.see from degraded to normal"]
-    assert plan.fallen == ()
+    assert plan.degraded == ()
 
 
 @pytest.mark.parametrize("strategy", EVERY)

@@ -76,7 +76,7 @@ def test_room_for_one_more_is_used_for_one_after_the_other() -> None:
     for name in "ABC":
         target = target.with_replaced(name.lower(), f"New{name}")
     plan = sound(changed(start, target, "minimal"))
-    assert (plan.disruption, plan.fallen) == (0.0, ())
+    assert (plan.disruption, plan.degraded) == (0.0, ())
     kinds = [step.action.kind for step in plan.steps if isinstance(step.action, (Create, Remove))]
     assert kinds == ["create", "remove"] * 3
 
@@ -97,7 +97,7 @@ def test_another_role_takes_an_exclusive_topic_over_without_a_gap() -> None:
     target = system(parts, {"b": ("B", {"out": "/x"}), **users}, caps={"/x": 1})
     plan = sound(changed(start, target, "minimal"))
     assert "hand over /x from a.out to b.out" in told(plan)
-    assert plan.fallen == ()
+    assert plan.degraded == ()
 
 
 def test_all_outputs_of_a_role_change_hands_at_once() -> None:
@@ -114,7 +114,7 @@ def test_no_hand_over_to_one_that_is_not_good_enough() -> None:
     assert not any(isinstance(step.action, Handover) for step in plan.steps)
     assert told(plan)[:2] == ["create n_2 (New)", "attach n_2.out to /x"]
     # In the target nobody satisfies /x: that is the baseline, and nothing falls below it.
-    assert (plan.disruption, plan.fallen) == (0.0, ())
+    assert (plan.disruption, plan.degraded) == (0.0, ())
 
 
 def test_a_renamed_port_on_the_same_topic_is_handed_over() -> None:
@@ -187,7 +187,7 @@ def test_many_devices_are_exchanged_one_by_one() -> None:
 def test_room_for_one_more_serves_them_all() -> None:
     start, target = many(20, {"memory": 21.0}, {f"n{index}": "memory" for index in range(20)})
     plan = sound(changed(start, target, "minimal"))
-    assert (plan.disruption, plan.fallen) == (0.0, ())
+    assert (plan.disruption, plan.degraded) == (0.0, ())
 
 
 def test_a_place_is_given_up_rather_than_handed_on_where_another_needs_it_more() -> None:
@@ -197,7 +197,7 @@ def test_a_place_is_given_up_rather_than_handed_on_where_another_needs_it_more()
     start = system([old, blind, split], {"a": ("Old", {"out": "/x"}), "b": ("Old", {"out": "/x"})}, caps={"/x": 2})
     target = start.with_replaced("a", "Split").with_replaced("b", "Blind")
     plan = sound(changed(start, target, "minimal"))
-    assert (plan.disruption, plan.fallen) == (0.0, ())
+    assert (plan.disruption, plan.degraded) == (0.0, ())
     order = ["detach a.out from /x", "attach b_2.out to /x", "hand over /x from b.out to a_2.out"]
     assert [step for step in told(plan) if step in order] == order
 
@@ -221,5 +221,5 @@ def test_a_replacement_that_stands_only_by_itself_is_attached_beside_the_old_one
     start = system([old, new], {"n": ("Old", {"out": "/x"})})
     target = start.with_node(Node("n", "New", Map({"out": ("/x",), "in": ("/x",)})))
     plan = sound(changed(start, target, "minimal"))
-    assert plan.fallen == ()
+    assert plan.degraded == ()
     assert told(plan)[2:5] == ["attach n_2.out to /x", "upgrade n_2.work from d to m", "detach n.out from /x"]

@@ -61,7 +61,7 @@ def sound(plan: Plan) -> Plan:
 
 def test_keep_is_met_by_minimal_and_refused_by_the_paper() -> None:
     start = bound(talker(), Keep(LISTEN, "normal"))
-    assert sound(replaced(start, "talker", "NewTalker", "minimal")).fallen == ()
+    assert sound(replaced(start, "talker", "NewTalker", "minimal")).degraded == ()
     for strategy in ("paper", "quiesce"):
         with pytest.raises(PlanRefused) as caught:
             replaced(start, "talker", "NewTalker", strategy)
@@ -81,7 +81,7 @@ def test_of_many_that_may_give_way_it_is_the_one_that_is_not_kept(count: int) ->
     kept = [Keep(FunctionalityRef(name, "work"), "normal") for name in names[:-1]]
     plan = sound(changed(start, bound(target, *kept), "minimal"))
     assert told(plan)[0] == f"detach {names[-1]}.out from /x"
-    assert [str(ref) for ref in plan.fallen] == [f"{names[-1]}.work"]
+    assert [str(ref) for ref in plan.degraded] == [f"{names[-1]}.work"]
 
 
 def test_keep_at_a_worse_mode_allows_the_fall() -> None:
@@ -204,7 +204,7 @@ def test_two_that_conflict_only_together_are_both_named() -> None:
     start = system([*(part for part in parts if part.name != "NewA"), lighter], nodes, resources={"memory": 3.0})
     target = start.with_replaced("a", "NewA").with_replaced("b", "NewB")
     keep, order = Keep(FunctionalityRef("b", "work"), "normal"), Order("b", "a")
-    assert sound(changed(start, bound(target, keep), "minimal")).fallen == (FunctionalityRef("a", "work"),)
+    assert sound(changed(start, bound(target, keep), "minimal")).degraded == (FunctionalityRef("a", "work"),)
     sound(changed(start, bound(target, order), "minimal"))
     words = refused(start, bound(target, keep, order))
     assert "together" in words

@@ -135,7 +135,7 @@ def test_outputs_are_exchanged_jointly_where_none_may_be_missing() -> None:
     target = system(components, {"a": ("A", {"out": "/y"}), "b": ("B", {"out": "/x"})}, caps=caps)
     keeps = tuple(Keep(FunctionalityRef(role, "work"), "normal") for role in ("a", "b"))
     plan = minimal(between((start, replace(target, constraints=keeps))))
-    assert plan.fallen == ()
+    assert plan.degraded == ()
     assert replay(plan).holds
 
 

@@ -75,7 +75,7 @@ def test_a_node_that_stays_makes_room() -> None:
 
 def test_a_stand_in_serves_until_there_is_room() -> None:
     plan = sound(detoured(crowded(important("Light"))))
-    assert (plan.disruption, plan.fallen, plan.proved_minimal) == (0.0, (), True)
+    assert (plan.disruption, plan.degraded, plan.proved_minimal) == (0.0, (), True)
     assert plan.change.detours == (Detour("detector", stand_in="Light"),)
     assert plan.remarks == ("Detour: detector_3 (Light) stands in for detector during the change.",)
     assert "hand over /objects from detector.out to detector_3.out" in told(plan)
@@ -87,7 +87,7 @@ def test_a_stand_in_serves_until_there_is_room() -> None:
 def test_a_node_that_is_moved_has_a_stand_in() -> None:
     """The detector has none, so the logger makes room; its own is what keeps it up meanwhile."""
     plan = sound(detoured(crowded(work("Light", outputs=["log"]), outputs="log")))
-    assert (plan.disruption, plan.fallen) == (0.0, ())
+    assert (plan.disruption, plan.degraded) == (0.0, ())
     assert plan.change.detours == (Detour("logger", moved=True, stand_in="Light"),)
 
 

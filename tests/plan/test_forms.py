@@ -22,13 +22,13 @@ from tests.plan.cases import replaced, talker
 def test_a_plan_is_written_in_the_order_of_its_documentation() -> None:
     document = encode_plan(replaced(talker(), "talker", "NewTalker", "paper"))
     assert list(document)[3:5] == ["lower_bound", "proof_space"]
-    assert list(document)[7:] == ["duration", "fallen", "falls", "afterwards", "start", "target", "steps"]
+    assert list(document)[7:] == ["duration", "degraded", "degradations", "level_shifts", "start", "target", "steps"]
     assert all(([*step][:1], [*step][-1:]) == (["action"], ["seconds"]) for step in document["steps"])
     assert document["steps"][3] == {
         "action": "create",
-        "component": "talker_2",
+        "instance": "talker_2",
         "role": "talker",
-        "of": "NewTalker",
+        "component": "NewTalker",
         "parameters": {},
         "seconds": 1.0,
     }

@@ -183,7 +183,7 @@ def test_minimal_is_as_good_as_every_order_tried(seed: int) -> None:
     assert least is not None
     assert plan.disruption == pytest.approx(least)
     assert (plan.proved_minimal, plan.lower_bound) == (True, plan.disruption)
-    if least == 0.0 and plan.fallen:
+    if least == 0.0 and plan.degraded:
         assert twin.optimum(spotless=True) is None
 
 
@@ -202,13 +202,13 @@ def test_minimal_makes_each_difference_once_and_no_other(seed: int) -> None:
     for document in encode_plan(planned(change, "minimal"))["steps"]:
         match document["action"]:
             case "create" | "remove":
-                found.append((document["action"], document["component"]))
+                found.append((document["action"], document["instance"]))
             case "attach" | "detach":
-                found.append((document["action"], f"{document['port']} {document['connector']}"))
+                found.append((document["action"], f"{document['port']} {document['topic']}"))
             case "handover":
                 for swap in document["swaps"]:
-                    found.append(("attach", f"{swap['new']} {swap['connector']}"))
-                    found.append(("detach", f"{swap['old']} {swap['connector']}"))
+                    found.append(("attach", f"{swap['new']} {swap['topic']}"))
+                    found.append(("detach", f"{swap['old']} {swap['topic']}"))
     wanted = [("create", instance.name) for instance in change.coming]
     wanted += [("remove", name) for name in change.leaving]
     wanted += [("attach", f"{port} {connector}") for port, connector in change.attached]
@@ -221,7 +221,7 @@ def test_without_a_conflict_nothing_falls(seed: int) -> None:
     rng = Random(seed)
     start, target = systems.change(rng, systems.system(rng), 5)
     plan = planned(between(systems.unbounded(start), systems.unbounded(target)), "minimal")
-    assert (plan.disruption, plan.fallen, plan.proved_minimal) == (0.0, (), True)
+    assert (plan.disruption, plan.degraded, plan.proved_minimal) == (0.0, (), True)
 
 
 @given(SEEDS)
@@ -385,4 +385,4 @@ def test_the_search_finds_plans_as_good_as_these(
     """Each is missed by a search that decides one thing otherwise."""
     nodes, topics, edits = size
     plan = STRATEGIES["minimal"](drawn(seed, nodes=nodes, topics=topics, edits=edits))
-    assert (plan.disruption, len(plan.fallen), plan.makespan, len(plan.steps)) <= least
+    assert (plan.disruption, len(plan.degraded), plan.makespan, len(plan.steps)) <= least

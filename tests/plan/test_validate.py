@@ -83,15 +83,15 @@ def swap(one: int, other: int) -> Callable[[Document], None]:
         (put("disruption", 1.0), "its disruption is 4.5, not 1"),
         (put("seconds", 1.0), "its steps take 1.73 s, not 1 s"),
         (put("makespan", 60.0), "its makespan, 60 s, is longer than its steps one after another"),
-        (put("fallen", []), "it takes listener.listen, talker.talk below the baseline, not nothing"),
+        (put("degraded", []), "it takes listener.listen, talker.talk below the baseline, not nothing"),
         (put("proved_minimal", True), "it is not proved minimal: its disruption is above the lower bound, 0"),
         (put("lower_bound", 5.0), "its lower bound, 5, is above its disruption"),
-        (put_in(3, "of", "Listener"), "step 5: there is no talker_2.talk with a mode normal"),
+        (put_in(3, "component", "Listener"), "step 5: there is no talker_2.talk with a mode normal"),
         (
-            put_in(3, "of", "Talker"),
+            put_in(3, "component", "Talker"),
             "step 4: create talker_2 (Talker): talker_2 differs from the declaration of talker in the target",
         ),
-        (put_in(3, "of", "Speaker"), "step 4: it creates a Speaker, a component that neither"),
+        (put_in(3, "component", "Speaker"), "step 4: it creates a Speaker, a component that neither"),
         (put_in(3, "role", "stranger"), "the target has no node stranger"),
         (put_in(3, "action", "conjure"), "/steps/3/action: `conjure` is not one of"),
         (put("steps", None), "/steps: a list of steps is expected, this is null"),
@@ -100,7 +100,7 @@ def swap(one: int, other: int) -> Callable[[Document], None]:
         (lambda spoilt: spoilt["steps"].insert(0, "create"), '/steps/0: a step is expected, this is a text ("create")'),
         (lambda spoilt: spoilt["start"].update(nodes={"talker": {"component": "None"}}), "there is no component"),
         (lambda spoilt: spoilt["target"].update(nods={}), "/target/nods: a specification has no key `nods`"),
-        (put("standing", {"talker.talk": "flying"}), "there is no talker.talk with a mode flying"),
+        (put("start_modes", {"talker.talk": "flying"}), "there is no talker.talk with a mode flying"),
     ],
 )
 def test_what_is_spoilt_is_found(spoil: Callable[[Document], None], words: str) -> None:
@@ -162,9 +162,9 @@ def test_the_bare_name_is_for_the_first_alone() -> None:
     spoilt["steps"] = [
         {
             "action": "create",
-            "component": "talker",
+            "instance": "talker",
             "role": "talker",
-            "of": "NewTalker",
+            "component": "NewTalker",
             "parameters": {},
             "seconds": 1.0,
         }
@@ -174,7 +174,7 @@ def test_the_bare_name_is_for_the_first_alone() -> None:
 
 def test_an_attachment_too_many_and_one_too_few() -> None:
     spoilt = document()
-    spoilt["steps"].append({"action": "detach", "port": "talker_2.out", "connector": "/chatter", "seconds": 0.1})
+    spoilt["steps"].append({"action": "detach", "port": "talker_2.out", "topic": "/chatter", "seconds": 0.1})
     assert "listener.listen" in findings(spoilt)
     del spoilt["steps"][6]
     assert "talker_2.out is attached to nothing at the end, not to /chatter" in findings(spoilt)

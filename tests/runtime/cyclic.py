@@ -122,7 +122,7 @@ async def check_members_replaced(manager: Manager) -> None:
     """Each member in turn, and then both in one change: the other one relies on it throughout, and misses nothing."""
     for roles in (("estimator",), ("corrector",), ("corrector", "estimator")):
         outcome = await manager.change(PlanRequest(restart=roles))
-        assert (outcome.outcome, outcome.because, outcome.fallen) == ("done", None, {})
+        assert (outcome.outcome, outcome.because, outcome.below_baseline_seconds) == ("done", None, {})
         assert outcome.plan is not None
         actions = [step.action for step in outcome.plan.steps]
         assert actions.count("handover") == len(roles)

@@ -26,7 +26,7 @@ def test_a_change_is_recorded_with_its_plan_specifications_events_and_modes(tmp_
         found = await manager.change_report()
         assert outcome.plan is not None and found.plan is not None
         assert found.change.by == "anna: replace" and found.change.outcome == "done"
-        assert found.plan.steps == outcome.plan.steps and found.plan.falls == outcome.plan.falls
+        assert found.plan.steps == outcome.plan.steps and found.plan.degradations == outcome.plan.degradations
         assert found.before is not None and found.after is not None
         assert found.before.nodes["talker"].component == "Talker"
         assert found.after.nodes["talker"].component == "NewTalker"

@@ -150,7 +150,7 @@ def test_nothing_is_begun_unless_the_plan_holds_where_that_is_asked_for(verdict:
 def test_a_change_moves_configuration_and_specification_on_and_is_measured(tmp_path: Path) -> None:
     async def body(s: SessionBench) -> None:
         outcome = await s.session.change(REPLACEMENT)
-        assert (outcome.outcome, outcome.because, outcome.fallen) == ("done", None, {})
+        assert (outcome.outcome, outcome.because, outcome.below_baseline_seconds) == ("done", None, {})
         assert outcome.verdict is UNSET and s.verifier.judged == []
         target = TALKER.with_node(changed(TALKER.nodes["talker"], component="NewTalker"))
         assert s.system.specification == target
@@ -191,7 +191,7 @@ def test_the_seconds_below_the_baseline_are_measured(tmp_path: Path) -> None:
         outcome = await s.session.change(replace("talker", "NewTalker", "paper"))
         assert outcome.outcome == "done"
         # Nothing takes time but the attachment, with the talker away and the listener degraded.
-        assert outcome.fallen == {"listener.listen": 0.5, "talker.talk": 0.5} and outcome.seconds == 0.5
+        assert outcome.below_baseline_seconds == {"listener.listen": 0.5, "talker.talk": 0.5} and outcome.seconds == 0.5
 
     session(tmp_path, body)
 
@@ -322,7 +322,7 @@ def test_what_crashes_or_degrades_meanwhile_is_in_the_report(tmp_path: Path) -> 
         s.reconciler.degraded.add(LISTEN)  # before: another report's
         s.client.reply("listener", RecordsCommand, measured)
         outcome = await s.session.change(REPLACEMENT)
-        assert (outcome.outcome, outcome.ended, outcome.degraded) == ("done", ["listener"], ["talker_2.talk"])
+        assert (outcome.outcome, outcome.unexpected_exits, outcome.unexpected_degradations) == ("done", ["listener"], ["talker_2.talk"])
         [swap] = outcome.swaps
         assert (swap.gap, swap.missed, swap.lost, swap.duplicates) == (None, None, None, None)
         assert not s.session.measuring
@@ -339,7 +339,7 @@ def test_a_crash_during_the_steps_is_handled_before_measuring(tmp_path: Path) ->
 
         s.client.reply("talker_2", AwaitWriteCommand, dies)
         outcome = await s.session.change(REPLACEMENT)
-        assert (outcome.outcome, outcome.ended) == ("rolled_back", ["talker"])
+        assert (outcome.outcome, outcome.unexpected_exits) == ("rolled_back", ["talker"])
         kinds = s.kinds()
         assert kinds.index("degraded") < kinds.index("measuring")
         assert s.client.of(ModesCommand, "listener")[-1].because == "talker exited unexpectedly"
@@ -359,7 +359,7 @@ def test_a_role_that_is_filled_again_is_missing_no_longer(tmp_path: Path) -> Non
             s.startable(instance)
         outcome = await s.session.change(PlanRequest(to=TALKER))
         assert outcome.outcome == "done", outcome.because
-        assert outcome.ended == [], "that was before"
+        assert outcome.unexpected_exits == [], "that was before"
         assert s.system.missing == {}
 
     session(tmp_path, body)

@@ -58,7 +58,7 @@ def test_each_step_is_carried_out_and_only_then_in_the_model(tmp_path: Path) -> 
             "2/2 detach talker.out from /chatter",
             "2/2 done",
         ]
-        assert [(event.kind, event.index, event.of) for event in b.events.since()] == [
+        assert [(event.kind, event.index, event.total) for event in b.events.since()] == [
             (kind, index, 2) for index in (0, 1) for kind in ("step", "step_done")
         ]
 

@@ -154,7 +154,7 @@ def test_a_publisher_that_hangs_is_replaced(strategy: str, tmp_path: Path) -> No
         assert "talker hangs: user code did not return" in fenced.words and "state" not in fenced.words
         assert outcome.own_state == {}
         assert [event.words for event in manager.log() if event.kind == "fenced"] == [fenced.words]
-        assert outcome.ended == [] and outcome.silences == [] and outcome.lowered == []
+        assert outcome.unexpected_exits == [] and outcome.silences == [] and outcome.remaining_degradations == []
         assert simulator.clock.steady() - begun < DEFAULT_WAIT + 12
         assert sorted(simulator.processes) == sorted(manager.configuration.instances) == ["listener", "talker_2"]
         assert (await manager.status()).valid
@@ -238,7 +238,7 @@ def test_a_stopped_publisher_is_killed_and_never_continues(strategy: str, tmp_pa
         assert outcome.outcome == "done", outcome.because
         assert [(each.instance, each.how) for each in outcome.fenced] == [("talker", "killed")]
         assert "does not answer" in outcome.fenced[0].words
-        assert outcome.ended == [] and simulator.clock.steady() - begun < DEFAULT_WAIT + STOPPED + 8
+        assert outcome.unexpected_exits == [] and simulator.clock.steady() - begun < DEFAULT_WAIT + STOPPED + 8
         [swap] = outcome.swaps
         assert swap.gap == pytest.approx(heard.longest_gap(), abs=0.01)
         await asyncio.sleep(60)
@@ -403,7 +403,7 @@ def test_where_a_killed_old_side_and_the_new_one_are_gone_the_outcome_says_so(tm
         assert outcome.outcome == "failed"
         assert "talker was fenced" in str(outcome.because)
         assert list(manager.configuration.instances) == ["listener"]
-        assert [each.functionality for each in outcome.lowered] == ["listener.listen", "talker.talk"]
+        assert [each.functionality for each in outcome.remaining_degradations] == ["listener.listen", "talker.talk"]
         restored = await manager.change(PlanRequest(restart=("talker",)))
         assert restored.outcome == "done", restored.because
         assert (await manager.status()).valid

@@ -12,12 +12,12 @@ from midstride.model.configuration import Instance
 from midstride.model.specification import Node, Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.records.reports import LoweredFunctionality, Outcome, UpReport
+from midstride.runtime.records.reports import DegradedFunctionality, Outcome, UpReport
 from midstride.runtime.workspace import Workspace
 from tests.runtime.systems import EXAMPLES, example, managed, replace, rewritten
 
 
-def told(lowered: list[LoweredFunctionality]) -> list[tuple[str, str | None, str | None, bool]]:
+def told(lowered: list[DegradedFunctionality]) -> list[tuple[str, str | None, str | None, bool]]:
     return [(each.functionality, each.before, each.after, each.planned) for each in lowered]
 
 
@@ -55,16 +55,16 @@ def up(directory: Path, workspace: Path, specification: Specification | None = N
 def test_a_removal_that_lowers_others_for_good_says_so_before_and_after(tmp_path: Path) -> None:
     async def body(manager: Manager, _: Simulator) -> None:
         outcome = await manager.change(PlanRequest(remove=("detector",)))
-        assert told(outcome.lowered) == [("controller.control", "normal", "degraded", True)]
+        assert told(outcome.remaining_degradations) == [("controller.control", "normal", "degraded", True)]
         afterwards = "afterwards controller.control is in mode degraded instead of normal"
         words = {event.kind: event.words for event in manager.log()}
         assert words["plan"].endswith(f"disruption 0; {afterwards}")
         assert words["outcome"] == f"done; {afterwards}"
         # What is lower already is not said again.
         again = await manager.change(PlanRequest(add=(Node("second", "Detector"),)))
-        assert told(again.lowered) == []
+        assert told(again.remaining_degradations) == []
         back = await manager.change(PlanRequest(to=example("obstacle")))
-        assert (back.outcome, back.lowered) == ("done", [])
+        assert (back.outcome, back.remaining_degradations) == ("done", [])
 
     managed("obstacle", tmp_path, body)
 
@@ -74,14 +74,14 @@ def test_a_change_that_lowers_nothing_says_nothing(tmp_path: Path) -> None:
         return await manager.change(replace("talker", "NewTalker", "paper"))
 
     outcome = managed("talker", tmp_path, body)
-    assert (outcome.outcome, outcome.lowered) == ("done", [])
+    assert (outcome.outcome, outcome.remaining_degradations) == ("done", [])
 
 
 def test_an_added_node_in_a_lower_mode_than_its_normal_one_is_named(tmp_path: Path) -> None:
     async def body(manager: Manager, _: Simulator) -> Outcome:
         return await manager.change(PlanRequest(add=(Node("second", "Listener"),)))
 
-    assert told(managed("talker", tmp_path, body).lowered) == [("second.listen", "normal", "degraded", True)]
+    assert told(managed("talker", tmp_path, body).remaining_degradations) == [("second.listen", "normal", "degraded", True)]
 
 
 @pytest.mark.parametrize("call", [1, 3])
@@ -97,8 +97,8 @@ def test_a_node_that_raises_in_its_first_calls_is_in_the_report_of_the_change(ca
 
     outcome = managed("talker", tmp_path, body, directory=directory)
     assert outcome.outcome == "done"
-    assert told(outcome.lowered) == [("loud.talk", "normal", "degraded", False)]
-    assert str(outcome.lowered[0].because).startswith("mode normal raised: ValueError: no voice\n")
+    assert told(outcome.remaining_degradations) == [("loud.talk", "normal", "degraded", False)]
+    assert str(outcome.remaining_degradations[0].because).startswith("mode normal raised: ValueError: no voice\n")
 
 
 def test_what_relies_on_a_replacement_that_raises_while_it_is_watched_is_named_as_well(tmp_path: Path) -> None:
@@ -108,11 +108,11 @@ def test_what_relies_on_a_replacement_that_raises_while_it_is_watched_is_named_a
         return await manager.change(replace("talker", "NewTalker"))
 
     outcome = managed("talker", tmp_path, body, directory=directory)
-    assert told(outcome.lowered) == [
+    assert told(outcome.remaining_degradations) == [
         ("listener.listen", "normal", "degraded", False),
         ("talker.talk", "normal", "degraded", False),
     ]
-    assert outcome.lowered[0].because == "talker_2.talk entered mode degraded unexpectedly"
+    assert outcome.remaining_degradations[0].because == "talker_2.talk entered mode degraded unexpectedly"
 
 
 def test_a_role_that_has_lost_its_instance_during_a_change_is_named(tmp_path: Path) -> None:
@@ -124,11 +124,11 @@ def test_a_role_that_has_lost_its_instance_during_a_change_is_named(tmp_path: Pa
         return await change
 
     outcome = managed("talker", tmp_path, body)
-    assert told(outcome.lowered) == [
+    assert told(outcome.remaining_degradations) == [
         ("listener.listen", "normal", "degraded", False),
         ("talker.talk", "normal", None, False),
     ]
-    assert outcome.lowered[1].because == "talker_2 exited unexpectedly"
+    assert outcome.remaining_degradations[1].because == "talker_2 exited unexpectedly"
 
 
 def test_a_role_that_was_missing_before_is_not_a_loss_of_the_change(tmp_path: Path) -> None:
@@ -136,11 +136,11 @@ def test_a_role_that_was_missing_before_is_not_a_loss_of_the_change(tmp_path: Pa
         simulator.faults.kill("talker")
         await asyncio.sleep(1)
         outcome = await manager.change(PlanRequest(add=(Node("second", "Talker"),)))
-        assert (outcome.outcome, told(outcome.lowered)) == ("done", [])
+        assert (outcome.outcome, told(outcome.remaining_degradations)) == ("done", [])
         (crashed,) = (await manager.status()).crashed
         assert crashed.remedy == "`midstride restart talker` restores it"
         restored = await manager.change(PlanRequest(restart=("talker",)))
-        assert (restored.outcome, restored.lowered) == ("done", [])
+        assert (restored.outcome, restored.remaining_degradations) == ("done", [])
         status = await manager.status()
         assert status.valid and status.crashed == []
         assert all(row.normal for each in status.components for row in each.functionalities)
@@ -155,13 +155,13 @@ def test_a_change_that_is_rolled_back_lowers_nothing(tmp_path: Path) -> None:
         return await manager.change(replace("talker", "NewTalker"))
 
     outcome = managed("talker", tmp_path, body, directory=directory)
-    assert (outcome.outcome, outcome.lowered) == ("rolled_back", [])
+    assert (outcome.outcome, outcome.remaining_degradations) == ("rolled_back", [])
 
 
 @pytest.mark.parametrize("call", [1, 3])
 def test_up_says_what_has_raised_and_what_has_fallen_with_it(call: int, tmp_path: Path) -> None:
     report, words = up(raising(tmp_path / "programs", "talker.py", call), tmp_path)
-    assert told(report.lowered) == [
+    assert told(report.degraded) == [
         ("listener.listen", "normal", "degraded", False),
         ("talker.talk", "normal", "degraded", False),
     ]
@@ -174,7 +174,7 @@ def test_up_says_what_has_raised_and_what_has_fallen_with_it(call: int, tmp_path
 def test_up_says_what_cannot_be_in_its_normal_mode_as_specified(tmp_path: Path) -> None:
     specification = example("talker").without_node("talker")
     report, _ = up(EXAMPLES / "talker", tmp_path, specification)
-    assert told(report.lowered) == [("listener.listen", "normal", "degraded", True)]
+    assert told(report.degraded) == [("listener.listen", "normal", "degraded", True)]
 
 
 def test_the_time_in_which_the_old_one_is_down_is_counted_from_its_exception_on(tmp_path: Path) -> None:
@@ -204,9 +204,9 @@ def test_the_time_in_which_the_old_one_is_down_is_counted_from_its_exception_on(
         return await manager.change(replace("talker", "NewTalker"))
 
     outcome = managed("talker", tmp_path, body, directory=directory)
-    assert (outcome.outcome, outcome.lowered) == ("done", [])
-    assert list(outcome.fallen) == ["talker.talk"]
-    assert seconds - 0.15 < outcome.fallen["talker.talk"] < outcome.seconds
+    assert (outcome.outcome, outcome.remaining_degradations) == ("done", [])
+    assert list(outcome.below_baseline_seconds) == ["talker.talk"]
+    assert seconds - 0.15 < outcome.below_baseline_seconds["talker.talk"] < outcome.seconds
 
 
 def test_a_crash_of_the_old_one_is_counted_from_then_on(tmp_path: Path) -> None:
@@ -222,5 +222,5 @@ def test_a_crash_of_the_old_one_is_counted_from_then_on(tmp_path: Path) -> None:
         return await manager.change(replace("talker", "NewTalker"))
 
     outcome = managed("talker", tmp_path, body)
-    assert (outcome.outcome, outcome.ended) == ("done", ["talker"]), outcome.because
-    assert 2.0 <= outcome.fallen["talker.talk"] < outcome.seconds
+    assert (outcome.outcome, outcome.unexpected_exits) == ("done", ["talker"]), outcome.because
+    assert 2.0 <= outcome.below_baseline_seconds["talker.talk"] < outcome.seconds

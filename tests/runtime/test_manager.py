@@ -39,7 +39,7 @@ def test_a_replacement_nobody_notices(name: str, role: str, component: str, tmp_
         return outcome
 
     outcome = managed(name, tmp_path, body)
-    assert (outcome.outcome, outcome.because, outcome.fallen) == ("done", None, {})
+    assert (outcome.outcome, outcome.because, outcome.below_baseline_seconds) == ("done", None, {})
     assert outcome.swaps
     for swap in outcome.swaps:
         assert (swap.missed, swap.lost, swap.duplicates) == (0, 0, 0)
@@ -60,8 +60,8 @@ def test_the_other_strategies_end_in_the_same_place_and_say_what_they_cost(
     outcome = managed(name, tmp_path, body, Simulator(starting=0.5))
     assert outcome.outcome == "done"
     assert outcome.plan is not None
-    assert set(outcome.fallen) == set(outcome.plan.fallen) and outcome.fallen
-    assert all(seconds > 0 for seconds in outcome.fallen.values())
+    assert set(outcome.below_baseline_seconds) == set(outcome.plan.degraded) and outcome.below_baseline_seconds
+    assert all(seconds > 0 for seconds in outcome.below_baseline_seconds.values())
     assert all((swap.missed or 0) > 0 for swap in outcome.swaps)
 
 
@@ -188,7 +188,7 @@ async def replaced_while(
 def test_a_crash_while_a_change_is_measured_is_told_and_does_not_wait_for_that(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:
         outcome, events = await replaced_while(manager, simulator, "measuring", "talker_2")
-        assert (outcome.outcome, outcome.ended) == ("done", ["talker_2"])
+        assert (outcome.outcome, outcome.unexpected_exits) == ("done", ["talker_2"])
         kinds = [event.kind for event in events]
         assert kinds.index("degraded") < kinds.index("measured")
         view = (await manager.peek("listener")).functionalities["listen"]
@@ -201,7 +201,7 @@ def test_a_crash_while_a_change_is_measured_is_told_and_does_not_wait_for_that(t
 def test_a_component_that_dies_while_it_is_being_replaced_is_replaced(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:
         outcome, _ = await replaced_while(manager, simulator, "step", "talker")
-        assert (outcome.outcome, outcome.ended, outcome.degraded) == ("done", ["talker"], [])
+        assert (outcome.outcome, outcome.unexpected_exits, outcome.unexpected_degradations) == ("done", ["talker"], [])
         assert (await manager.peek("listener")).functionalities["listen"].mode == "normal"
         assert (await manager.status()).crashed == []
 
@@ -263,18 +263,18 @@ def test_a_component_started_by_hand_is_taken_in_found_again_and_left_running(tm
         launch = Launch("talker", "", ("python3", "talker.py"), "", EXAMPLES / "talker")
         await simulator.start(launch)
         first = Manager(specification, simulator, Workspace(tmp_path), EXAMPLES / "talker")
-        assert (await first.up()).components == ["listener", "talker"]
+        assert (await first.up()).instances == ["listener", "talker"]
         assert (await first.status()).valid
         await first.close()
         second = Manager(specification, simulator, Workspace(tmp_path), EXAMPLES / "talker")
-        assert (await second.up()).components == ["listener", "talker"]
+        assert (await second.up()).instances == ["listener", "talker"]
         await second.down()
         words = [event.words for event in second.log()]
         assert "talker was started elsewhere: it is released, and left running" in words
         assert list(simulator.processes) == ["talker"] and not (await simulator.endpoints()).publishers
         await second.close()
         third = Manager(specification, simulator, Workspace(tmp_path), EXAMPLES / "talker")
-        assert (await third.up()).components == ["listener", "talker"]
+        assert (await third.up()).instances == ["listener", "talker"]
         outcome = await third.change(replace("talker", "NewTalker"))
         assert outcome.outcome == "done" and outcome.swaps[0].missed == 0
         assert sorted(third.configuration.instances) == ["listener", "talker_2"]
@@ -587,8 +587,8 @@ def test_a_new_one_that_breaks_while_it_is_watched_is_in_the_outcome(tmp_path: P
         return await manager.change(replace("talker", "NewTalker"))
 
     outcome = managed("talker", tmp_path, body, directory=rewritten("talker", tmp_path / "programs", breaking))
-    assert (outcome.outcome, outcome.because, outcome.ended) == ("done", None, [])
-    assert outcome.degraded == ["talker_2.talk"]
+    assert (outcome.outcome, outcome.because, outcome.unexpected_exits) == ("done", None, [])
+    assert outcome.unexpected_degradations == ["talker_2.talk"]
 
 
 def test_what_could_not_be_undone_is_taken_over_as_the_component_reports_it(tmp_path: Path) -> None:

@@ -153,7 +153,7 @@ def test_with_a_manager_the_whole_chain_falls_within_one_window(tmp_path: Path, 
         (chain.folder / fault).unlink()
         await asyncio.sleep(3.0)
         outcome = await chain.manager.change(PlanRequest(to=chain.manager.specification))
-        assert outcome.outcome == "done" and outcome.lowered == [] and outcome.degraded == []
+        assert outcome.outcome == "done" and outcome.remaining_degradations == [] and outcome.unexpected_degradations == []
         await asyncio.sleep(5.0)
         assert [chain.mode(name) for name in CHAIN] == ["normal"] * 4
         assert (await chain.manager.status()).valid
@@ -221,7 +221,7 @@ def test_with_a_manager_a_crash_takes_no_window(tmp_path: Path) -> None:
 def test_a_replacement_is_no_breakage(tmp_path: Path, strategy: str) -> None:
     async def body(chain: Chain) -> None:
         outcome = await chain.manager.change(replace("a", "OtherSource", strategy))
-        assert outcome.outcome == "done" and outcome.degraded == []
+        assert outcome.outcome == "done" and outcome.unexpected_degradations == []
         await asyncio.sleep(5.0)
         assert [chain.mode(name) for name in ("a_2", *CHAIN[1:])] == ["normal"] * 4
 

@@ -313,7 +313,7 @@ def test_a_restart_waits_for_the_command_in_progress(tmp_path: Path) -> None:
         await asyncio.sleep(1)  # its new process is starting
         simulator.faults.kill("source")
         outcome = await change
-        assert outcome.ended == ["source"]
+        assert outcome.unexpected_exits == ["source"]
         await asyncio.sleep(RESTORED + 3)
         assert words(manager, "command")[1:] == ["replace filter with MedianFilter", "respawn source"]
         status = await manager.status()
@@ -370,7 +370,7 @@ def test_what_relies_on_a_component_that_crashes_during_a_change_of_others_is_de
         assert "degrade listener.listen from normal to degraded" in words(manager, "degraded")
         outcome = await change
         assert outcome.outcome == ("done" if starts else "rolled_back")
-        assert outcome.ended == ["talker"] and outcome.degraded == []
+        assert outcome.unexpected_exits == ["talker"] and outcome.unexpected_degradations == []
         assert await mode(manager) == "degraded"
         assert violations(manager.configuration) == []
         program.write_text((EXAMPLES / "talker" / "talker.py").read_text())

@@ -350,7 +350,7 @@ def test_where_the_old_side_dies_in_its_hand_over_the_new_one_takes_over_at_once
         return outcome, listening
 
     outcome, listening = managed("talker", tmp_path, body, simulator)
-    assert (outcome.outcome, outcome.ended, listening) == ("done", ["talker"], "normal")
+    assert (outcome.outcome, outcome.unexpected_exits, listening) == ("done", ["talker"], "normal")
     [swap] = outcome.swaps
     assert swap.gap is not None and swap.gap < 2.0  # with one turn of `meet`, and the moment agreed with the dead side
 

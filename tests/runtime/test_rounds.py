@@ -68,7 +68,7 @@ def test_the_steps_of_one_round_are_taken_at_once_and_each_is_in_the_model_when_
         assert [(event.kind, event.index) for event in b.events.since()] == [
             (kind, index) for kind in ("step", "step_done") for index in range(3)
         ]
-        times = [(time.step, time.begun, round(time.seconds)) for time in b.executor.times]
+        times = [(time.step, time.began, round(time.seconds)) for time in b.executor.times]
         assert times == [(1, 0.0, 2), (2, 0.0, 2), (3, 0.0, 1)]
 
     bench(idle(), tmp_path, body)

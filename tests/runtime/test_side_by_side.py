@@ -81,7 +81,7 @@ def test_three_hand_overs_take_as_long_as_one_probation_and_three_cuts(tmp_path:
     assert [found.sides(node) for node in NODES] == [[node, f"{node}_2"] for node in NODES]
     assert found.outcome.plan is not None
     handed_over = [time for time in found.outcome.steps if found.outcome.plan.steps[time.step - 1].action == "handover"]
-    assert len(handed_over) == 3 and len({time.begun for time in handed_over}) == 1
+    assert len(handed_over) == 3 and len({time.began for time in handed_over}) == 1
     assert 7.0 <= max(time.seconds for time in handed_over) < 7.0 + 3 * 0.4
     created = 1.0  # in the plan; here a process starts at once
     assert found.outcome.plan.duration == pytest.approx(found.outcome.seconds + created, abs=0.5)
@@ -177,7 +177,7 @@ def test_a_crash_of_another_node_is_responded_to_while_they_wait(tmp_path: Path)
     attachments = sink.attachments.set("in", ("/third",))
     specification = specification.with_node(type(sink)("ear", "Sink", attachments))
     found = change(tmp_path, specification, all_replaced("first", "second"), kill)
-    assert found.outcome.outcome == "done" and found.outcome.ended == ["third"]
+    assert found.outcome.outcome == "done" and found.outcome.unexpected_exits == ["third"]
     assert lowered[0] < 0.5
     for node in ("first", "second"):
         assert found.sides(node) == [node, f"{node}_2"]

@@ -57,7 +57,7 @@ def again(
 
 async def whole(manager: Manager, simulator: Simulator, report: UpReport) -> None:
     """Everything runs, in the modes that the specification allows, and nothing runs twice."""
-    assert report.lowered == []
+    assert report.degraded == []
     assert sorted(simulator.processes) == sorted(manager.configuration.instances)
     expected = initial(manager.specification)
     assert list(manager.configuration.instances_by_role) == list(expected.instances_by_role)
@@ -81,7 +81,7 @@ def test_what_has_died_with_the_manager_is_restored(killed: tuple[str, ...], tmp
 
     async def after(manager: Manager, simulator: Simulator, report: UpReport) -> None:
         await whole(manager, simulator, report)
-        assert report.components == ["filter", "sink", "source"]
+        assert report.instances == ["filter", "sink", "source"]
         assert {name: simulator.processes[name].pid for name in pids} == pids, "what lives is left alone"
         words = [event.words for event in manager.log()]
         assert {f"{name} is no longer running" for name in killed} <= set(words)
@@ -247,18 +247,18 @@ def test_a_component_started_by_hand_that_is_missing_does_not_keep_the_rest_down
         second = Manager(by_hand(), simulator, Workspace(tmp_path), EXAMPLES / "talker")
         report = await second.up()
         assert simulator.clock.steady() - begun < 10, "it is not waited for"
-        assert report.components == ["listener"]
-        assert [(each.functionality, each.after, each.planned) for each in report.lowered] == [
+        assert report.instances == ["listener"]
+        assert [(each.functionality, each.after, each.planned) for each in report.degraded] == [
             ("listener.listen", "degraded", False),
             ("talker.talk", None, False),
         ]
-        assert report.lowered[1].because == "talker exited unexpectedly"
+        assert report.degraded[1].because == "talker exited unexpectedly"
         status = await second.status()
         assert [each.remedy for each in status.crashed] == ["start it, then `midstride restart talker` restores it"]
         assert second.specification == by_hand() == saved(Workspace(tmp_path)).specification
         await simulator.start(launch)
         restored = await second.change(PlanRequest(restart=("talker",)))
-        assert (restored.outcome, restored.lowered) == ("done", [])
+        assert (restored.outcome, restored.remaining_degradations) == ("done", [])
         assert (await second.status()).crashed == []
         await second.close()
 
@@ -282,9 +282,9 @@ def test_what_cannot_be_restored_is_missing_and_the_rest_keeps_its_manager(tmp_p
         await asyncio.sleep(1)
         second = Manager(specification, simulator, Workspace(tmp_path), folder)
         report = await second.up()
-        assert (report.outcome, report.components) == ("incomplete", ["filter", "sink"])
+        assert (report.outcome, report.instances) == ("incomplete", ["filter", "sink"])
         assert list(report.missing) == ["source"] and "no such device" in report.missing["source"]
-        assert [(each.functionality, each.planned) for each in report.lowered] == [
+        assert [(each.functionality, each.planned) for each in report.degraded] == [
             ("filter.smooth", False),
             ("sink.use", False),
             (f"source.{next(iter(specification.component_of('source'))).name}", False),
@@ -299,7 +299,7 @@ def test_what_cannot_be_restored_is_missing_and_the_rest_keeps_its_manager(tmp_p
         assert len((await second.status()).crashed) == 1, "it is still missing"
         (folder / source).write_text(text)
         restored = await second.change(PlanRequest(restart=("source",)))
-        assert (restored.outcome, restored.lowered) == ("done", []), restored.because
+        assert (restored.outcome, restored.remaining_degradations) == ("done", []), restored.because
         await whole(second, simulator, UpReport("done", []))
         await second.close()
 

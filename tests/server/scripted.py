@@ -44,7 +44,7 @@ class ScriptedManager:
         self.events = EventLog()
         self.watched = watched_system(self.specification, self.events)
         self.answers: dict[str, Any] = {
-            "up": UpReport(outcome="done", components=["listener", "talker"]),
+            "up": UpReport(outcome="done", instances=["listener", "talker"]),
             "down": None,
             "why": {},
             "status": {"valid": True},

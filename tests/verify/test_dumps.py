@@ -49,7 +49,7 @@ def test_the_text_of_a_plan_is_readable_and_stays_as_it_is(name: str) -> None:
 
 def test_a_plan_that_creates_what_is_live_is_exported_for_alloy_to_refuse() -> None:
     document = encode_plan(plan(specification(TALKER), talker="NewTalker"))
-    create = {"action": "create", "component": "talker", "role": "other", "of": "Talker", "parameters": {}}
+    create = {"action": "create", "instance": "talker", "role": "other", "component": "Talker", "parameters": {}}
     document["steps"].insert(0, {**create, "seconds": 1.0})
     text = dump_plan(decode_plan(document), "twice").text
     assert "pred step1_may { can_create_within[S0, talker] }" in text

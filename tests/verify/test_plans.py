@@ -143,7 +143,7 @@ PLANTED = [
     ),
     Planted(
         "a foreign name: there is no such topic",
-        "large planner", edit(9, connector="/cmmd"),
+        "large planner", edit(9, topic="/cmmd"),
         9, "name", ("attach planner_2.cmd to /cmmd", "there is no topic /cmmd"), "attach",
     ),
     Planted(
@@ -153,7 +153,7 @@ PLANTED = [
     ),
     Planted(
         "a name that is taken",
-        "camera", lambda plan: (edit(1, component="right")(plan), drop(2, 3)(plan)),
+        "camera", lambda plan: (edit(1, instance="right")(plan), drop(2, 3)(plan)),
         1, "name", ("right already exists, with component Camera",), "create",
     ),
     Planted(
@@ -169,7 +169,7 @@ PLANTED = [
     ),
     Planted(
         "contracts that do not fit",
-        "large planner", edit(7, connector="/cmd"),
+        "large planner", edit(7, topic="/cmd"),
         7, "precondition", ("attach planner_2.in to /cmd", "the contracts do not fit"), "attach", takes_long=True,
     ),
     Planted(
@@ -227,8 +227,8 @@ def leads_to_what_is_short(finding: Finding) -> None:
     things = []
     while link is not None:
         assert not link.satisfied
-        things.append(link.thing)
-        link = next((under for under in link.under if not under.satisfied), None)
+        things.append(link.kind)
+        link = next((cause for cause in link.causes if not cause.satisfied), None)
     assert things[:4] == ["functionality", "assumption", "input", "topic"]
 
 

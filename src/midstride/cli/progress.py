@@ -36,13 +36,13 @@ class Progress:
         kind = event["kind"]
         if kind == "step":
             self._started[event["index"]] = event["at"]
-            self._set_current(f"{event['index'] + 1}/{event['of']} {_step(event)}")
+            self._set_current(f"{event['index'] + 1}/{event['total']} {_step(event)}")
         elif kind == "step_done":
             took = event["at"] - self._started.get(event["index"], event["at"])
-            done = f"  [green]✓[/green] [dim]{event['index'] + 1}/{event['of']}[/dim]"
+            done = f"  [green]✓[/green] [dim]{event['index'] + 1}/{event['total']}[/dim]"
             self._console.print(f"{done} {escape(_step(event))} [dim]{seconds(took)}[/dim]")
         elif kind == "step_failed":
-            number = f"[dim]{event['index'] + 1}/{event['of']}[/dim]"
+            number = f"[dim]{event['index'] + 1}/{event['total']}[/dim]"
             self._console.print(f"  [red]✗[/red] {number} {escape(_step(event))}")
         elif kind in {"measuring", "verifying", "waiting"}:
             self._set_current(event["words"])

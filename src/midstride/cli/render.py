@@ -72,15 +72,15 @@ def step_text(step: Document) -> str:
     """One step of a plan in a few words."""
     match step["action"]:
         case "create" | "remove" as kind:
-            return wording.existence(kind, step["component"], step.get("of", ""))
+            return wording.existence(kind, step["instance"], step.get("component", ""))
         case "attach" | "detach" as kind:
-            return wording.attachment(kind, step["port"], step["connector"])
+            return wording.attachment(kind, step["port"], step["topic"])
         case "degrade" | "upgrade" as kind:
             return wording.mode_changes(kind, ((name, m["from"], m["to"]) for name, m in step["modes"].items()))
         case "handover":
-            return wording.handover((swap["connector"], swap["old"], swap["new"]) for swap in step["swaps"])
+            return wording.handover((swap["topic"], swap["old"], swap["new"]) for swap in step["swaps"])
         case "set":
-            return wording.parameters(step["component"], step.get("parameters", {}))
+            return wording.parameters(step["instance"], step.get("parameters", {}))
         case other:
             return str(other)
 
@@ -136,9 +136,9 @@ def _runtime_values(document: Document) -> Iterable[Text]:
 
 def falls(document: Document) -> str:
     """What degrades on the way, how far, for how long and why; and what is lower or higher afterwards."""
-    lines = [_marked_fall(document, fall) for fall in document["falls"]]
+    lines = [_marked_fall(document, fall) for fall in document["degradations"]]
     lower = _lower_afterwards(document)
-    higher = [shift for shift in document["afterwards"] if shift["levels"] <= 0]
+    higher = [shift for shift in document["level_shifts"] if shift["levels"] <= 0]
     if not lines and not lower:
         lines = ["[green]Nothing degrades:[/green] every functionality that remains keeps its level throughout."]
     lines += [f"[yellow]Afterwards:[/yellow] {escape(_lowered(shift))}." for shift in lower]
@@ -186,7 +186,7 @@ def _alternative(alternative: Document) -> str:
     mode = alternative["kept_at"]
     if alternative["impossible"] is not None:
         return f"It cannot be kept at {mode}: {alternative['impossible']}"
-    instead = _listed(alternative["fallen"]) if alternative["fallen"] else "nothing"
+    instead = _listed(alternative["degraded"]) if alternative["degraded"] else "nothing"
     cost = f"the disruption would be {alternative['disruption']:.3g}"
     return f"To keep it at {mode}, {cost}: {instead} would degrade instead"
 
@@ -203,7 +203,7 @@ def _mode_entered(step: Document, functionality: str) -> str | None:
 
 def _lower_afterwards(document: Document) -> list[Document]:
     """What the plan lowers for good."""
-    return [shift for shift in document["afterwards"] if shift["levels"] > 0]
+    return [shift for shift in document["level_shifts"] if shift["levels"] > 0]
 
 
 def _lowered(shift: Document) -> str:
@@ -273,7 +273,7 @@ def _times(document: Document) -> list[str]:
     plan, steps = document.get("plan"), document.get("steps")
     if document["outcome"] != "done" or not (plan and steps) or document.get("verdict"):
         return []
-    ended = max(step["begun"] + step["seconds"] for step in steps)
+    ended = max(step["began"] + step["seconds"] for step in steps)
     together = sum(step["seconds"] for step in steps)
     in_all = "" if seconds(ended) == seconds(together) else f", for steps of {seconds(together)} in all"
     return [f"Planned: {_about_plan(plan)}. Measured: {seconds(ended)}{in_all}."]
@@ -288,12 +288,12 @@ def _skews(document: Document) -> list[str]:
 
 def _fallen_lines(document: Document) -> list[str]:
     """What was degraded and for how long, what is lower now, and what else went wrong, as measured."""
-    fallen = sorted((document.get("fallen") or {}).items())
+    fallen = sorted((document.get("below_baseline_seconds") or {}).items())
     lines = [f"{name} was below its level for {seconds(spent)}." for name, spent in fallen]
-    lines += [f"Afterwards: {lowered_line(each)}" for each in document.get("lowered") or ()]
-    if ended := document.get("ended"):
-        lines.append(f"Exited unexpectedly meanwhile: {', '.join(ended)}; see `midstride log`.")
-    if degraded := document.get("degraded"):
+    lines += [f"Afterwards: {lowered_line(each)}" for each in document.get("remaining_degradations") or ()]
+    if exits := document.get("unexpected_exits"):
+        lines.append(f"Exited unexpectedly meanwhile: {', '.join(exits)}; see `midstride log`.")
+    if degraded := document.get("unexpected_degradations"):
         lines.append(f"Degraded unexpectedly meanwhile: {', '.join(degraded)}; see `midstride why {degraded[0]}`.")
     lines += [f"Fenced: {each['words']}." for each in document.get("fenced") or ()]
     lines += [silence(each["words"], each["seconds"]) for each in document.get("silences") or ()]
@@ -333,8 +333,8 @@ def _listed(words: list[str]) -> str:
 
 def fallen_line(document: Document) -> str:
     """What was degraded and what is lower now, on one line, for a table."""
-    fallen = [f"{name} {seconds(spent)}" for name, spent in sorted((document.get("fallen") or {}).items()) if spent]
-    fallen += [f"{each['functionality']} permanently" for each in document.get("lowered") or ()]
+    fallen = [f"{name} {seconds(spent)}" for name, spent in sorted((document.get("below_baseline_seconds") or {}).items()) if spent]
+    fallen += [f"{each['functionality']} permanently" for each in document.get("remaining_degradations") or ()]
     return ", ".join(fallen) or "nothing"
 
 

@@ -50,14 +50,14 @@ def comparison(documents: Mapping[str, Document], title: str) -> RenderableType:
 def _figures(document: Document) -> Iterable[str]:
     bound = " (minimal)" if document["proved_minimal"] else ""
     yield f"{document['disruption']:.3g}{bound}"
-    yield str(len(document["fallen"]))
+    yield str(len(document["degraded"]))
     yield seconds(planned_seconds(document))
     yield seconds(document["makespan"])
     yield str(len(document["steps"]))
 
 
 def _axes(plans: Mapping[str, Document]) -> Iterable[RenderableType]:
-    names = sorted({fall["functionality"] for document in plans.values() for fall in document["falls"]})
+    names = sorted({fall["functionality"] for document in plans.values() for fall in document["degradations"]})
     if not names:
         yield Text("Nothing degrades with any of them.", style="green")
         return
@@ -86,7 +86,7 @@ def stretches(document: Document, functionality: str) -> list[Stretch]:
             begins[-1] if fall["to_step"] is None else begins[fall["to_step"]],
             None if fall["unserved_from_step"] is None else begin(fall["unserved_from_step"]),
         )
-        for fall in document["falls"]
+        for fall in document["degradations"]
         if fall["functionality"] == functionality
     ]
 

@@ -95,7 +95,7 @@ def _attachments(status: Status) -> Iterable[tuple[AttachmentStatus, MeasuredSta
 def _unmet(status: Status) -> Iterable[Text]:
     """Where what is measured differs from what is declared. What a closed gate holds back is no promise to anything."""
     for attachment, measured in _attachments(status):
-        where = f"{attachment.port} on {attachment.connector}"
+        where = f"{attachment.port} on {attachment.topic}"
         if attachment.gate == "closed":
             continue
         if measured.met is False:
@@ -120,7 +120,7 @@ def measured(status: Status) -> RenderableType:
         declared = "–" if each.declared is None else hertz(each.declared)
         times = map(seconds, (each.window, each.age, each.jitter, each.longest))
         rate = Text(hertz(each.rate), style="yellow" if each.met is False else "default")
-        rows.add_row(attachment.port, attachment.connector, declared, rate, *times, fields or "–")
+        rows.add_row(attachment.port, attachment.topic, declared, rate, *times, fields or "–")
     return Group(Text(""), rows)
 
 

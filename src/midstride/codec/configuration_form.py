@@ -1,6 +1,6 @@
-"""The JSON form of a configuration: what is live, attached and in which mode, and the world it is in.
+"""The JSON form of a configuration: what is live, attached and in which mode, and the context it is in.
 
-{"world": {"system": "world", "topics": …, "resources": …, "environment": …},   as in a specification
+{"context": {"system": "world", "topics": …, "resources": …, "environment": …},   as in a specification
  "instances": [{"name": "talker_2", "role": "talker", "component": {"name": "NewTalker", …}, "parameters": {…}}],
  "attachments": [["talker_2.out", "/chatter"]],
  "modes": {"talker_2.talk": "normal"}}
@@ -53,7 +53,7 @@ class ConfigurationForm(Form, frozen=True):
 
     what: ClassVar[str] = "a configuration"
 
-    world: SpecificationForm
+    context: SpecificationForm
     instances: list[InstanceForm]
     attachments: Annotated[list[AttachmentForm], field("a list of attachments")]
     modes: Annotated[dict[str, str], field("an object of modes", "the current mode of each functionality")]
@@ -65,7 +65,7 @@ class ConfigurationForm(Form, frozen=True):
             "world", connectors=world.connectors, environment=world.environment, resources=world.resources
         )
         return cls(
-            world=SpecificationForm.of(around),
+            context=SpecificationForm.of(around),
             instances=[InstanceForm.of(instance) for _, instance in sorted(configuration.instances.items())],
             attachments=[(str(port), connector) for port, connector in sorted(configuration.attachments())],
             modes={str(ref): configuration.mode(ref).name for ref in sorted(configuration.modes)},
@@ -85,7 +85,7 @@ class ConfigurationForm(Form, frozen=True):
                 raise SpecificationError([Problem("E008", ("modes", text), message)]) from None
         attachments = [(PortRef.parse(port), connector) for port, connector in self.attachments]
         try:
-            return configure(self.world.specification().context, live.values(), attachments, modes)
+            return configure(self.context.specification().context, live.values(), attachments, modes)
         except (KeyError, ValueError) as error:
             raise SpecificationError(f"not a configuration: {error}") from None
 

@@ -28,7 +28,7 @@ class Alternative(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=
     functionality: str
     kept_at: Annotated[str, field("a mode", "that of its baseline")]
     disruption: float | None
-    fallen: Annotated[list[str], field("a list of functionalities", "that fall instead")]
+    degraded: Annotated[list[str], field("a list of functionalities", "that degrade instead")]
     impossible: Annotated[str | None, field("a text", "why no plan keeps it; null where one does")]
 
 
@@ -54,4 +54,4 @@ def _alternatives(plan: Plan) -> Iterator[Alternative]:
         except PlanRefused as error:
             yield Alternative(name, mode, None, [], str(error))
         else:
-            yield Alternative(name, mode, other.disruption, [str(each) for each in other.fallen], None)
+            yield Alternative(name, mode, other.disruption, [str(each) for each in other.degraded], None)

@@ -44,7 +44,7 @@ class Impact(Form, frozen=True, omit_defaults=False):
     single_point_of_failure: bool
     loss: float
     own: tuple[str, ...]
-    impacted: tuple[ImpactedFunctionality, ...] = msgspec.field(name="falls")
+    impacted: tuple[ImpactedFunctionality, ...]
 
 
 def impacts(specification: Specification, roles: Iterable[str] = ()) -> list[Impact]:

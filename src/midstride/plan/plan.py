@@ -51,7 +51,7 @@ class Plan:
     proved_minimal: bool
     makespan: float
     seconds: float
-    fallen: tuple[FunctionalityRef, ...]
+    degraded: tuple[FunctionalityRef, ...]
     parameters: tuple[RuntimeValue, ...] = ()
     remarks: tuple[str, ...] = ()
     proof_space: ProofSpace = "direct"
@@ -86,7 +86,7 @@ class Plan:
             proved_minimal=is_minimal,
             makespan=makespan(steps, levels) if critical_path is None else critical_path,
             seconds=round(sum(step.seconds for step in steps), DIGITS),
-            fallen=tuple(sorted(meter.fallen)),
+            degraded=tuple(sorted(meter.fallen)),
             certificate=certificate,
         )
 

@@ -268,8 +268,8 @@ class Ledger:
             yield f"its disruption is {self.disruption:g}, not {plan.disruption:g} as it claims"
         if abs(plan.seconds - self.seconds) > _EPSILON:
             yield f"its steps take {self.seconds:g} s, not {plan.seconds:g} s as it claims"
-        if set(plan.fallen) != self.fallen:
-            found, claimed = (", ".join(map(str, sorted(refs))) or "nothing" for refs in (self.fallen, plan.fallen))
+        if set(plan.degraded) != self.fallen:
+            found, claimed = (", ".join(map(str, sorted(refs))) or "nothing" for refs in (self.fallen, plan.degraded))
             yield f"it takes {found} below the baseline, not {claimed} as it claims"
         if plan.proved_minimal and plan.disruption - plan.lower_bound > _EPSILON:
             yield f"it is not proved minimal: its disruption is above the lower bound, {plan.lower_bound:g}"

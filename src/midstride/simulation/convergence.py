@@ -64,10 +64,10 @@ def not_done(step: AttachStep | DetachStep, manager: Manager, platform: Platform
     process = platform.standing(instance)
     if process is None or process.state is None or instance in fenced:
         return None
-    attached = (port, manager.configuration.topic(step.connector)) in attachments(process)
+    attached = (port, manager.configuration.topic(step.topic)) in attachments(process)
     if attached == isinstance(step, AttachStep):
         return None
-    return f"{step.port} is {'' if attached else 'not '}attached to {step.connector} after `{step.action}` is done"
+    return f"{step.port} is {'' if attached else 'not '}attached to {step.topic} after `{step.action}` is done"
 
 
 def left_attached(step: HandoverStep, manager: Manager, platform: Platform) -> list[str]:
@@ -78,11 +78,11 @@ def left_attached(step: HandoverStep, manager: Manager, platform: Platform) -> l
     found = []
     for swap in step.swaps:
         instance, _, port = swap.new.rpartition(".")
-        if swap.connector in manager.configuration.attached_to(PortRef(instance, port)):
+        if swap.topic in manager.configuration.attached_to(PortRef(instance, port)):
             continue
         process = platform.standing(instance)
         if process is not None and process.state is not None:
-            topic = manager.configuration.topic(swap.connector)
+            topic = manager.configuration.topic(swap.topic)
             if topic in process.state.ports.get(port, {}):
                 found.append(f"{swap.new} is still on {topic} after the hand-over has failed")
     return found

@@ -24,7 +24,7 @@ def chain_lines(link: CauseLink, depth: int = 0) -> Iterator[str]:
     """A chain as indented lines, from the functionality down."""
     text = f"{link.name} ({link.detail})" if link.detail else link.name
     yield f"{'  ' * depth}{text}: {'satisfied' if link.satisfied else 'not satisfied'}"
-    for under in link.under:
+    for under in link.causes:
         yield from chain_lines(under, depth + 1)
 
 
@@ -79,8 +79,8 @@ def _boxes(verdict: Verdict) -> Iterator[_Box]:
 
 
 def _links(link: CauseLink, id: str, above: str) -> Iterator[_Box]:
-    yield _Box(id, above, link.thing, (link.name, *wrap(link.detail, _WIDTH)), link.satisfied)
-    for number, under in enumerate(link.under, start=1):
+    yield _Box(id, above, link.kind, (link.name, *wrap(link.detail, _WIDTH)), link.satisfied)
+    for number, under in enumerate(link.causes, start=1):
         yield from _links(under, f"{id}_{number}", id)
 
 

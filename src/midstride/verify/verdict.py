@@ -26,14 +26,14 @@ Kind = Literal[
 ]
 
 
-class CauseLink(Form, frozen=True, rename={"detail": "told"}):
+class CauseLink(Form, frozen=True):
     """One link of the chain from an assumption to its unmet cause, for diagrams."""
 
-    thing: Literal["functionality", "assumption", "input", "topic", "output", "environment"]
+    kind: Literal["functionality", "assumption", "input", "topic", "output", "environment"]
     name: str
     detail: str
     satisfied: bool
-    under: tuple[CauseLink, ...] = ()
+    causes: tuple[CauseLink, ...] = ()
 
 
 class Finding(Form, frozen=True, omit_defaults=False):

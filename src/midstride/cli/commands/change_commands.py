@@ -252,7 +252,7 @@ def change(
         raise
     if wants_json():
         print_json(outcome)
-    unexpected = outcome["silences"] or any(not each["planned"] for each in outcome["lowered"])
+    unexpected = outcome["silences"] or any(not each["planned"] for each in outcome["remaining_degradations"])
     return 0 if outcome["outcome"] == "done" and not unexpected else 1
 
 

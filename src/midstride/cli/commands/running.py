@@ -56,7 +56,7 @@ def _narrowed(status: Status, nodes: Sequence[str]) -> Status:
         if node not in known:
             raise not_running(status, node)
     components = [each for each in status.components if {each.name, each.role} & {*nodes}]
-    attached = {attachment.connector for each in components for attachment in each.attachments}
+    attached = {attachment.topic for each in components for attachment in each.attachments}
     topics = [topic for topic in status.topics if topic.name in attached]
     return structs.replace(status, components=components, topics=topics)
 

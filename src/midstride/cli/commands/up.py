@@ -176,13 +176,13 @@ def _up(
             f"Run `midstride apply {file}` to change it.",
             err=True,
         )
-    status = int(answer["outcome"] != "done" or any(not each["planned"] for each in answer["lowered"]))
+    status = int(answer["outcome"] != "done" or any(not each["planned"] for each in answer["degraded"]))
     if wants_json():
         print_json(answer)
         return status
     without = f" without {', '.join(answer['missing'])}" if answer["missing"] else ""
     click.echo(f"{workspace.name} is up{without} ({', '.join(answer['components'])}).")
-    for each in answer["lowered"]:
+    for each in answer["degraded"]:
         click.echo(f"Degraded: {lowered_line(each)}")
     for line in missing_lines(answer):
         click.echo(line)

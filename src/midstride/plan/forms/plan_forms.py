@@ -41,7 +41,7 @@ from midstride.plan.runtime_values import RuntimeValue
 from midstride.plan.state_continuity import left_behind
 
 Steps: TypeAlias = Annotated[list[AnyStep], field("a list of steps")]
-Running: TypeAlias = Annotated[
+StartInstances: TypeAlias = Annotated[
     dict[str, str | None],
     field("an object of instances", "by role, at the start: instances without their role's name; null: none is live"),
 ]
@@ -52,7 +52,7 @@ OwnState: TypeAlias = Annotated[
     dict[str, str], field("an object of reasons", "by new instance: why it starts with its own state")
 ]
 Remarks: TypeAlias = Annotated[list[str], field("a list of texts", "what is done besides, and why")]
-Standing: TypeAlias = Annotated[
+StartModes: TypeAlias = Annotated[
     dict[str, str], field("an object of modes", "at the start: the modes that are not the best possible")
 ]
 
@@ -119,13 +119,13 @@ class PlanCosts(PlanPart, frozen=True, kw_only=True):
         | UnsetType
     ) = UNSET
     between: Between | UnsetType = UNSET
-    fallen: Annotated[list[str], field("a list of functionalities", "of roles, ever below their baseline")]
-    falls: Annotated[list[Degradation], field("a list", "why each functionality falls")] = []
-    afterwards: Annotated[list[LevelShift], field("a list", "what is in another mode for good")] = []
+    degraded: Annotated[list[str], field("a list of functionalities", "of roles, ever below their baseline")]
+    degradations: Annotated[list[Degradation], field("a list", "when and why each of them is below its baseline")] = []
+    level_shifts: Annotated[list[LevelShift], field("a list", "what is in another mode for good")] = []
 
 
 Alternatives: TypeAlias = Annotated[
-    list[Alternative], field("a list", "what it would cost to keep what falls, where that was asked for")
+    list[Alternative], field("a list", "what it would cost to keep what degrades, where that was asked for")
 ]
 
 
@@ -133,8 +133,8 @@ class PlanPreview(PlanCosts, frozen=True, kw_only=True):
     """A plan without the specifications that it starts from and leads to."""
 
     steps: Steps
-    running: Running | UnsetType = UNSET
-    standing: Standing | UnsetType = UNSET
+    start_instances: StartInstances | UnsetType = UNSET
+    start_modes: StartModes | UnsetType = UNSET
     parameters: RuntimeValues | UnsetType = UNSET
     own_state: OwnState | UnsetType = UNSET
     remarks: Remarks | UnsetType = UNSET
@@ -155,8 +155,8 @@ class PlanForm(PlanCosts, frozen=True, kw_only=True):
     target: SpecificationForm
     alternatives: Alternatives | UnsetType = UNSET
     steps: Steps
-    running: Running | UnsetType = UNSET
-    standing: Standing | UnsetType = UNSET
+    start_instances: StartInstances | UnsetType = UNSET
+    start_modes: StartModes | UnsetType = UNSET
     parameters: RuntimeValues | UnsetType = UNSET
     own_state: OwnState | UnsetType = UNSET
     remarks: Remarks | UnsetType = UNSET
@@ -184,12 +184,12 @@ def _fields(plan: Plan) -> dict[str, Any]:
         "seconds": plan.seconds,
         "duration": taken.seconds,
         "between": taken.between or UNSET,
-        "fallen": [str(ref) for ref in plan.fallen],
-        "falls": list(plan.degradations),
-        "afterwards": list(plan.level_shifts),
+        "degraded": [str(ref) for ref in plan.degraded],
+        "degradations": list(plan.degradations),
+        "level_shifts": list(plan.level_shifts),
         "steps": [step_form(step) for step in plan.steps],
-        "running": _running(plan.change) or UNSET,
-        "standing": _standing(plan.change.origin) or UNSET,
+        "start_instances": _start_instances(plan.change) or UNSET,
+        "start_modes": _start_modes(plan.change.origin) or UNSET,
         "parameters": list(plan.parameters) or UNSET,
         "remarks": list(plan.remarks) or UNSET,
         "certificate": [BoundPartForm(roles=[*each.roles], bound=each.bound) for each in plan.certificate] or UNSET,
@@ -206,7 +206,7 @@ def _measured(plan: Plan) -> dict[str, tuple[float, float, float]]:
     return {key: (each.seconds, each.shortest, each.longest) for key, each in sorted(measured.items())}
 
 
-def _running(change: Change) -> dict[str, str | None]:
+def _start_instances(change: Change) -> dict[str, str | None]:
     found: dict[str, str | None] = {}
     for role in sorted({*change.specification.nodes, *change.origin.instances_by_role}):
         names = [instance.name for instance in change.origin.instances_of(role)]
@@ -215,7 +215,7 @@ def _running(change: Change) -> dict[str, str | None]:
     return found
 
 
-def _standing(configuration: Configuration) -> dict[str, str]:
+def _start_modes(configuration: Configuration) -> dict[str, str]:
     highest = best(configuration).modes
     modes = configuration.modes
     return {str(ref): configuration.mode(ref).name for ref in sorted(modes) if modes[ref] != highest[ref]}
@@ -233,8 +233,8 @@ def decode_plan(document: object) -> Plan:
     and PlanRefused where start and target do not meet, or a step is about something that does not exist.
     """
     form, start, target = decode(document, PlanForm, _parts, _names)
-    standing = {} if form.standing is UNSET else form.standing
-    origin = _started(start, {} if form.running is UNSET else form.running, standing)
+    standing = {} if form.start_modes is UNSET else form.start_modes
+    origin = _started(start, {} if form.start_instances is UNSET else form.start_instances, standing)
     measured = {key: Estimate(*each) for key, each in (form.measured or {}).items()}
     change = change_between(origin, start, target, measured)
     try:
@@ -251,7 +251,7 @@ def decode_plan(document: object) -> Plan:
         proved_minimal=form.proved_minimal,
         makespan=form.makespan,
         seconds=form.seconds,
-        fallen=tuple(FunctionalityRef.parse(text) for text in form.fallen),
+        degraded=tuple(FunctionalityRef.parse(text) for text in form.degraded),
         parameters=() if form.parameters is UNSET else tuple(form.parameters),
         remarks=() if form.remarks is UNSET else tuple(form.remarks),
         proof_space=form.proof_space,

@@ -1,6 +1,4 @@
 """The JSON form of a step of a plan, written from a step and read back.
-
-In it ``component`` is the name of an instance, as users know it, and ``of`` its component.
 """
 
 from __future__ import annotations
@@ -55,7 +53,7 @@ class SwapForm(PlanPart, frozen=True):
 
     what: ClassVar[str] = "a swap"
 
-    connector: str
+    topic: str
     old: str
     new: str
 
@@ -75,9 +73,9 @@ class StepForm(PlanPart, frozen=True, kw_only=True, tag_field="action"):
 class CreateStep(StepForm, frozen=True, kw_only=True, tag="create"):
     """A new instance is started."""
 
-    instance: str = msgspec.field(name="component")
+    instance: str
     role: str
-    component: str = msgspec.field(name="of")
+    component: str
     parameters: dict[str, Value] = {}
     seconds: FiniteNumber
 
@@ -85,7 +83,7 @@ class CreateStep(StepForm, frozen=True, kw_only=True, tag="create"):
 class RemoveStep(StepForm, frozen=True, tag="remove"):
     """An instance is ended."""
 
-    instance: str = msgspec.field(name="component")
+    instance: str
     seconds: FiniteNumber
 
 
@@ -93,7 +91,7 @@ class AttachStep(StepForm, frozen=True, tag="attach"):
     """A port of an instance is attached to a topic."""
 
     port: str
-    connector: str
+    topic: str
     seconds: FiniteNumber
 
 
@@ -101,7 +99,7 @@ class DetachStep(StepForm, frozen=True, tag="detach"):
     """A port of an instance is detached from a topic."""
 
     port: str
-    connector: str
+    topic: str
     seconds: FiniteNumber
 
 
@@ -129,7 +127,7 @@ class HandoverStep(StepForm, frozen=True, tag="handover"):
 class SetStep(StepForm, frozen=True, tag="set"):
     """Parameters of a live instance are set in place."""
 
-    instance: str = msgspec.field(name="component")
+    instance: str
     parameters: dict[str, Value]
     seconds: FiniteNumber
 
@@ -161,15 +159,15 @@ def _form(step: Step) -> AnyStep:
         case Remove():
             return RemoveStep(instance=action.instance, seconds=seconds)
         case Attach():
-            return AttachStep(port=str(action.port), connector=action.connector, seconds=seconds)
+            return AttachStep(port=str(action.port), topic=action.connector, seconds=seconds)
         case Detach():
-            return DetachStep(port=str(action.port), connector=action.connector, seconds=seconds)
+            return DetachStep(port=str(action.port), topic=action.connector, seconds=seconds)
         case Degrade():
             return DegradeStep(modes=modes, seconds=seconds)
         case Upgrade():
             return UpgradeStep(modes=modes, seconds=seconds)
         case Handover():
-            swaps = [SwapForm(connector=swap.connector, old=str(swap.old), new=str(swap.new)) for swap in action.swaps]
+            swaps = [SwapForm(topic=swap.connector, old=str(swap.old), new=str(swap.new)) for swap in action.swaps]
             return HandoverStep(swaps=swaps, seconds=seconds)
         case SetParameters():
             return SetStep(instance=action.instance, parameters=values_form(action.parameters), seconds=seconds)
@@ -211,15 +209,15 @@ def _action(change: Change, known: Mapping[str, Instance], form: AnyStep) -> Act
         case RemoveStep():
             return Remove(form.instance)
         case AttachStep():
-            return Attach(PortRef.parse(form.port), form.connector)
+            return Attach(PortRef.parse(form.port), form.topic)
         case DetachStep():
-            return Detach(PortRef.parse(form.port), form.connector)
+            return Detach(PortRef.parse(form.port), form.topic)
         case DegradeStep() | UpgradeStep():
             refs = ((FunctionalityRef.parse(text), each.after) for text, each in form.modes.items())
             to: Map[FunctionalityRef, int] = Map({ref: mode_index(known, ref, mode) for ref, mode in refs})
             return Degrade(to) if isinstance(form, DegradeStep) else Upgrade(to)
         case HandoverStep():
-            swaps = (Swap(each.connector, PortRef.parse(each.old), PortRef.parse(each.new)) for each in form.swaps)
+            swaps = (Swap(each.topic, PortRef.parse(each.old), PortRef.parse(each.new)) for each in form.swaps)
             return Handover(tuple(swaps))
         case SetStep():
             return SetParameters(form.instance, values_of(form.parameters))

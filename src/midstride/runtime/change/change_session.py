@@ -73,7 +73,7 @@ LONGEST_FIRST_CALLS: Final = 1.0
 class _Taken:
     """How the steps of a plan have ended, and when (steady s).
 
-    ``seconds``: how long they took together; ``times``: each of those that were done. ``fallen``: how long each
+    ``seconds``: how long they took together; ``times``: each of those that were done. ``below_baseline_seconds``: how long each
     functionality was below its baseline (s).
     """
 
@@ -81,7 +81,7 @@ class _Taken:
     because: str | None
     ended: float
     seconds: float
-    fallen: dict[str, float]
+    below_baseline_seconds: dict[str, float]
     times: list[StepTime]
 
 
@@ -286,7 +286,7 @@ class ChangeSession:
             seconds=taken.seconds,
             steps=taken.times,
             skews=driver.modes.skews,
-            fallen=taken.fallen,
+            below_baseline_seconds=taken.below_baseline_seconds,
             swaps=swaps,
             late=driver.late,
             own_state={
@@ -295,10 +295,10 @@ class ChangeSession:
             fenced=[fenced[name] for name in sorted(fenced)],
             because=taken.because,
             parameters=transfer.report(taken.outcome == "done"),
-            ended=sorted(exited | {name for name, event in system.missing.items() if missing.get(name) is not event}),
-            degraded=sorted(map(str, self.reconciler.degraded)),
+            unexpected_exits=sorted(exited | {name for name, event in system.missing.items() if missing.get(name) is not event}),
+            unexpected_degradations=sorted(map(str, self.reconciler.degraded)),
             silences=[fault for words, fault in silences.items() if words not in silent_before],
-            lowered=lowered,
+            remaining_degradations=lowered,
         )
 
     async def _take_steps(

@@ -59,7 +59,7 @@ class _Run:
 
     def position(self, index: int) -> dict[str, Any]:
         step = self.forms[index] if self.forms else UNSET
-        return {"index": index, "of": len(self.actions), "step": step}
+        return {"index": index, "total": len(self.actions), "step": step}
 
     def numbered(self, index: int, words: str) -> str:
         return f"{index + 1}/{len(self.actions)} {words}"
@@ -325,7 +325,7 @@ class Executor:
         """
         if not done:
             return list(self.driver.fences.problems())
-        self.driver.events.add("rollback", f"rolling back {counted(len(done), 'step')}", of=len(done))
+        self.driver.events.add("rollback", f"rolling back {counted(len(done), 'step')}", total=len(done))
         self.driver.rolling_back = True
         created = {action.instance.name for action, _ in done if isinstance(action, Create)}
         await self._kill(name for name in sorted(created) if self.driver.client.responsive(name) is None)

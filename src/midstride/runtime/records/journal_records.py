@@ -23,7 +23,7 @@ from midstride.runtime.records.disk import Database, Statement
 
 # What is raised where the journal cannot be used: by the disk, and by what is in the file.
 FAILURES: Final = (sqlite3.Error, OSError, MidstrideError, ValueError, TypeError, RecursionError)
-VERSION: Final = "1"
+VERSION: Final = "2"
 CHANGES: Final = 200
 INCIDENTS: Final = 2_000
 DURATIONS: Final = 2_000

@@ -23,7 +23,7 @@ from midstride.verify.verdict import Verdict
 OutcomeKind: TypeAlias = Literal["done", "refused", "rolled_back", "failed"]
 
 
-class LoweredFunctionality(Report, frozen=True, kw_only=True):
+class DegradedFunctionality(Report, frozen=True, kw_only=True):
     """A functionality of a role that is in a worse mode than before the change, or if it is new, than its normal one.
 
     `planned`: the plan led there. Otherwise its code raised, say, or what it relies on has exited.
@@ -40,8 +40,8 @@ class UpReport(Report, frozen=True):
     """The system is up, with these instances. `incomplete`: it ran before, and what is `missing` is not restored."""
 
     outcome: Literal["done", "incomplete"]
-    components: list[str]
-    lowered: Annotated[list[LoweredFunctionality], Meta(description="what is not in its normal mode")] = []
+    instances: list[str]
+    degraded: Annotated[list[DegradedFunctionality], Meta(description="what is not in its normal mode")] = []
     missing: Annotated[dict[str, str], Meta(description="why nodes could not be restored")] = {}
 
 
@@ -64,7 +64,7 @@ class StepTime(Report, frozen=True):
     """How long a step took, and when it began after the first one, in seconds. Steps that overlap are in one round."""
 
     step: Annotated[int, Meta(description="its number in the plan, from 1")]
-    begun: float
+    began: float
     seconds: float
 
 
@@ -84,7 +84,7 @@ class Outcome(Report, frozen=True, kw_only=True):
     seconds: float = 0.0
     steps: Annotated[list[StepTime], Meta(description="those that were done, as measured")] = []
     skews: list[ModeSkew] = []
-    fallen: Annotated[dict[str, float], Meta(description="measured seconds below the baseline")] = {}
+    below_baseline_seconds: Annotated[dict[str, float], Meta(description="as measured, by functionality")] = {}
     swaps: list[SwapReport] = []
     late: Annotated[
         dict[str, float],
@@ -96,11 +96,13 @@ class Outcome(Report, frozen=True, kw_only=True):
     ] = {}
     because: str | None = None
     parameters: Annotated[list[RuntimeValue], Meta(description="what became of values that were set at run time")] = []
-    ended: Annotated[list[str], Meta(description="instances that exited unexpectedly meanwhile")] = []
-    degraded: Annotated[list[str], Meta(description="functionalities that degraded unexpectedly meanwhile")] = []
+    unexpected_exits: Annotated[list[str], Meta(description="of instances, meanwhile")] = []
+    unexpected_degradations: Annotated[list[str], Meta(description="of functionalities, meanwhile")] = []
     fenced: Annotated[list[FencedInstance], Meta(description="replaced although they hung")] = []
     silences: Annotated[list[SilenceFault], Meta(description="faults that began meanwhile, and last")] = []
-    lowered: Annotated[list[LoweredFunctionality], Meta(description="what is lower afterwards")] = []
+    remaining_degradations: Annotated[
+        list[DegradedFunctionality], Meta(description="what is in a worse mode afterwards")
+    ] = []
     verdict: Annotated[Verdict | UnsetType, Meta(description="what Alloy found, where requested")] = UNSET
 
 
@@ -128,7 +130,7 @@ class Event(Form, frozen=True, kw_only=True, forbid_unknown_fields=False):
     command: Annotated[str | UnsetType, Meta(description="waiting: the command that waits")] = UNSET
     id: Annotated[str | UnsetType | None, Meta(description="waiting, command: the id in its request")] = UNSET
     index: Annotated[int | UnsetType, Meta(description="step…: which step, from 0")] = UNSET
-    of: Annotated[int | UnsetType, Meta(description="step…, rollback: of how many steps")] = UNSET
+    total: Annotated[int | UnsetType, Meta(description="step…, rollback: how many steps there are")] = UNSET
     step: Annotated[AnyStep | UnsetType, Meta(description="step…: the step of the plan")] = UNSET
     plan: Annotated[PlanPreview | UnsetType, Meta(description="plan: what will be done")] = UNSET
     swaps: Annotated[list[SwapReport] | UnsetType, Meta(description="measured: what each subscriber saw")] = UNSET

@@ -86,7 +86,7 @@ class AttachmentStatus(Report, frozen=True):
     """A port on a topic; the gate of an output lets its messages through or not."""
 
     port: str
-    connector: str
+    topic: str
     gate: Literal["open", "closed"] | None
     measured: Annotated[MeasuredStatus | None, Meta(description="null where its component does not answer")] = None
 

@@ -9,13 +9,13 @@ from midstride.model.component import FunctionalityRef, FunctionalitySpec, PortR
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
 from midstride.runtime.process.component_client import ComponentClient
-from midstride.runtime.records.reports import LoweredFunctionality
+from midstride.runtime.records.reports import DegradedFunctionality
 from midstride.runtime.running_system import RunningSystem
 
 
 def lowered_functionalities(
     system: RunningSystem, client: ComponentClient, start: Configuration, planned: Configuration
-) -> list[LoweredFunctionality]:
+) -> list[DegradedFunctionality]:
     """The functionalities that are in a worse mode now than in ``start``, and new ones below their normal mode.
 
     Not ``planned``: those in a worse mode than in that configuration. Roles that neither configuration has are left
@@ -34,7 +34,7 @@ def lowered_functionalities(
                 continue
             unexpected = level > _level(planned, intended)
             found.append(
-                LoweredFunctionality(
+                DegradedFunctionality(
                     functionality=str(ref),
                     before=functionality.modes[0].name if was is None else start.mode(was).name,
                     after=None if current is None else now.mode(current).name,
@@ -70,6 +70,6 @@ def _because(system: RunningSystem, client: ComponentClient, role: str, ref: Fun
     return None if latest is None else latest.state.functionalities[ref.functionality].because.strip()
 
 
-def in_words(lowered: Iterable[LoweredFunctionality]) -> str:
+def in_words(lowered: Iterable[DegradedFunctionality]) -> str:
     """The same in words, for an event."""
     return ", ".join(wording.lowered(each.functionality, each.after, each.before) for each in lowered)

@@ -35,7 +35,7 @@ class _Change:
     state: ChangeState = "planning"
     plan: PlanPreview | None = None
     index: int | None = None
-    of: int | None = None
+    total: int | None = None
     ended: float | None = None
     steps: dict[int, StepView] = field(default_factory=dict)
     swaps: list[SwapReport] = field(default_factory=list)
@@ -69,7 +69,7 @@ class ChangeTracker:
         if change.ended is None:
             change.state = _STATES.get(event.kind, change.state)
         if event.plan is not UNSET:
-            change.plan, change.of = event.plan, len(event.plan.steps)
+            change.plan, change.total = event.plan, len(event.plan.steps)
         if event.swaps is not UNSET:
             change.swaps = event.swaps
         if event.kind == "outcome":
@@ -100,7 +100,7 @@ class ChangeTracker:
             state=change.state,
             plan=change.plan,
             index=change.index,
-            of=change.of,
+            total=change.total,
             began=change.began,
             ended=change.ended,
             steps=[change.steps[index] for index in sorted(change.steps)],

@@ -136,7 +136,7 @@ class ChangeView(Report, frozen=True, kw_only=True):
     state: ChangeState
     plan: Annotated[PlanPreview | None, Meta(description="null until it is planned")]
     index: Annotated[int | None, Meta(description="the latest step that has begun, from 0")]
-    of: Annotated[int | None, Meta(description="how many steps the plan has")]
+    total: Annotated[int | None, Meta(description="how many steps the plan has")]
     began: UnixTime
     ended: UnixTime | None
     steps: list[StepView]

@@ -39,7 +39,7 @@ export function comparison(plans, width, onPick) {
   const rows = Object.entries(plans).map(([name, plan]) => {
     if (plan.refused) return h("tr", {}, h("th", { scope: "row" }, name), h("td", { colspan: 5, class: "refused" }, `refused: ${plan.refused}`));
     const disruption = `${figure(plan.disruption)}${plan.proved_minimal ? " (minimal)" : ""}`;
-    const cells = [disruption, plan.fallen.length, duration(plannedSeconds(plan)), duration(plan.makespan), plan.steps.length];
+    const cells = [disruption, plan.degraded.length, duration(plannedSeconds(plan)), duration(plan.makespan), plan.steps.length];
     const head = onPick ? h("button", { class: "button quiet", type: "button", onclick: () => onPick(name) }, name) : name;
     return h("tr", {}, h("th", { scope: "row" }, head), ...cells.map((each) => h("td", { class: "number" }, each)));
   });

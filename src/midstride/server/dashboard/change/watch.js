@@ -20,7 +20,7 @@ const STATES = /** @type {Record<string, string>} */ ({
 export function watch(change, width) {
   const done = change.steps.filter((/** @type {any} */ each) => each.ended !== null && !each.failed).length;
   const ended = change.state === "ended";
-  const count = change.of === null ? "" : `, ${done} of ${change.of} steps done`;
+  const count = change.total === null ? "" : `, ${done} of ${change.total} steps done`;
   const good = change.outcome === "done" ? "good" : "bad";
   const kind = ended ? good : change.state === "rolling_back" ? "bad" : null;
   const words = ended ? `ended: ${change.because}` : `${STATES[change.state] ?? change.state}${count} …`;

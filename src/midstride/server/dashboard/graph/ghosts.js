@@ -49,15 +49,15 @@ export function ghostsOf(plan, view, { step = null } = {}) {
   (plan.steps ?? []).forEach((/** @type {any} */ each, /** @type {number} */ index) => {
     if (index === step) for (const name of subjects(each)) ghosts.current.add(name);
     if (each.action === "create") {
-      ghosts.components.set(each.component, "created");
-      if (!(each.component in view.components)) planned.set(each.component, newComponent(each, view));
-    } else if (each.action === "remove") ghosts.components.set(each.component, "removed");
-    else if (each.action === "attach") link(each.port, each.connector, "created");
-    else if (each.action === "detach") link(each.port, each.connector, "removed");
+      ghosts.components.set(each.instance, "created");
+      if (!(each.instance in view.components)) planned.set(each.instance, newComponent(each, view));
+    } else if (each.action === "remove") ghosts.components.set(each.instance, "removed");
+    else if (each.action === "attach") link(each.port, each.topic, "created");
+    else if (each.action === "detach") link(each.port, each.topic, "removed");
     else if (each.action === "handover") {
       for (const swap of each.swaps) {
-        link(swap.old, swap.connector, "removed");
-        link(swap.new, swap.connector, "created");
+        link(swap.old, swap.topic, "removed");
+        link(swap.new, swap.topic, "created");
       }
     } else if (each.action === "upgrade" || each.action === "degrade") addModes(planned, each.modes);
   });
@@ -71,8 +71,8 @@ export function ghostsOf(plan, view, { step = null } = {}) {
  */
 function falls(plan) {
   /** @type {Map<string, string>} */ const found = new Map();
-  for (const name of plan.fallen ?? []) found.set(name, "falls");
-  for (const each of plan.falls ?? []) {
+  for (const name of plan.degraded ?? []) found.set(name, "falls");
+  for (const each of plan.degradations ?? []) {
     const to = each.to ?? each.mode;
     if (typeof each.functionality === "string") found.set(each.functionality, to ? `falls to ${to}` : "falls");
   }
@@ -84,7 +84,7 @@ function falls(plan) {
  * @returns {string[]} the components that a step is about
  */
 function subjects(step) {
-  if (step.component) return [step.component];
+  if (step.instance) return [step.instance];
   if (step.port) return [owner(step.port)];
   if (step.swaps) return step.swaps.flatMap((/** @type {any} */ swap) => [owner(swap.old), owner(swap.new)]);
   return Object.keys(step.modes ?? {}).map(owner);
@@ -99,9 +99,9 @@ function newComponent(create, view) {
   const before = Object.values(view.components).find((each) => each.role === create.role);
   const slash = create.role.lastIndexOf("/");
   return {
-    name: create.component,
+    name: create.instance,
     role: create.role,
-    component: create.of,
+    component: create.component,
     namespace: before?.namespace ?? `/${slash < 0 ? "" : create.role.slice(0, slash)}`,
     host: before?.host ?? null,
     node: null,

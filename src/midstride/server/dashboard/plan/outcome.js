@@ -17,7 +17,7 @@ export function headline(outcome) {
     rolled_back: `Rolled back in ${took}, every step undone`,
     failed: `Failed in ${took}`,
   }[/** @type {"done"} */ (outcome.outcome)];
-  const worse = (outcome.lowered ?? []).some((/** @type {any} */ each) => !each.planned);
+  const worse = (outcome.remaining_degradations ?? []).some((/** @type {any} */ each) => !each.planned);
   const kind = outcome.outcome === "done" ? (worse ? "warn" : "good") : "bad";
   return { kind, words: outcome.because ? `${words}: ${outcome.because}` : `${words}.` };
 }
@@ -33,11 +33,11 @@ export function details(outcome, plan) {
   if (outcome.outcome === "refused") return [];
   const swaps = outcome.swaps ?? [];
   const fell = [
-    ...Object.entries(outcome.fallen ?? {}).sort().map(([name, spent]) => `${name} was below its level for ${duration(spent)}.`),
-    ...(outcome.lowered ?? []).map((/** @type {any} */ each) => `Afterwards: ${lowered(each)}.`),
-    ...(outcome.ended?.length ? [`Exited unexpectedly meanwhile: ${outcome.ended.join(", ")}; see \`midstride log\`.`] : []),
-    ...(outcome.degraded?.length
-      ? [`Degraded unexpectedly meanwhile: ${outcome.degraded.join(", ")}; see \`midstride why ${outcome.degraded[0]}\`.`]
+    ...Object.entries(outcome.below_baseline_seconds ?? {}).sort().map(([name, spent]) => `${name} was below its level for ${duration(spent)}.`),
+    ...(outcome.remaining_degradations ?? []).map((/** @type {any} */ each) => `Afterwards: ${lowered(each)}.`),
+    ...(outcome.unexpected_exits?.length ? [`Exited unexpectedly meanwhile: ${outcome.unexpected_exits.join(", ")}; see \`midstride log\`.`] : []),
+    ...(outcome.unexpected_degradations?.length
+      ? [`Degraded unexpectedly meanwhile: ${outcome.unexpected_degradations.join(", ")}; see \`midstride why ${outcome.unexpected_degradations[0]}\`.`]
       : []),
     ...(outcome.fenced ?? []).map((/** @type {any} */ each) => `Fenced: ${each.words}.`),
     ...(outcome.silences ?? []).map(silence),
@@ -83,7 +83,7 @@ function skew(skew) {
  */
 function times(outcome, plan) {
   if (outcome.outcome !== "done" || !plan || !outcome.steps?.length || outcome.verdict) return [];
-  const ended = Math.max(...outcome.steps.map((/** @type {any} */ each) => each.begun + each.seconds));
+  const ended = Math.max(...outcome.steps.map((/** @type {any} */ each) => each.began + each.seconds));
   const together = outcome.steps.reduce((/** @type {number} */ sum, /** @type {any} */ each) => sum + each.seconds, 0);
   const inAll = duration(ended) === duration(together) ? "" : `, for steps of ${duration(together)} in all`;
   return [`Planned: ${aboutPlan(plan)}. Measured: ${duration(ended)}${inAll}.`];

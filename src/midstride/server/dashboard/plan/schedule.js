@@ -65,11 +65,11 @@ export function measuredSpans(plan, outcome) {
   const spans = plannedSpans(plan);
   /** @type {Map<number, any>} */
   const measured = new Map(outcome.steps.map((/** @type {any} */ each) => [each.step - 1, each]));
-  const last = Math.max(0, ...outcome.steps.map((/** @type {any} */ each) => each.begun + each.seconds));
+  const last = Math.max(0, ...outcome.steps.map((/** @type {any} */ each) => each.began + each.seconds));
   return spans.map((_, index) => {
     const found = measured.get(index);
     if (found === undefined) return { begin: last, end: last, state: "planned" };
-    return { begin: found.begun, end: found.begun + found.seconds, state: "done" };
+    return { begin: found.began, end: found.began + found.seconds, state: "done" };
   });
 }
 
@@ -77,7 +77,7 @@ export function measuredSpans(plan, outcome) {
 export function stretches(plan) {
   const at = begins(plan);
   const begin = (/** @type {number} */ step) => at[Math.max(step - 1, 0)];
-  return (plan.falls ?? []).map((/** @type {any} */ fall) => ({
+  return (plan.degradations ?? []).map((/** @type {any} */ fall) => ({
     functionality: fall.functionality,
     begin: begin(fall.from_step),
     end: fall.to_step === null ? at.at(-1) : at[fall.to_step],

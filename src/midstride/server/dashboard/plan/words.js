@@ -35,23 +35,23 @@ export function stepText(step) {
   switch (step.action) {
     case "create":
     case "remove":
-      return step.of ? `${step.action} ${step.component} (${step.of})` : `${step.action} ${step.component}`;
+      return step.component ? `${step.action} ${step.instance} (${step.component})` : `${step.action} ${step.instance}`;
     case "attach":
-      return `attach ${step.port} to ${step.connector}`;
+      return `attach ${step.port} to ${step.topic}`;
     case "detach":
-      return `detach ${step.port} from ${step.connector}`;
+      return `detach ${step.port} from ${step.topic}`;
     case "degrade":
     case "upgrade": {
       const modes = Object.entries(step.modes).map(([name, each]) => `${name} from ${each.from} to ${each.to}`);
       return `${step.action} ${modes.join(", ") || "nothing"}`;
     }
     case "handover": {
-      const swaps = step.swaps.map((/** @type {any} */ each) => `${each.connector} from ${each.old} to ${each.new}`);
+      const swaps = step.swaps.map((/** @type {any} */ each) => `${each.topic} from ${each.old} to ${each.new}`);
       return `hand over ${swaps.join(", ") || "nothing"}`;
     }
     case "set": {
       const values = Object.entries(step.parameters ?? {}).sort(([a], [b]) => (a < b ? -1 : 1));
-      return `set ${values.map(([name, value]) => `${name} = ${written(value)}`).join(", ")} on ${step.component}`;
+      return `set ${values.map(([name, value]) => `${name} = ${written(value)}`).join(", ")} on ${step.instance}`;
     }
     default:
       return String(step.action);
@@ -112,7 +112,7 @@ function modeEntered(step, functionality) {
  * @returns {{functionality: string, head: string, because: string[], already: boolean}[]} `already`: before the first step
  */
 export function falls(plan) {
-  return (plan.falls ?? []).map((/** @type {any} */ fall) => {
+  return (plan.degradations ?? []).map((/** @type {any} */ fall) => {
     const name = fall.functionality;
     if (!fall.from_step) return already(plan, fall);
     const where = fall.to_step === null ? `from step ${fall.from_step} on` : `steps ${fall.from_step} to ${fall.to_step}`;
@@ -150,7 +150,7 @@ function alternatives(plan, functionality) {
 /** What it would cost to keep a functionality. @param {any} each */
 function alternative(each) {
   if (each.impossible !== null) return `It cannot be kept at ${each.kept_at}: ${each.impossible}`;
-  const instead = each.fallen.length ? listed(each.fallen) : "nothing";
+  const instead = each.degraded.length ? listed(each.degraded) : "nothing";
   const cost = `the disruption would be ${figure(each.disruption)}`;
   return `To keep it at ${each.kept_at}, ${cost}: ${instead} would degrade instead`;
 }
@@ -162,7 +162,7 @@ function alternative(each) {
  * @returns {{worse: string[], better: string[]}}
  */
 export function afterwards(plan) {
-  const shifts = plan.afterwards ?? [];
+  const shifts = plan.level_shifts ?? [];
   const [was, will] = ["from", "to"];
   return {
     worse: shifts.filter((/** @type {any} */ each) => each.levels > 0).map(lowered),
