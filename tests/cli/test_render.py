@@ -28,7 +28,14 @@ def plan(**changed: Any) -> dict[str, Any]:
 
 
 def done(outcome: str = "done", **changed: Any) -> dict[str, Any]:
-    document = {"outcome": outcome, "plan": plan(), "seconds": 0.27, "below_baseline_seconds": {}, "swaps": [], "because": None}
+    document = {
+        "outcome": outcome,
+        "plan": plan(),
+        "seconds": 0.27,
+        "below_baseline_seconds": {},
+        "swaps": [],
+        "because": None,
+    }
     return {**document, "remaining_degradations": [], **changed}
 
 
@@ -77,12 +84,15 @@ def test_how_far_apart_the_members_of_a_group_changed_their_modes_is_reported() 
 def test_what_stays_lower_is_reported() -> None:
     """`midstride remove` of what the brake relies on: it was meant to fall, and it has fallen."""
     assert shown(render.outcome(done())) == ["Done in 270 ms.", "Nothing fell below its level."]
-    assert shown(render.outcome(done(lowered=[lowered()]))) == [
+    assert shown(render.outcome(done(remaining_degradations=[lowered()]))) == [
         "Done in 270 ms.",
         "Afterwards: brake.watch is in mode cautious instead of normal.",
     ]
-    assert render.fallen_line(done(lowered=[lowered()])) == "brake.watch permanently"
-    assert render.fallen_line(done(below_baseline_seconds={"brake.watch": 1.5, "talker.talk": 0.0})) == "brake.watch 1.50 s"
+    assert render.fallen_line(done(remaining_degradations=[lowered()])) == "brake.watch permanently"
+    assert (
+        render.fallen_line(done(below_baseline_seconds={"brake.watch": 1.5, "talker.talk": 0.0}))
+        == "brake.watch 1.50 s"
+    )
     assert render.fallen_line(done()) == "nothing"
     lower = [{"functionality": "brake.watch", "from": "normal", "to": "cautious", "levels": 1}]
     rolled_back = done("rolled_back", plan=plan(afterwards=lower), because="create filter_2 (Median): it ended")
@@ -90,7 +100,9 @@ def test_what_stays_lower_is_reported() -> None:
         "Rolled back in 270 ms, every step undone: create filter_2 (Median): it ended",
         "Nothing fell below its level.",
     ]
-    crashed = shown(render.outcome(done("rolled_back", because="the process of talker has ended", ended=["talker"])))
+    crashed = shown(
+        render.outcome(done("rolled_back", because="the process of talker has ended", unexpected_exits=["talker"]))
+    )
     assert crashed[1].startswith("Exited unexpectedly meanwhile: talker;")
     assert len(crashed) == 2
 
@@ -141,9 +153,14 @@ def test_nothing_fell_is_not_said_above_missed_messages(outcome: str) -> None:
     all_three = "Messages on /chatter at listener.in: 48 missed, 2 lost and 1 duplicate."
     assert report(outcome=outcome, swaps=[swap(48, 2, 1)]) == [all_three]
     assert report(outcome=outcome, swaps=[swap(None, 2, None)]) == ["Messages on /chatter at listener.in: 2 lost."]
-    assert report(outcome=outcome, swaps=[swap()], below_baseline_seconds={"a.b": 0.0}) == ["a.b was below its level for 0 ms."]
+    assert report(outcome=outcome, swaps=[swap()], below_baseline_seconds={"a.b": 0.0}) == [
+        "a.b was below its level for 0 ms."
+    ]
     fell = "brake.watch was below its level for 500 ms."
-    assert report(outcome=outcome, swaps=[swap(missed=48)], below_baseline_seconds={"brake.watch": 0.5}) == [fell, missed]
+    assert report(outcome=outcome, swaps=[swap(missed=48)], below_baseline_seconds={"brake.watch": 0.5}) == [
+        fell,
+        missed,
+    ]
 
 
 def test_nothing_fell_is_not_claimed_where_a_figure_is_unknown() -> None:
@@ -159,11 +176,11 @@ def test_what_is_lower_unexpectedly_is_said_with_its_reason_on_one_line() -> Non
     because = 'mode normal raised: ValueError: no map\n  File "slam.py", line 3, in normal'
     raised = lowered(functionality="slam.f", to="off", planned=False, because=because)
     gone = lowered(to=None, planned=False, because="brake exited unexpectedly")
-    assert report(lowered=[raised, gone], swaps=[swap()]) == [
+    assert report(remaining_degradations=[raised, gone], swaps=[swap()]) == [
         "Afterwards: slam.f is in mode off instead of normal: mode normal raised: ValueError: no map.",
         "Afterwards: no instance serves brake.watch: brake exited unexpectedly.",
     ]
-    assert render.fallen_line(done(lowered=[raised])) == "slam.f permanently"
+    assert render.fallen_line(done(remaining_degradations=[raised])) == "slam.f permanently"
 
 
 def test_the_mode_of_an_unresponsive_component_is_unknown() -> None:
@@ -263,7 +280,7 @@ def test_every_attachment_is_in_the_table_of_what_is_measured() -> None:
 
 
 def test_unexpected_degradation_is_reported() -> None:
-    assert shown(render.outcome(done(degraded=["talker_2.talk"])))[1:] == [
+    assert shown(render.outcome(done(unexpected_degradations=["talker_2.talk"])))[1:] == [
         "Degraded unexpectedly meanwhile: talker_2.talk; see `midstride why talker_2.talk`."
     ]
 

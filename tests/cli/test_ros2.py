@@ -256,9 +256,9 @@ def test_a_publisher_that_hangs_is_replaced_within_the_stated_wait(midstride: Mi
     outcome = report["outcome"]
     assert outcome["outcome"] == "done", outcome["because"]
     # Where all of it took more than 5 s, the subscriber has degraded by itself.
-    assert replaced.status == 0 or {each["functionality"] for each in outcome["remaining_degradations"]} == {"sink.listen"}, (
-        replaced.out
-    )
+    assert replaced.status == 0 or {each["functionality"] for each in outcome["remaining_degradations"]} == {
+        "sink.listen"
+    }, replaced.out
     said, [swap] = " ".join(replaced.out.split()), outcome["swaps"]
     assert "Fenced: source hangs: user code did not return" in said
     assert f"{swap['missed']} missed" in said

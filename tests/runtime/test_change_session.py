@@ -322,7 +322,11 @@ def test_what_crashes_or_degrades_meanwhile_is_in_the_report(tmp_path: Path) -> 
         s.reconciler.degraded.add(LISTEN)  # before: another report's
         s.client.reply("listener", RecordsCommand, measured)
         outcome = await s.session.change(REPLACEMENT)
-        assert (outcome.outcome, outcome.unexpected_exits, outcome.unexpected_degradations) == ("done", ["listener"], ["talker_2.talk"])
+        assert (outcome.outcome, outcome.unexpected_exits, outcome.unexpected_degradations) == (
+            "done",
+            ["listener"],
+            ["talker_2.talk"],
+        )
         [swap] = outcome.swaps
         assert (swap.gap, swap.missed, swap.lost, swap.duplicates) == (None, None, None, None)
         assert not s.session.measuring

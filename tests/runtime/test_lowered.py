@@ -81,7 +81,9 @@ def test_an_added_node_in_a_lower_mode_than_its_normal_one_is_named(tmp_path: Pa
     async def body(manager: Manager, _: Simulator) -> Outcome:
         return await manager.change(PlanRequest(add=(Node("second", "Listener"),)))
 
-    assert told(managed("talker", tmp_path, body).remaining_degradations) == [("second.listen", "normal", "degraded", True)]
+    assert told(managed("talker", tmp_path, body).remaining_degradations) == [
+        ("second.listen", "normal", "degraded", True)
+    ]
 
 
 @pytest.mark.parametrize("call", [1, 3])

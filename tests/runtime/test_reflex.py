@@ -153,7 +153,9 @@ def test_with_a_manager_the_whole_chain_falls_within_one_window(tmp_path: Path, 
         (chain.folder / fault).unlink()
         await asyncio.sleep(3.0)
         outcome = await chain.manager.change(PlanRequest(to=chain.manager.specification))
-        assert outcome.outcome == "done" and outcome.remaining_degradations == [] and outcome.unexpected_degradations == []
+        assert (
+            outcome.outcome == "done" and outcome.remaining_degradations == [] and outcome.unexpected_degradations == []
+        )
         await asyncio.sleep(5.0)
         assert [chain.mode(name) for name in CHAIN] == ["normal"] * 4
         assert (await chain.manager.status()).valid

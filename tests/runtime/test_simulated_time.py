@@ -35,7 +35,12 @@ def test_a_replacement_in_simulated_time_misses_nothing_and_the_report_says_so(
         return await manager.change(replace(role, component))
 
     outcome = managed(name, tmp_path, body)
-    assert (outcome.outcome, outcome.because, outcome.below_baseline_seconds, outcome.silences) == ("done", None, {}, [])
+    assert (outcome.outcome, outcome.because, outcome.below_baseline_seconds, outcome.silences) == (
+        "done",
+        None,
+        {},
+        [],
+    )
     assert outcome.swaps
     for swap in outcome.swaps:
         assert (swap.missed, swap.lost, swap.duplicates) == (0, 0, 0)

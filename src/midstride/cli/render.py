@@ -333,7 +333,11 @@ def _listed(words: list[str]) -> str:
 
 def fallen_line(document: Document) -> str:
     """What was degraded and what is lower now, on one line, for a table."""
-    fallen = [f"{name} {seconds(spent)}" for name, spent in sorted((document.get("below_baseline_seconds") or {}).items()) if spent]
+    fallen = [
+        f"{name} {seconds(spent)}"
+        for name, spent in sorted((document.get("below_baseline_seconds") or {}).items())
+        if spent
+    ]
     fallen += [f"{each['functionality']} permanently" for each in document.get("remaining_degradations") or ()]
     return ", ".join(fallen) or "nothing"
 

@@ -181,7 +181,7 @@ def _up(
         print_json(answer)
         return status
     without = f" without {', '.join(answer['missing'])}" if answer["missing"] else ""
-    click.echo(f"{workspace.name} is up{without} ({', '.join(answer['components'])}).")
+    click.echo(f"{workspace.name} is up{without} ({', '.join(answer['instances'])}).")
     for each in answer["degraded"]:
         click.echo(f"Degraded: {lowered_line(each)}")
     for line in missing_lines(answer):

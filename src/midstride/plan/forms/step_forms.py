@@ -1,5 +1,4 @@
-"""The JSON form of a step of a plan, written from a step and read back.
-"""
+"""The JSON form of a step of a plan, written from a step and read back."""
 
 from __future__ import annotations
 

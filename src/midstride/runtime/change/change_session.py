@@ -73,8 +73,8 @@ LONGEST_FIRST_CALLS: Final = 1.0
 class _Taken:
     """How the steps of a plan have ended, and when (steady s).
 
-    ``seconds``: how long they took together; ``times``: each of those that were done. ``below_baseline_seconds``: how long each
-    functionality was below its baseline (s).
+    ``seconds``: how long they took together; ``times``: each of those that were done.
+    ``below_baseline_seconds``: for how long each functionality was below its baseline.
     """
 
     outcome: OutcomeKind
@@ -295,7 +295,9 @@ class ChangeSession:
             fenced=[fenced[name] for name in sorted(fenced)],
             because=taken.because,
             parameters=transfer.report(taken.outcome == "done"),
-            unexpected_exits=sorted(exited | {name for name, event in system.missing.items() if missing.get(name) is not event}),
+            unexpected_exits=sorted(
+                exited | {name for name, event in system.missing.items() if missing.get(name) is not event}
+            ),
             unexpected_degradations=sorted(map(str, self.reconciler.degraded)),
             silences=[fault for words, fault in silences.items() if words not in silent_before],
             remaining_degradations=lowered,
