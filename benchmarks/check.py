@@ -27,9 +27,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from midstride.testing.large_systems import chain
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.append(str(ROOT))
 
-RESULTS = Path(__file__).parent / "results" / "check.json"
+from tests.large_systems import chain  # noqa: E402
+
+RESULTS = ROOT / "benchmarks" / "results" / "check.json"
 
 STRIDE = """system robot
 

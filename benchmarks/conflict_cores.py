@@ -36,7 +36,7 @@ from midstride.plan.core.core_plan import Budget
 from midstride.plan.core.core_search import PartResult, PartSearch
 from midstride.plan.disruption import Levels
 from midstride.plan.strategies.minimal import minimal
-from midstride.plan.validate import replay
+from tests.replay.plan_replay import replay
 
 
 class OwnAbsences(RoleBounds):

@@ -29,8 +29,8 @@ from midstride.plan.change_builder import requested_change  # noqa: E402
 from midstride.plan.plan import Plan  # noqa: E402
 from midstride.plan.request import PlanRequest  # noqa: E402
 from midstride.plan.strategies.registry import STRATEGIES  # noqa: E402
-from midstride.plan.validate import replay  # noqa: E402
 from tests.plan import systems  # noqa: E402
+from tests.replay.plan_replay import replay  # noqa: E402
 
 ROBOTS = 200
 

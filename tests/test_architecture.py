@@ -19,7 +19,7 @@ ROOT = Path(__file__).parent.parent / "src"
 PACKAGE = "midstride"
 
 EVERY = frozenset(
-    "model codec wire lang launch_files capture plan verify generate runtime backends node foreign server cli testing "
+    "model codec wire lang launch_files capture plan verify generate runtime backends node foreign server cli "
     "simulation".split()
 )
 
@@ -40,11 +40,10 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "runtime": frozenset({"model", "codec", "wire", "plan", "verify"}),
     "backends": frozenset({"model", "codec", "wire", "node", "foreign", "runtime", "capture", "ament_index"}),
     "foreign": frozenset({"model", "codec", "wire", "node"}),
-    "server": EVERY - {"node", "cli", "testing", "simulation", "launch_files", "capture"} | {""},
-    "cli": EVERY - {"testing"} | {""},
-    "testing": EVERY - {"server", "cli", "simulation"},
+    "server": EVERY - {"node", "cli", "simulation", "launch_files", "capture"} | {""},
+    "cli": EVERY | {""},
     "simulation": EVERY - {"server", "cli"},
-    "": EVERY - {"server", "cli", "testing", "simulation"},
+    "": EVERY - {"server", "cli", "simulation"},
     "launch": frozenset({"backends"}),
     "__main__": frozenset({"cli"}),
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from midstride.testing.conformance import CHECKS
+from tests.conformance import CHECKS
 
 # `make test` runs these: start and stop, attach, carry over state, hand over, and what each does when something fails.
 # The simulator runs all checks every time, and `make test-all` runs all of them on every ROS.

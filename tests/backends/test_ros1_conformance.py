@@ -9,10 +9,10 @@ import pytest
 
 from midstride.runtime.process import reaper
 from midstride.runtime.process.reaper import Reaper
-from midstride.testing.conformance import Check
 from tests.backends.conformance import CHECKS_ON_ROS
 from tests.backends.ros1_support import own_master_uri
 from tests.backends.ros2_support import run
+from tests.conformance import Check
 
 pytestmark = pytest.mark.ros1
 
@@ -37,7 +37,7 @@ def test_ros1(check: Check, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 def test_ros1_does_what_random_sequences_ask(seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The simulator is asked the same ones (tests/backends/test_simulator_conformance.py)."""
     from midstride.backends.ros1 import create_backend
-    from midstride.testing.conformance.walks import walk
+    from tests.conformance.walks import walk
 
     this = uuid.uuid4().hex
     monkeypatch.setenv(OURS, this)

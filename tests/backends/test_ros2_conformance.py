@@ -9,10 +9,10 @@ import pytest
 
 from midstride.runtime.process import reaper
 from midstride.runtime.process.reaper import Reaper
-from midstride.testing.conformance import Check
-from midstride.testing.conformance.walks import walk
 from tests.backends.conformance import CHECKS_ON_ROS
 from tests.backends.ros2_support import run
+from tests.conformance import Check
+from tests.conformance.walks import walk
 
 pytestmark = pytest.mark.ros2
 

@@ -19,9 +19,9 @@ import pytest
 from midstride.backends.simulator import Simulator, VirtualLoop, cooperative_thread, messages, virtual_loop
 from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
 from midstride.runtime.backend_protocol import Exited, Launch
-from midstride.testing.conformance import puppets
-from midstride.testing.conformance.lab import TOKEN, Lab
 from midstride.wire.frames import Reply
+from tests.conformance import puppets
+from tests.conformance.lab import TOKEN, Lab
 
 Main = Callable[[Lab], Awaitable[None]]
 

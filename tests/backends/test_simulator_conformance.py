@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from midstride.backends.simulator import Simulator
-from midstride.testing.conformance import CHECKS, Check
-from midstride.testing.conformance.walks import walk
+from tests.conformance import CHECKS, Check
+from tests.conformance.walks import walk
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: str(check.__name__))

@@ -19,8 +19,8 @@ from midstride.codec.reading import decode_form, parse_json
 from midstride.codec.specification_form import SpecificationForm, TimingForm, encode_specification
 from midstride.errors import SpecificationError
 from midstride.model.specification import TIMING, Specification, initial
-from midstride.testing.strategies import components, specifications
 from tests.codec.test_schema import places
+from tests.strategies.systems import components, specifications
 
 STRANGE = [None, True, -1, 0, 0.5, float("nan"), float("inf"), 10**400, "", "x", "a/B\n", [], ["x", 1], {}, {"x": 1}]
 

@@ -17,7 +17,7 @@ from midstride.codec.specification_form import decode_specification, encode_spec
 from midstride.errors import SpecificationError
 from midstride.lang import load
 from midstride.model.specification import Specification
-from midstride.testing.strategies import specifications
+from tests.strategies.systems import specifications
 
 PUBLISHED = Path(__file__).parents[2] / "docs" / "reference" / "specification.schema.json"
 ROOT = Path(__file__).parents[2] / "examples"

@@ -17,9 +17,9 @@ from midstride.backends.simulator import Simulator
 from midstride.foreign.gates import share_baton
 from midstride.foreign.page import OPEN, OUTPUT, Page
 from midstride.node.handover.baton import BatonState, BatonStep, TakenSeat
-from midstride.testing.conformance import puppets
-from midstride.testing.conformance.lab import Lab
 from midstride.wire.replies import Seat
+from tests.conformance import puppets
+from tests.conformance.lab import Lab
 
 TOPIC = "/chatter"
 SWAPS = [{"port": "out", "topic": TOPIC}]

@@ -15,7 +15,7 @@ from midstride.generate.drawn_system import Edge, view
 from midstride.generate.layout import layout
 from midstride.lang import load, load_text
 from midstride.model.specification import Specification
-from midstride.testing.strategies import specifications
+from tests.strategies.systems import specifications
 
 SAMPLE = load(Path(__file__).parents[1] / "lang" / "seeds" / "patrol.stride").require()
 

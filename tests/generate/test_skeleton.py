@@ -26,7 +26,7 @@ from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlt
 from midstride.model.contract import Interval, Predicate
 from midstride.model.specification import Specification
 from midstride.runtime.process.registration import mismatches
-from midstride.testing.strategies import components
+from tests.strategies.systems import components
 
 SEEDS = Path(__file__).parents[1] / "lang" / "seeds"
 SAMPLE = load(SEEDS / "patrol.stride").require()

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from midstride.lang import load_text
-from midstride.testing.large_systems import chain
+from tests.large_systems import chain
 
 
 def calls(nodes: int) -> int:

@@ -26,8 +26,9 @@ from midstride.model.contract import NOTHING, Predicate, explain, satisfies
 from midstride.model.rules import violations
 from midstride.model.specification import initial
 from midstride.model.specification_checks import check, errors
-from midstride.testing.action_strategies import actions
-from midstride.testing.strategies import (
+from tests.model import twin
+from tests.strategies.actions import actions
+from tests.strategies.systems import (
     GeneratedSystem,
     components,
     contracts,
@@ -37,7 +38,6 @@ from midstride.testing.strategies import (
     stronger,
     value_sets,
 )
-from tests.model import twin
 
 Property = Callable[[st.DataObject], None]
 STEPS = 6

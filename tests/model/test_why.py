@@ -10,8 +10,8 @@ from midstride.lang import load_text
 from midstride.model.configuration import Configuration
 from midstride.model.diagnosis import Diagnosis, reasons_against
 from midstride.model.specification import Specification, initial
-from midstride.testing.large_systems import chain
-from midstride.testing.strategies import specifications
+from tests.large_systems import chain
+from tests.strategies.systems import specifications
 
 
 @given(specifications())

@@ -13,9 +13,9 @@ import msgspec
 from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.messages import message_class
 from midstride.runtime.backend_protocol import Exited, Launch
-from midstride.testing.conformance.lab import TOKEN, Lab
 from midstride.wire.frames import Reply
 from midstride.wire.state import ComponentState
+from tests.conformance.lab import TOKEN, Lab
 
 String: type = message_class("std_msgs/msg/String")
 Image: type = message_class("sensor_msgs/msg/Image")

@@ -12,9 +12,9 @@ import pytest
 from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.network import SimulatedWriter
 from midstride.backends.simulator.simulated_process import SimulatedProcess
-from midstride.testing.conformance import puppets
-from midstride.testing.conformance.lab import Lab
 from midstride.wire.pipe import PipeClaim
+from tests.conformance import puppets
+from tests.conformance.lab import Lab
 
 TOPIC = "/chatter"
 SWAPS = [{"port": "out", "topic": TOPIC}]

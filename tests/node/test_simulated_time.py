@@ -12,8 +12,8 @@ import pytest
 
 from midstride.backends.simulator import Simulator
 from midstride.node.clock_history import KEPT, SPACING, STILL, ClockHistory
-from midstride.testing.conformance import puppets
-from midstride.testing.conformance.lab import Lab
+from tests.conformance import puppets
+from tests.conformance.lab import Lab
 
 from .test_handover import TOPIC, cut_at, in_lab, next_slot, outcomes, sides, stand_by
 

@@ -26,7 +26,7 @@ from midstride.plan.change_builder import change_between, requested_change
 from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
 from midstride.plan.strategies.registry import STRATEGIES
-from midstride.plan.validate import replay
+from tests.replay.plan_replay import replay
 
 TYPE = "std_msgs/msg/String"
 NEED = Predicate(TYPE, 10.0)

@@ -13,15 +13,15 @@ from midstride.model.component import FunctionalityRef
 from midstride.model.specification import Limit, initial
 from midstride.plan.change import Change
 from midstride.plan.change_builder import change_between
-from midstride.plan.core.bound_check import WORK, BoundCheck, check_bound
 from midstride.plan.forms.plan_forms import decode_plan, encode_plan
 from midstride.plan.plan import BoundPart, Plan
 from midstride.plan.strategies.minimal import minimal
 from midstride.plan.strategies.registry import STRATEGIES
-from midstride.plan.validate import Ledger, replay
 from tests.plan import systems
 from tests.plan.cases import component, functionality, replaced, system, talker
 from tests.plan.exhaustive import Exhaustive
+from tests.replay.bound_check import WORK, BoundCheck, check_bound
+from tests.replay.plan_replay import Ledger, replay
 
 
 def tight(seed: int, constraints: bool = False) -> Change:

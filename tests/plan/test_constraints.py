@@ -15,7 +15,6 @@ from midstride.plan.change_builder import change_between
 from midstride.plan.constraints import conflict, in_force, layers
 from midstride.plan.plan import Plan
 from midstride.plan.strategies.registry import STRATEGIES
-from midstride.plan.validate import replay
 from tests.plan.cases import (
     SLOW,
     changed,
@@ -28,6 +27,7 @@ from tests.plan.cases import (
     told,
     work,
 )
+from tests.replay.plan_replay import replay
 
 LISTEN = FunctionalityRef("listener", "listen")
 

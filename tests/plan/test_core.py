@@ -20,10 +20,10 @@ from midstride.plan.core.core_search import PartResult, PartSearch
 from midstride.plan.disruption import Levels
 from midstride.plan.plan import Plan
 from midstride.plan.strategies.minimal import minimal
-from midstride.plan.validate import replay
 from tests.plan import systems
 from tests.plan.cases import changed, system, work
 from tests.plan.exhaustive import Exhaustive, Limited
+from tests.replay.plan_replay import replay
 
 
 def between(ends: tuple[Specification, Specification]) -> Change:

@@ -15,7 +15,6 @@ from midstride.model.component import ComponentSpec, FunctionalityRef
 from midstride.model.specification import Keep, Specification, initial
 from midstride.plan.change import Change, Detour
 from midstride.plan.change_builder import change_between
-from midstride.plan.core.bound_check import BoundCheck
 from midstride.plan.core.core_plan import Budget
 from midstride.plan.core.detours import further, with_detours
 from midstride.plan.estimate import Estimate
@@ -24,11 +23,12 @@ from midstride.plan.plan import Plan
 from midstride.plan.strategies.detour_search import minimal_with_detours
 from midstride.plan.strategies.minimal import minimal
 from midstride.plan.strategies.registry import STRATEGIES, planner
-from midstride.plan.validate import replay
 from tests.plan import systems
 from tests.plan.cases import NEED, component, functionality, sound, system, told, work
 from tests.plan.exhaustive import Detoured, Exhaustive, TooLarge
 from tests.plan.test_core import cheapest_rests, searches
+from tests.replay.bound_check import BoundCheck
+from tests.replay.plan_replay import replay
 
 
 def between(start: Specification, target: Specification) -> Change:

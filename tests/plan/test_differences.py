@@ -10,7 +10,7 @@ from hypothesis import given
 from midstride.lang import load_text
 from midstride.model.specification import Specification
 from midstride.plan.specification_diff import differences
-from midstride.testing.strategies import specifications
+from tests.strategies.systems import specifications
 
 FOLDER = Path(__file__).parents[1] / "lang" / "seeds"
 TEXT = (FOLDER / "patrol.stride").read_text(encoding="utf-8")

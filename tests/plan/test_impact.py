@@ -11,7 +11,7 @@ from midstride.errors import PlanRefused
 from midstride.lang import load
 from midstride.model.specification import Specification, initial
 from midstride.plan.impact import impacts
-from midstride.testing.strategies import specifications
+from tests.strategies.systems import specifications
 
 SAMPLE = load(Path(__file__).parents[1] / "lang" / "seeds" / "patrol.stride").require()
 

@@ -15,8 +15,8 @@ from midstride.model.configuration import Configuration
 from midstride.model.specification import initial, structure
 from midstride.plan.strategies.mode_ordering import degradations, upgrades
 from midstride.plan.strongly_connected import strongly_connected
-from midstride.testing.strategies import configurations
 from tests.plan.cases import SLOW, component, functionality, system, work
+from tests.strategies.systems import configurations
 
 
 def at(text: str) -> FunctionalityRef:

@@ -27,10 +27,10 @@ from midstride.plan.constraints import in_force
 from midstride.plan.forms.plan_forms import decode_plan, encode_plan
 from midstride.plan.plan import Plan
 from midstride.plan.strategies.registry import STRATEGIES
-from midstride.plan.validate import replay
-from midstride.testing.strategies import specifications
 from tests.plan import systems
 from tests.plan.exhaustive import Constrained, Exhaustive, TooLarge
+from tests.replay.plan_replay import replay
+from tests.strategies.systems import specifications
 
 SEEDS = st.integers(0, 2**32 - 1)
 NAMES = st.sampled_from(sorted(STRATEGIES))

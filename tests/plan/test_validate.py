@@ -16,8 +16,8 @@ from midstride.model.specification import Keep, Limit, Node, Order, Specificatio
 from midstride.plan.change_builder import change_between
 from midstride.plan.forms.plan_forms import decode_plan, encode_plan
 from midstride.plan.strategies.registry import STRATEGIES
-from midstride.plan.validate import ReplayFinding, ReplayResult, replay
 from tests.plan.cases import component, functionality, replaced, system, talker, work
+from tests.replay.plan_replay import ReplayFinding, ReplayResult, replay
 
 Document = dict[str, Any]
 

@@ -16,6 +16,7 @@ from typing import Any, Literal, NamedTuple, TypeVar
 from msgspec import structs
 
 from midstride.backends.simulator.virtual_clock import SimulatedClock
+from midstride.backends.simulator.virtual_loop import run
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import CallTimeout, CommandRefused, MidstrideError, Unreachable
 from midstride.model.component import ComponentSpec
@@ -34,7 +35,6 @@ from midstride.runtime.records.state_store import StateStore
 from midstride.runtime.records.status_forms import Middleware
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.watch.silence import SilenceMonitor
-from midstride.testing.virtual_time import run
 from midstride.wire.commands import (
     AnswerCommand,
     AttachCommand,

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from msgspec import UNSET, structs
 
+from midstride.backends.simulator.virtual_loop import run
 from midstride.errors import BackendError
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
@@ -25,7 +26,6 @@ from midstride.runtime.change.runtime_verification import Verifier
 from midstride.runtime.records.measure import WINDOW_PERIODS
 from midstride.runtime.records.reports import Outcome
 from midstride.runtime.records.state_store import StateStore
-from midstride.testing.virtual_time import run
 from midstride.verify.verdict import Answer, Verdict
 from midstride.wire import replies
 from midstride.wire.commands import AttachCommand, AwaitWriteCommand, ModesCommand, RecordCommand, RecordsCommand

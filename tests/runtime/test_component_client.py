@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from midstride.backends.simulator.virtual_clock import SimulatedClock
+from midstride.backends.simulator.virtual_loop import run
 from midstride.errors import CallTimeout, CommandRefused, ProtocolError, RevisionChanged, Superseded, Unreachable
 from midstride.runtime.process.component_client import (
     ANSWER_TIMEOUT,
@@ -19,7 +20,6 @@ from midstride.runtime.process.component_client import (
     ComponentEvent,
     Disconnected,
 )
-from midstride.testing.virtual_time import run
 from midstride.wire.command_server import CommandServer
 from midstride.wire.commands import AttachCommand, GateCommand, GridCommand, ObserveCommand
 from midstride.wire.frames import (

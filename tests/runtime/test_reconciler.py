@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
+from midstride.backends.simulator.virtual_loop import run
 from midstride.errors import RevisionChanged, StartFailed
 from midstride.model.configuration import Configuration
 from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.process.component_client import Disconnected
-from midstride.testing.virtual_time import run
 from midstride.wire.commands import ModesCommand
 from tests.model import build
 from tests.model.build import work

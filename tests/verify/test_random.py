@@ -13,10 +13,10 @@ from midstride.plan.change_builder import change_between
 from midstride.plan.disruption import Levels
 from midstride.plan.plan import Plan
 from midstride.plan.strategies.registry import STRATEGIES
-from midstride.plan.validate import replay
 from midstride.verify.checking import AlloyOptions, verify_plan
 from midstride.verify.run import Alloy, find
 from tests.plan import systems
+from tests.replay.plan_replay import replay
 
 pytestmark = [pytest.mark.alloy, pytest.mark.long]
 

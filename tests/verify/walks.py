@@ -14,9 +14,9 @@ from midstride.model.action import Action, Create
 from midstride.model.component import EnvironmentGuarantee
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import violations
-from midstride.testing import strategies
-from midstride.testing.action_strategies import actions
 from tests.model.build import at, component, filter_, mode, named, source, system
+from tests.strategies import systems as strategies
+from tests.strategies.actions import actions
 
 KINDS: Final = (
     "create",

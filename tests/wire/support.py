@@ -13,10 +13,10 @@ from typing import Any
 
 from midstride.codec.component_form import NamedComponentForm, decode_component
 from midstride.errors import Unreachable
-from midstride.testing.conformance import puppets
 from midstride.wire.command_server import CommandServer, Handler
 from midstride.wire.frames import PROTOCOL, Greeting, Hello, Registration, Reply, Request, StateChanged, encode
 from midstride.wire.state import ComponentState
+from tests.conformance import puppets
 
 GREETING = Greeting(protocol=PROTOCOL, instance="talker", uuid="u", pid=7, start_token="secret")
 HELLO = encode(Hello(protocol=PROTOCOL, token="secret"))

@@ -27,8 +27,8 @@ from midstride.model.specification import Specification
 from midstride.node.author.ports import Output
 from midstride.node.component_host import Host
 from midstride.runtime.backend_protocol import Launch
+from midstride.simulation.puppet import Puppet
 from midstride.simulation.threadless import ThreadlessProcess
-from midstride.testing.puppet import Puppet
 from midstride.wire.state import ComponentState
 
 _NOTHING: Final = contextlib.nullcontext()
@@ -161,7 +161,7 @@ class StandIn(ThreadlessProcess):
 
     @property
     def modes(self) -> dict[str, dict[str, Any]]:
-        """The behaviour of each mode (:mod:`midstride.testing.puppet`)."""
+        """The behaviour of each mode (:mod:`midstride.simulation.puppet`)."""
         return self._stand_in.modes
 
     def open_outputs(self) -> set[tuple[str, str]]:

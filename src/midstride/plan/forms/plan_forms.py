@@ -229,7 +229,7 @@ def encode_plan(plan: Plan, *, explain: bool = False) -> Document:
 def decode_plan(document: object) -> Plan:
     """The plan that a document states, its costs taken over as they are written.
 
-    Nothing is judged: :mod:`midstride.plan.validate` does that. Raises SpecificationError with every fault of form,
+    Nothing is judged: a replay does that (``tests/replay``). Raises SpecificationError with every fault of form,
     and PlanRefused where start and target do not meet, or a step is about something that does not exist.
     """
     form, start, target = decode(document, PlanForm, _parts, _names)

@@ -2,7 +2,7 @@
 
 No code of the planners is used, only the plan itself: the model's own actions check each step's precondition, the end
 is compared with the configuration in which the target starts, and the costs are computed again, slowly and straight
-from the definition. The lower bound is checked where the change is small enough (:mod:`.core.bound_check`).
+from the definition. The lower bound is checked where the change is small enough (:mod:`tests.replay.bound_check`).
 The result is data.
 """
 
@@ -20,8 +20,8 @@ from midstride.model.instance_names import is_named_after
 from midstride.model.rules import violations
 from midstride.model.specification import Keep, Limit, Order, Specification, initial
 from midstride.plan.constraints import in_force
-from midstride.plan.core.bound_check import BoundCheck, check_bound
 from midstride.plan.plan import Plan
+from tests.replay.bound_check import BoundCheck, check_bound
 
 _EPSILON: Final = 1e-6
 

@@ -1,4 +1,4 @@
-"""The search behind the check of a plan's lower bound (:mod:`midstride.plan.core.bound_check`).
+"""The search behind the check of a plan's lower bound (:mod:`tests.replay.bound_check`).
 
 The states are sets of structural differences that are done. By F3, what adds structure and needs neither time nor a
 slot is done at once, and what takes it away only when something waits for it. If nothing is lost at first, an instance

@@ -5,8 +5,8 @@ from __future__ import annotations
 import base64
 from typing import Any
 
-from midstride.testing.conformance import puppets
-from midstride.testing.conformance.lab import Lab, assert_unbroken, check
+from tests.conformance import puppets
+from tests.conformance.lab import Lab, assert_unbroken, check
 
 
 @check

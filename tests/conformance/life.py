@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from midstride.codec.component_form import decode_component
 from midstride.errors import BackendError
-from midstride.testing.conformance import puppets
-from midstride.testing.conformance.lab import TOKEN, Lab, check
 from midstride.wire.frames import Reply
+from tests.conformance import puppets
+from tests.conformance.lab import TOKEN, Lab, check
 
 
 @check

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from midstride.runtime.backend_protocol import Backend
-from midstride.testing.conformance.lab import CHECKS, Check, Lab, settled
-from midstride.testing.conformance.puppets import STRING, Description
+from tests.conformance.lab import CHECKS, Check, Lab, settled
+from tests.conformance.puppets import STRING, Description
 
 STEPS: Final = 60
 TOPICS: Final = ("/a", "/b", "/c")

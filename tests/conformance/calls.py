@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from midstride.testing.conformance import puppets
-from midstride.testing.conformance.lab import Lab, check
+from tests.conformance import puppets
+from tests.conformance.lab import Lab, check
 
 
 @check

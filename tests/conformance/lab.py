@@ -15,9 +15,9 @@ import msgspec
 
 from midstride.errors import BackendError, CallTimeout, CommandRefused, Unreachable
 from midstride.runtime.backend_protocol import Backend, Exited, Handle, Launch
-from midstride.testing.conformance.puppets import Description, command_of, sink
 from midstride.wire.channel import Channel, Report
 from midstride.wire.frames import Greeting, Registration, Reply, Request
+from tests.conformance.puppets import Description, command_of, sink
 
 TOKEN: Final = "the-token-of-the-laboratory"
 # How long waiting for processes and discovery may take (s); a loaded machine is slow.

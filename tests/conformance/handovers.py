@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from midstride.runtime.backend_protocol import Backend
-from midstride.testing.conformance import puppets
-from midstride.testing.conformance.lab import CHECKS, Lab, assert_unbroken, check
+from tests.conformance import puppets
+from tests.conformance.lab import CHECKS, Lab, assert_unbroken, check
 
 # How far ahead a cut is agreed (s): many round trips on a busy machine.
 LEAD: Final = 0.5

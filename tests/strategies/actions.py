@@ -23,7 +23,7 @@ from midstride.model.action import (
 from midstride.model.component import FunctionalityRef, ParameterValue, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.contract import satisfies
-from midstride.testing.strategies import GeneratedSystem
+from tests.strategies.systems import GeneratedSystem
 
 _KINDS: Final = ("create", "remove", "attach", "detach", "degrade", "upgrade", "upgrade", "handover", "handover", "set")
 _SETTINGS: Final[tuple[tuple[str, ParameterValue], ...]] = (

@@ -10,7 +10,7 @@ latencies and the time that discovery takes. The tests of a back end run each ch
 """
 
 # Each of these modules adds its checks to the list.
-from midstride.testing.conformance import calls, handovers, life, port_checks, walks  # noqa: F401
-from midstride.testing.conformance.lab import CHECKS, Check
+from tests.conformance import calls, handovers, life, port_checks, walks  # noqa: F401
+from tests.conformance.lab import CHECKS, Check
 
 __all__ = ["CHECKS", "Check"]

@@ -1,4 +1,4 @@
-"""A component made from a description: ``python3 -m midstride.testing.puppet '{"component": …}'``.
+"""A component made from a description: ``python3 -m midstride.simulation.puppet '{"component": …}'``.
 
 It runs any component of the model on any back end. The description is JSON::
 

@@ -1,9 +1,9 @@
 """Checks the lower bound that a plan claims, without the planner's code (docs/semantics.md section 6).
 
 Every order of the structural differences is searched, cheapest first, up to the claimed bound
-(:mod:`.bound_search`). Where the plan has a certificate, its parts are searched one by one. Each is a
+(:mod:`tests.replay.bound_search`). Where the plan has a certificate, its parts are searched one by one. Each is a
 bound, whatever the planner took for a part, so their sum is one; nothing else in the certificate is believed.
-A bound on plans with detours is checked for every set of detours there is (:mod:`midstride.plan.core.detour_space`).
+A bound on plans with detours is checked for every set of detours there is (:mod:`tests.replay.detour_space`).
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from midstride.model.action import Create, Remove
 from midstride.model.configuration import Instance
 from midstride.plan.change import Change
 from midstride.plan.constraints import in_force
-from midstride.plan.core.bound_search import BoundSearch, Definition, SearchTooLarge, Work
-from midstride.plan.core.detour_space import with_every_detour
 from midstride.plan.core.detours import describe
 from midstride.plan.plan import Plan
+from tests.replay.bound_search import BoundSearch, Definition, SearchTooLarge, Work
+from tests.replay.detour_space import with_every_detour
 
 # How many functionalities are evaluated in all, once for each state. One to three seconds.
 WORK: Final = 40_000

@@ -59,4 +59,4 @@ def steady(**parameters: Any) -> Description:
 
 def command_of(python: str, description: Description) -> tuple[str, ...]:
     """The command line that runs it."""
-    return (python, "-m", "midstride.testing.puppet", json.dumps(description))
+    return (python, "-m", "midstride.simulation.puppet", json.dumps(description))

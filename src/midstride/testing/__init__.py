@@ -1,1 +1,0 @@
-"""For tests, Midstride's own and its users': puppets, virtual time, and the checks any back end must pass."""
