@@ -20,7 +20,7 @@ from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification
 from midstride.plan.forms.plan_forms import encode_plan
 from midstride.plan.request import PlanRequest
-from midstride.runtime.change.action_driver import ActionDriver
+from midstride.runtime.change import mode_changes
 from midstride.runtime.manager import Manager
 from midstride.wire.state import GateState
 from tests.acceptance.support import Recorder, ended, managed, swap_specification
@@ -144,14 +144,7 @@ def test_a_call_that_outlasts_the_drain_is_waited_for_where_its_node_is_removed(
 
     async def main() -> None:
         async with managed(tmp_path / "system", busy_specification(tmp_path), tmp_path) as (manager, _):
-            make = manager._driver
-
-            def impatient() -> ActionDriver:
-                driver = make()
-                driver.modes.drain_timeout = 0.3
-                return driver
-
-            monkeypatch.setattr(manager._session, "driver", impatient)
+            monkeypatch.setattr(mode_changes, "DRAIN_TIMEOUT", 0.3)
             await a_call_begins(manager)
             outcome = await manager.change(PlanRequest(remove=("busy",), strategy="quiesce"))
             assert (outcome.outcome, outcome.because, outcome.fenced) == ("done", None, [])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable, Container, Coroutine, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Container, Coroutine, Sequence
 from dataclasses import dataclass, field
 from dataclasses import replace as changed
 from pathlib import Path
@@ -19,22 +19,34 @@ from midstride.backends.simulator.virtual_clock import SimulatedClock
 from midstride.backends.simulator.virtual_loop import run
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import CallTimeout, CommandRefused, MidstrideError, Unreachable
+from midstride.model.action import Action
 from midstride.model.component import ComponentSpec
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import Specification
+from midstride.plan.change import Change
+from midstride.plan.forms.plan_forms import PlanPreview
+from midstride.plan.forms.step_forms import step_form
+from midstride.plan.overlap import Overlap
+from midstride.plan.plan import Plan
+from midstride.plan.step import Step
 from midstride.runtime.backend_protocol import Endpoints, Exited, Handle, Launch
 from midstride.runtime.change.action_driver import ActionDriver
 from midstride.runtime.change.executor import Executor
+from midstride.runtime.change.parameter_transfer import ParameterTransfer
 from midstride.runtime.change.reconciler import Reconciler
+from midstride.runtime.change.running_change import RunningChange
+from midstride.runtime.change_observer import ChangeObserver
+from midstride.runtime.handover.fences import DEFAULT_WAIT
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.process.component_client import ComponentClient, LatestState
 from midstride.runtime.process.launcher import Launcher
 from midstride.runtime.records.events import EventLog
-from midstride.runtime.records.journal import Journal
+from midstride.runtime.records.journal import Journal, JournalEntry
 from midstride.runtime.records.state_store import StateStore
 from midstride.runtime.records.status_forms import Middleware
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.watch.silence import SilenceMonitor
+from midstride.runtime.watch.subscriber_recording import Recording
 from midstride.wire.commands import (
     AnswerCommand,
     AttachCommand,
@@ -341,11 +353,46 @@ class Bench:
         self.system = RunningSystem(self.specification, self.configuration)
         self.store = StateStore(self.path / "state.db")
         self.store.begin(self.backend.name, TOKEN, self.specification)
-        self.driver = ActionDriver(self.client, self.launcher, self.backend, self.system, self.events)
         self.journal = Journal(self.path / "journal.db", self.backend.name)
-        self.executor = Executor(self.driver, self.store)
+        self.entry = JournalEntry(self.journal, None)
+        self.observers: list[ChangeObserver] = []
+        self.begin()
         for instance in self.configuration.instances.values():
             self.attend(instance)
+
+    def begin(self, *actions: Action) -> None:
+        """A change with these actions, which the driver and the executor are about to carry out."""
+        specification, start = self.specification, self.system.configuration
+        change = Change(specification, specification, start, start, start, start)
+        steps = tuple(Step(action, 0.0, ()) for action in actions)
+        preview = PlanPreview(
+            strategy="test",
+            proved_minimal=False,
+            disruption=0.0,
+            lower_bound=0.0,
+            makespan=0.0,
+            seconds=0.0,
+            degraded=[],
+            steps=[step_form(step) for step in steps],
+        )
+        self.change = RunningChange(
+            Plan("test", change, steps, 0.0, 0.0, False, 0.0, 0.0, ()),
+            specification,
+            preview,
+            self.entry,
+            Recording(self.client, self.clock),
+            ParameterTransfer(self.client, self.system.values, change, (), keep=True),
+            DEFAULT_WAIT,
+            start,
+            observers=[*self.observers],
+        )
+        self.driver = ActionDriver(self.client, self.launcher, self.backend, self.system, self.events, self.change)
+        self.executor = Executor(self.driver, self.store)
+
+    async def carry_out(self, actions: Sequence[Action], overlap: Overlap | None = None) -> None:
+        """A change with these actions, from its first step to its last."""
+        self.begin(*actions)
+        await self.executor.run(overlap)
 
     def attend(self, *instances: Instance) -> None:
         """These run already, as the configuration has them."""
@@ -398,7 +445,6 @@ class ReconcilingBench(Bench):
             self.launcher,
             self.events,
             self.store,
-            lambda: self.driver,
             lambda: self.turn,
             lambda: self.busy,
         )
@@ -417,13 +463,29 @@ class ReconcilingBench(Bench):
         self.client.report(reported(found, self.system.configuration, modes={"work": "degraded"}))
 
 
+@dataclass
+class Moves(ChangeObserver):
+    """Notes each configuration that a change leads to; ``on_move`` is called then."""
+
+    on_move: Callable[[], object] = lambda: None
+    seen: list[tuple[Configuration, list[str]]] = field(default_factory=list)
+
+    def moved(self, configuration: Configuration, instances: Collection[str]) -> None:
+        self.seen.append((configuration, sorted(instances)))
+        self.on_move()
+
+
 def bench(
     configuration: Configuration, path: Path, body: Callable[[Bench], Coroutine[Any, Any, T]], **options: Any
 ) -> T:
     """Run ``body`` in virtual time on a bench where ``configuration`` is live."""
 
     async def main() -> T:
-        return await body(Bench(configuration, path, **options))
+        b = Bench(configuration, path, **options)
+        try:
+            return await body(b)
+        finally:
+            b.journal.close()
 
     return run(main())
 

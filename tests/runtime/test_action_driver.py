@@ -25,7 +25,8 @@ from midstride.model.action import (
 from midstride.model.component import Connector
 from midstride.model.configuration import Configuration, SystemContext, configure
 from midstride.runtime.backend_protocol import Exited
-from midstride.runtime.change.mode_changes import HELD_LONGER
+from midstride.runtime.change.mode_changes import DRAIN_TIMEOUT, HELD_LONGER, lower_modes
+from midstride.runtime.change_observer import ChangeObserver
 from midstride.runtime.handover.fences import DEFAULT_WAIT
 from midstride.runtime.handover.new_publishers import ATTACH_TIMEOUT, DETACH_TIMEOUT
 from midstride.runtime.records.reports import ModeSkew
@@ -220,7 +221,7 @@ def test_the_end_of_its_connection_is_known_before_the_end_of_a_process(action: 
     async def body(b: Bench) -> None:
         b.client.lost.add("talker")
         await perform(b, action)
-        await b.driver.modes.lower("talker", {work("talker"): 1}, "")
+        assert await lower_modes({work("talker"): 1}, "", b.client, b.system, b.events) == {}
         assert b.client.sent == []
 
     bench(talking(), tmp_path, body)
@@ -251,7 +252,7 @@ def test_a_process_that_has_ended_cannot_be_given_anything(tmp_path: Path) -> No
 def test_modes_are_sent_by_name_with_the_reason(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         await perform(b, Degrade(Map({work("talker"): 1, work("listener"): 1})))
-        timeout = b.driver.modes.drain_timeout
+        timeout = DRAIN_TIMEOUT
         hold = HoldCommand(functionalities=["work"], seconds=timeout + HELD_LONGER, timeout=timeout)
         modes = ModesCommand(modes={"work": "degraded"}, because="for the test", timeout=timeout)
         assert [(sent.instance, sent.command) for sent in b.client.sent] == [
@@ -386,7 +387,7 @@ def test_what_cannot_export_its_state_is_not_removed(tmp_path: Path) -> None:
 
 def test_what_leaves_may_take_as_long_to_export_its_state_as_the_change_waits_for_it(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        b.driver.leaving = {"talker"}
+        b.begin(Remove("talker"))
         await perform(b, Remove("talker"))
         [export] = b.client.of(ExportStateCommand, "talker")
         assert export.timeout == pytest.approx(DEFAULT_WAIT, abs=0.1)
@@ -397,7 +398,7 @@ def test_what_leaves_may_take_as_long_to_export_its_state_as_the_change_waits_fo
 def test_what_was_started_by_hand_is_released_and_left_running(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         await perform(b, Remove("talker"))
-        assert [command.name for command in b.client.commands("talker")] == ["export_state", "release"]
+        assert [sent.command.name for sent in b.client.sent if sent.how != "peek"] == ["export_state", "release"]
         assert b.client.of(ReleaseCommand, "talker") and b.backend.ended == []
         assert b.words("note") == ["talker was started elsewhere: it is released, and left running"]
 
@@ -423,7 +424,7 @@ def test_a_roll_back_exports_nothing_from_what_it_removes(tmp_path: Path) -> Non
     async def body(b: Bench) -> None:
         b.driver.rolling_back = True
         await perform(b, Remove("talker"))
-        assert b.client.sent == []
+        assert [sent.how for sent in b.client.sent] == ["peek"], "for what was set on it last"
 
     bench(talking(), tmp_path, body)
 
@@ -436,11 +437,13 @@ def test_state_travels_at_the_cut_of_a_role(tmp_path: Path) -> None:
         b.client.reply("talker_2", PrepareStateCommand, StateOffer(exports="whole"))
         seen: list[list[str]] = []
 
-        async def before(configuration: Configuration, action: Handover) -> None:
-            assert (configuration, action) == (b.system.configuration, HANDOVER)
-            seen.append([command.name for command in b.client.commands()])
+        class Before(ChangeObserver):
+            async def before_handover(self, configuration: Configuration, action: Handover) -> None:
+                assert (configuration, action) == (b.system.configuration, HANDOVER)
+                seen.append([command.name for command in b.client.commands()])
 
-        b.driver.before_handover = before
+        b.observers.append(Before())
+        b.begin(HANDOVER)
         await perform(b, HANDOVER)
         assert seen == [[]]
         [prepare] = b.client.of(PrepareStateCommand, "talker_2")

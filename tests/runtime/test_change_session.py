@@ -73,7 +73,8 @@ class SessionBench(ReconcilingBench):
             self.store,
             self.reconciler,
             self.verifier,
-            lambda: self.driver,
+            self.launcher,
+            self.backend,
             self.journal,
         )
         target = self.specification.with_node(changed(self.specification.nodes["talker"], component="NewTalker"))

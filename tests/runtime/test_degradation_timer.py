@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import pytest
 
 from midstride.model.action import Action
@@ -14,6 +16,7 @@ from midstride.plan.change_builder import change_between
 from midstride.plan.disruption import Levels
 from midstride.plan.plan import Plan
 from midstride.plan.strategies.registry import STRATEGIES, planner
+from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.watch.degradation_timer import DegradationTimer
 from tests.plan.cases import replacing
 from tests.runtime.systems import example
@@ -23,7 +26,7 @@ class Clock:
     def __init__(self) -> None:
         self.now = 0.0
 
-    def __call__(self) -> float:
+    def steady(self) -> float:
         return self.now
 
 
@@ -42,7 +45,7 @@ def walked(change: Change, visited: list[tuple[float, Configuration]], end: floa
 def carried_out(plan: Plan, steps: int) -> tuple[dict[str, float], dict[str, float]]:
     """So many steps of ``plan``, and then their roll-back: as the timer has it, and as the walk has it."""
     clock = Clock()
-    timer = DegradationTimer(plan.change, clock)
+    timer = DegradationTimer(plan.change, ComponentClient(cast(Any, None), cast(Any, clock), "token"), ())
     configuration = plan.change.start
     visited = [(0.0, configuration)]
     done: list[tuple[Action, Configuration]] = []

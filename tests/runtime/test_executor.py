@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,8 @@ from midstride.model.action import Attach, Create, Degrade, Detach, Remove, SetP
 from midstride.model.component import ParameterSpec
 from midstride.model.configuration import Configuration
 from midstride.runtime.backend_protocol import Exited
+from midstride.runtime.change.mode_changes import lower_modes
+from midstride.runtime.change_observer import ChangeObserver
 from midstride.runtime.process import launcher, pacing
 from midstride.wire.commands import AttachCommand, Command, DetachCommand, ModesCommand, SetParametersCommand
 from midstride.wire.replies import Attached, Detached
@@ -29,6 +31,7 @@ from tests.runtime.scripted import (
     TIMEOUT,
     UNREACHABLE,
     Bench,
+    Moves,
     bench,
     instance,
     started,
@@ -45,12 +48,13 @@ DEGRADE, DETACH = Degrade(Map({work("listener"): 1})), Detach(OUT, "/chatter")
 def test_each_step_is_carried_out_and_only_then_in_the_model(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         start = b.system.configuration
-        seen: list[tuple[Configuration, list[str], int]] = []
-        b.executor.on_moved = lambda *step: seen.append((step[0], sorted(step[1]), len(b.client.changes)))
-        await b.executor.run([DEGRADE, DETACH])
+        sent: list[int] = []
+        moves = Moves(lambda: sent.append(len(b.client.changes)))
+        b.observers.append(moves)
+        await b.carry_out([DEGRADE, DETACH])
         first = DEGRADE.effect(start)
-        assert seen == [(first, ["listener"], 1), (DETACH.effect(first), ["talker"], 2)]
-        assert b.system.configuration == seen[-1][0] and b.system.revision == 2
+        assert moves.seen == [(first, ["listener"]), (DETACH.effect(first), ["talker"])] and sent == [1, 2]
+        assert b.system.configuration == moves.seen[-1][0] and b.system.revision == 2
         assert b.client.changes == [("listener", "modes"), ("talker", "detach")]
         assert b.words() == [
             "1/2 degrade listener.work from normal to degraded",
@@ -69,7 +73,7 @@ def test_a_step_whose_precondition_does_not_hold_reaches_no_component(tmp_path: 
     async def body(b: Bench) -> None:
         start = b.system.configuration
         with pytest.raises(StepFailed, match=r"detach talker\.out from /chatter: cannot detach") as failed:
-            await b.executor.run([DETACH])
+            await b.carry_out([DETACH])
         assert failed.value.outcome == "rolled_back"
         assert b.client.sent == []
         assert (b.system.configuration, b.system.revision) == (start, 0)
@@ -87,7 +91,7 @@ def test_what_was_done_before_a_failure_is_undone_last_first(tmp_path: Path) -> 
     async def body(b: Bench) -> None:
         b.client.reply("other", AttachCommand, REFUSED)
         with pytest.raises(StepFailed) as failed:
-            await b.executor.run([DEGRADE, DETACH, Attach(build.port("other.out"), "/chatter"), Remove("talker")])
+            await b.carry_out([DEGRADE, DETACH, Attach(build.port("other.out"), "/chatter"), Remove("talker")])
         assert failed.value.outcome == "rolled_back"
         assert str(failed.value) == f"attach other.out to /chatter: {REFUSED}"
         assert b.client.changes == [
@@ -122,7 +126,7 @@ def test_a_roll_back_that_fails_is_in_the_reason_and_goes_on(tmp_path: Path) -> 
         b.client.reply("talker", AttachCommand, TIMEOUT)
         remove = Remove("listener")  # which is attached, so it fails
         with pytest.raises(StepFailed) as failed:
-            await b.executor.run([other, DEGRADE, DETACH, remove])
+            await b.carry_out([other, DEGRADE, DETACH, remove])
         assert failed.value.outcome == "failed"
         assert f"; and the roll-back failed: attach talker.out to /chatter: {TIMEOUT}; upgrade listener" in str(
             failed.value
@@ -143,7 +147,7 @@ def test_what_the_change_created_is_killed_where_it_does_not_answer(tmp_path: Pa
         b.client.reply("listener", ModesCommand, REFUSED)
         attach = Attach(build.port("second.out"), "/chatter")
         with pytest.raises(StepFailed) as failed:
-            await b.executor.run([Create(SECOND), attach, DEGRADE])
+            await b.carry_out([Create(SECOND), attach, DEGRADE])
         assert (failed.value.outcome, str(failed.value).count("roll-back")) == ("rolled_back", 0)
         assert b.backend.ended == [("second", 0.0)]
         assert b.system.configuration == talking()
@@ -162,7 +166,7 @@ def test_a_created_component_that_is_silent_is_not_asked_before_it_is_killed(tmp
 
         b.client.reply("second", AttachCommand, freezes)
         with pytest.raises(StepFailed) as failed:
-            await b.executor.run([DEGRADE, Create(SECOND), Attach(build.port("second.out"), "/chatter")])
+            await b.carry_out([DEGRADE, Create(SECOND), Attach(build.port("second.out"), "/chatter")])
         assert failed.value.outcome == "rolled_back"
         assert b.backend.ended == [("second", 0.0)]
         assert b.system.configuration == talking()
@@ -172,15 +176,16 @@ def test_a_created_component_that_is_silent_is_not_asked_before_it_is_killed(tmp
 
 def test_a_step_that_is_rejected_once_it_is_done_is_undone_as_well(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        async def reject(configuration: Configuration) -> None:
-            assert configuration == DEGRADE.effect(talking())
-            raise BackendError("this is not what was asked for")
+        class Rejection(ChangeObserver):
+            async def step_done(self, configuration: Configuration) -> None:
+                assert configuration == DEGRADE.effect(talking())
+                raise BackendError("this is not what was asked for")
 
-        b.executor.after_step = reject
+        b.observers.append(Rejection())
         with pytest.raises(
             StepFailed, match=r"degrade listener\.work from normal to degraded: this is not what was asked for"
         ):
-            await b.executor.run([DEGRADE, DETACH])
+            await b.carry_out([DEGRADE, DETACH])
         assert b.client.changes == [("listener", "modes"), ("listener", "modes")]
         assert b.system.configuration == talking()
 
@@ -191,7 +196,7 @@ def test_an_unexpected_error_is_taken_back_and_logged(tmp_path: Path, caplog: py
     async def body(b: Bench) -> None:
         b.client.reply("talker", DetachCommand, KeyError("what is this?"))
         with pytest.raises(StepFailed, match=r"internal error: KeyError\('what is this\?'\)") as failed:
-            await b.executor.run([DEGRADE, DETACH])
+            await b.carry_out([DEGRADE, DETACH])
         assert failed.value.outcome == "rolled_back"
         assert b.system.configuration == talking()
 
@@ -215,7 +220,7 @@ def slow(b: Bench, command: type[Command[Any]], reply: Any) -> tuple[asyncio.Eve
 def test_cancelled_during_a_step_it_waits_for_its_end_and_takes_everything_back(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         detaching, answered = slow(b, DetachCommand, Detached(acknowledged=True, last=None))
-        running = asyncio.ensure_future(b.executor.run([DEGRADE, DETACH]))
+        running = asyncio.ensure_future(b.carry_out([DEGRADE, DETACH]))
         await detaching.wait()
         running.cancel()
         await asyncio.sleep(1)
@@ -232,7 +237,7 @@ def test_cancelled_during_a_step_it_waits_for_its_end_and_takes_everything_back(
 
 def test_cancelled_during_a_creation_it_is_broken_off_at_once(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        running = asyncio.ensure_future(b.executor.run([Create(SECOND)]))
+        running = asyncio.ensure_future(b.carry_out([Create(SECOND)]))
         await asyncio.sleep(1)
         assert b.saved() == ["second"]
         running.cancel()
@@ -251,7 +256,7 @@ def test_cancelled_while_it_rolls_back_it_takes_everything_back(tmp_path: Path) 
     async def body(b: Bench) -> None:
         asked, may = slow(b, AttachCommand, Attached(matched=1))
         b.backend.fail_start["second"] = StartFailed("there is no such program")
-        running = asyncio.ensure_future(b.executor.run([DEGRADE, DETACH, Create(SECOND)]))
+        running = asyncio.ensure_future(b.carry_out([DEGRADE, DETACH, Create(SECOND)]))
         await asked.wait()
         for _ in range(2):  # however often
             running.cancel()
@@ -270,7 +275,7 @@ def test_cancelled_where_it_cannot_take_back_it_says_so(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         detaching, may = slow(b, DetachCommand, Detached(acknowledged=True, last=None))
         b.client.reply("talker", AttachCommand, REFUSED)
-        running = asyncio.ensure_future(b.executor.run([DEGRADE, DETACH]))
+        running = asyncio.ensure_future(b.carry_out([DEGRADE, DETACH]))
         await detaching.wait()
         running.cancel()
         may.set()
@@ -286,7 +291,7 @@ def test_creations_in_a_row_are_started_at_once(tmp_path: Path) -> None:
 
     async def body(b: Bench) -> None:
         b.crash("third")
-        running = asyncio.ensure_future(b.executor.run([Create(SECOND), Create(third)]))
+        running = asyncio.ensure_future(b.carry_out([Create(SECOND), Create(third)]))
         await asyncio.sleep(1)
         assert [launch.instance for launch in b.backend.launches] == ["second", "third"]
         assert b.system.crashed == {}, "another process has the name"
@@ -307,7 +312,7 @@ def registering_one_a_second(tmp_path: Path, idle: Callable[[float], float]) -> 
 
     async def body(b: Bench) -> None:
         b.clock.idle = lambda: idle(b.clock.steady())  # type: ignore[method-assign]
-        running = asyncio.ensure_future(b.executor.run([Create(each) for each in many]))
+        running = asyncio.ensure_future(b.carry_out([Create(each) for each in many]))
         for each in many:
             await asyncio.sleep(1)
             starting.append(b.launcher.starting())
@@ -344,7 +349,7 @@ def hung(tmp_path: Path, others: int, every: float) -> tuple[float, str]:
 
         registering = asyncio.ensure_future(register())
         with pytest.raises(StepFailed) as error:
-            await b.executor.run([Create(each) for each in many])
+            await b.carry_out([Create(each) for each in many])
         failed.append((b.clock.steady(), str(error.value)))
         registering.cancel()
         assert b.backend.running == {"talker", "listener"} and b.saved() == []
@@ -373,7 +378,7 @@ def test_where_one_creation_fails_what_was_started_ahead_is_ended(tmp_path: Path
     async def body(b: Bench) -> None:
         b.startable(third)
         with pytest.raises(StepFailed, match="second did not register"):
-            await b.executor.run([Create(SECOND), Create(third), DEGRADE])
+            await b.carry_out([Create(SECOND), Create(third), DEGRADE])
         assert b.backend.running == {"talker", "listener"}
         assert b.saved() == []
 
@@ -388,7 +393,7 @@ def test_the_component_that_could_not_start_is_named_and_not_the_one_beside_it(e
     async def body(b: Bench) -> None:
         if not exits:
             b.backend.fail_start["third"] = StartFailed("cannot start `./nosuch --x`")
-        running = asyncio.ensure_future(b.executor.run([Create(SECOND), Create(third), DEGRADE]))
+        running = asyncio.ensure_future(b.carry_out([Create(SECOND), Create(third), DEGRADE]))
         while "third" not in [launch.instance for launch in b.backend.launches]:
             await asyncio.sleep(0.01)
         b.launcher.exited(Exited("third", 2, "no such file"))
@@ -409,7 +414,7 @@ def test_what_cannot_be_ended_again_is_kept_for_the_next_manager(tmp_path: Path)
     async def body(b: Bench) -> None:
         b.backend.fail_end["second"] = BackendError("the kernel keeps it")
         with pytest.raises(StepFailed, match="second did not register"):
-            await b.executor.run([Create(SECOND)])
+            await b.carry_out([Create(SECOND)])
         assert b.saved() == ["second"]
 
     bench(talking(), tmp_path, body)
@@ -423,14 +428,14 @@ def test_what_the_next_manager_finds_follows_the_steps(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         added = instance("tuned", tuned)
         b.startable(added)
-        await b.executor.run([Create(added), SetParameters("tuned", Map(gain=2))])
+        await b.carry_out([Create(added), SetParameters("tuned", Map(gain=2))])
         [saved] = b.saved_instances()
         assert saved == changed(added, parameters=Map(gain=2)) == b.system.configuration.instances["tuned"]
         assert b.client.of(SetParametersCommand, "tuned") == [SetParametersCommand(parameters={"gain": 2})]
         with pytest.raises(StepFailed):
-            await b.executor.run([Remove("tuned"), Remove("talker")])  # which is attached, so it fails
+            await b.carry_out([Remove("tuned"), Remove("talker")])  # which is attached, so it fails
         assert b.saved_instances() == [saved], "the roll-back has started it again"
-        await b.executor.run([Remove("tuned")])
+        await b.carry_out([Remove("tuned")])
         assert b.saved() == []
 
     bench(talking(), tmp_path, body)
@@ -439,12 +444,12 @@ def test_what_the_next_manager_finds_follows_the_steps(tmp_path: Path) -> None:
 def test_what_a_roll_back_could_not_start_again_is_not_saved(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.startable(SECOND)
-        await b.executor.run([Create(SECOND)])
+        await b.carry_out([Create(SECOND)])
         b.backend.instances.clear()  # it does not register any more
         with pytest.raises(
             StepFailed, match=r"the roll-back failed: create second \(Talker\): second did not register"
         ):
-            await b.executor.run([Remove("second"), Remove("talker")])  # which is attached, so it fails
+            await b.carry_out([Remove("second"), Remove("talker")])  # which is attached, so it fails
         assert b.backend.running == {"talker", "listener"} and b.saved() == []
 
     bench(talking(), tmp_path, body)
@@ -457,13 +462,15 @@ def test_lowering_needs_no_precondition_and_notes_only_those_that_answer(tmp_pat
     """The talker is lowered while the listener relies on it; its failure does not keep the listener from following."""
 
     async def body(b: Bench) -> None:
-        moved: list[tuple[Configuration, Collection[str]]] = []
-        b.executor.on_moved = lambda *step: moved.append(step)
         b.client.reply("talker", ModesCommand, UNREACHABLE)
-        left = await b.executor.lower({work("talker"): 1, work("listener"): 1}, "the camera exited unexpectedly")
+        left = await lower_modes(
+            {work("talker"): 1, work("listener"): 1},
+            "the camera exited unexpectedly",
+            b.client,
+            b.system,
+            b.events,
+        )
         assert left == {work("talker"): UNREACHABLE}
-        assert b.system.configuration == DEGRADE.effect(talking())
-        assert moved == [(b.system.configuration, {"listener"})]
         [command] = b.client.of(ModesCommand, "listener")
         assert command.because == "the camera exited unexpectedly"
         assert b.words("degraded") == ["degrade listener.work from normal to degraded"]
@@ -476,8 +483,9 @@ def test_lowering_needs_no_precondition_and_notes_only_those_that_answer(tmp_pat
 def test_where_nothing_can_be_lowered_the_model_stays(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.client.reply("listener", ModesCommand, TIMEOUT)
-        assert await b.executor.lower({work("listener"): 1}, "") == {work("listener"): TIMEOUT}
-        assert await b.executor.lower({}, "") == {}
+        left = await lower_modes({work("listener"): 1}, "", b.client, b.system, b.events)
+        assert left == {work("listener"): TIMEOUT}
+        assert await lower_modes({}, "", b.client, b.system, b.events) == {}
         assert (b.system.configuration, b.system.revision) == (talking(), 0)
 
     bench(talking(), tmp_path, body)

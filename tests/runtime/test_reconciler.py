@@ -13,6 +13,7 @@ from midstride.backends.simulator.virtual_loop import run
 from midstride.errors import RevisionChanged, StartFailed
 from midstride.model.configuration import Configuration
 from midstride.runtime.backend_protocol import Exited
+from midstride.runtime.change.mode_changes import DRAIN_TIMEOUT
 from midstride.runtime.process.component_client import Disconnected
 from midstride.wire.commands import ModesCommand
 from tests.model import build
@@ -61,9 +62,7 @@ def test_a_crash_takes_the_instance_out_of_the_model_and_lowers_what_relied_on_i
         await moment()
         assert r.system.configuration == talking().without_instance("talker").with_modes(DEGRADED_LISTENER)
         assert r.client.of(ModesCommand) == [
-            ModesCommand(
-                modes={"work": "degraded"}, because="talker exited unexpectedly", timeout=r.driver.modes.drain_timeout
-            )
+            ModesCommand(modes={"work": "degraded"}, because="talker exited unexpectedly", timeout=DRAIN_TIMEOUT)
         ]
         [event] = [event for event in r.events.since() if event.kind == "exited"]
         assert (event.words, event.log) == ("talker exited unexpectedly (status -9)", "no device")
@@ -383,11 +382,11 @@ def test_an_error_while_it_works_alone_is_reported_and_the_next_crash_is_handled
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     async def body(r: ReconcilingBench) -> None:
-        driver, r.driver = r.driver, None  # type: ignore[assignment]
+        lost, r.client.lost = r.client.lost, None  # type: ignore[assignment]
         r.exits(TALKER_EXITED)
         await moment()
-        assert "reconciling failed: internal error: AttributeError" in r.words("note")[0]
-        r.driver = driver
+        assert "reconciling failed: internal error: TypeError" in r.words("note")[0]
+        r.client.lost = lost
         r.exits(Exited("listener", 1))
         await moment()
         assert list(r.system.configuration.instances) == []

@@ -255,7 +255,7 @@ def test_what_the_new_side_has_to_answer_is_recorded_there(tmp_path: Path) -> No
         b.client.reply("filter_2", RecordsCommand, Records(rows=asked, publisher_identity=True, now=SECOND))
         b.client.reply("sink", RecordCommand, replies.RecordingSwitched(now=round(0.05 * SECOND)))
         await under_test.begin(ANSWERING, [ANSWERS])
-        await under_test.record_driving_inputs(ANSWERING, ANSWERS)
+        await under_test.before_handover(ANSWERING, ANSWERS)
         [found] = await under_test.finish({})
         await under_test.stop(ANSWERING.instances)
         return found
@@ -275,9 +275,9 @@ def test_a_new_side_that_cannot_be_recorded_does_not_stop_the_hand_over(tmp_path
         under_test = recording(b)
         b.client.reply("filter", GridCommand, Grid(trigger="message", now=0))
         b.client.reply("filter_2", RecordCommand, TIMEOUT)
-        await under_test.record_driving_inputs(ANSWERING, ANSWERS)
+        await under_test.before_handover(ANSWERING, ANSWERS)
         b.client.reply("filter", GridCommand, UNREACHABLE)
-        await under_test.record_driving_inputs(ANSWERING, ANSWERS)
+        await under_test.before_handover(ANSWERING, ANSWERS)
         await under_test.stop(ANSWERING.instances)
         assert b.client.of(RecordCommand, "filter_2") == [START_RECORDING, STOP_RECORDING]
 

@@ -10,16 +10,17 @@ import pytest
 from immutables import Map
 
 from midstride.errors import BackendError, StartFailed, StepFailed
-from midstride.model.action import Attach, Create, Remove, Upgrade
+from midstride.model.action import Action, Attach, Create, Remove, Upgrade
 from midstride.model.configuration import Configuration
 from midstride.plan.overlap import Overlap, one_by_one
 from midstride.runtime.backend_protocol import Exited, Handle, Launch
+from midstride.runtime.change_observer import ChangeObserver
 from midstride.runtime.records.journal import Journal
 from midstride.runtime.records.journal_records import NewChange
 from midstride.wire.commands import AttachCommand, DetachCommand, ModesCommand
 from midstride.wire.replies import PreviousModes
 from tests.model import build
-from tests.runtime.scripted import LISTENER, REFUSED, TALKER, Bench, ScriptedBackend, bench, instance
+from tests.runtime.scripted import LISTENER, REFUSED, TALKER, Bench, Moves, ScriptedBackend, bench, instance
 
 OLD = {name: instance(name, TALKER) for name in ("first", "second", "third")}
 REMOVALS = [Remove(name) for name in OLD]
@@ -53,7 +54,7 @@ class Ending:
 def test_the_steps_of_one_round_are_taken_at_once_and_each_is_in_the_model_when_it_is_done(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         ending = Ending(b)
-        running = asyncio.ensure_future(b.executor.run(REMOVALS, overlap=AT_ONCE))
+        running = asyncio.ensure_future(b.carry_out(REMOVALS, AT_ONCE))
         await ending.have_begun()
         assert b.kinds() == ["step"] * 3
         await asyncio.sleep(1)
@@ -80,8 +81,8 @@ def test_where_one_of_a_round_fails_the_others_end_and_are_undone(tmp_path: Path
         ending = Ending(b)
         b.backend.fail_end["second"] = BackendError("the kernel keeps it")
         entry = await b.journal.begin(NewChange("apply", None, None, b.specification, 3))
-        b.executor.entry = entry
-        running = asyncio.ensure_future(b.executor.run(REMOVALS, overlap=AT_ONCE))
+        b.entry = entry
+        running = asyncio.ensure_future(b.carry_out(REMOVALS, AT_ONCE))
         await ending.have_begun()
         ending.may["second"].set()
         await asyncio.sleep(1)
@@ -97,7 +98,6 @@ def test_where_one_of_a_round_fails_the_others_end_and_are_undone(tmp_path: Path
         assert [event.index for event in b.events.since() if event.kind == "step_done"] == [0, 2]
         [change] = (await b.journal.history(9)).changes
         assert [step.outcome for step in change.steps] == ["done", "failed", "done"]
-        b.journal.close()
 
     bench(idle(), tmp_path, body)
 
@@ -106,7 +106,7 @@ def test_cancelled_in_a_round_it_waits_for_the_end_of_each_step_and_undoes_all(t
     async def body(b: Bench) -> None:
         b.startable(*OLD.values())
         ending = Ending(b)
-        running = asyncio.ensure_future(b.executor.run(REMOVALS, overlap=AT_ONCE))
+        running = asyncio.ensure_future(b.carry_out(REMOVALS, AT_ONCE))
         await ending.have_begun()
         running.cancel()
         for name in OLD:
@@ -127,12 +127,13 @@ def test_a_crash_is_responded_to_when_the_round_has_ended(tmp_path: Path) -> Non
     async def body(b: Bench) -> None:
         performed: list[str] = []
 
-        async def respond(action: object) -> None:
-            async with b.executor.commanding:
-                performed.append(str(action))
+        class Response(ChangeObserver):
+            async def performed(self, action: Action) -> None:
+                async with b.change.commanding:
+                    performed.append(str(action))
 
-        b.executor.on_performed = respond
-        await b.executor.run(UPGRADES, overlap=AT_ONCE)
+        b.observers.append(Response())
+        await b.carry_out(UPGRADES, AT_ONCE)
         assert performed == [str(each) for each in UPGRADES]
 
     bench(idle(), tmp_path, body)
@@ -144,11 +145,11 @@ def test_a_crash_is_responded_to_while_a_process_ends(overlap: Overlap, tmp_path
 
     async def body(b: Bench) -> None:
         ending = Ending(b)
-        running = asyncio.ensure_future(b.executor.run(REMOVALS, overlap=overlap))
+        running = asyncio.ensure_future(b.carry_out(REMOVALS, overlap))
         while not ending.begun:
             await asyncio.sleep(0.01)
-        await asyncio.wait_for(b.executor.commanding.acquire(), 1)
-        b.executor.commanding.release()
+        await asyncio.wait_for(b.change.commanding.acquire(), 1)
+        b.change.commanding.release()
         for each in ending.may.values():
             each.set()
         await running
@@ -179,7 +180,7 @@ def changing_modes(b: Bench, seconds: dict[str, float]) -> list[tuple[str, float
 def test_components_whose_modes_change_in_one_round_are_commanded_at_once(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         changed, begun = changing_modes(b, {"first": 3.0, "second": 1.0, "third": 2.0}), b.clock.steady()
-        await b.executor.run(UPGRADES, overlap=AT_ONCE)
+        await b.carry_out(UPGRADES, AT_ONCE)
         assert [(name, round(at - begun)) for name, at in changed] == [("second", 1), ("third", 2), ("first", 3)]
         assert set(b.system.configuration.modes.values()) == {0}
 
@@ -191,7 +192,7 @@ def test_where_one_of_them_refuses_the_others_go_back_to_their_modes(tmp_path: P
         changing_modes(b, {"first": 3.0, "second": 1.0, "third": 2.0})
         b.client.reply("second", ModesCommand, REFUSED)
         with pytest.raises(StepFailed, match=r"^upgrade second\.work from degraded to normal: ") as failed:
-            await b.executor.run(UPGRADES, overlap=AT_ONCE)
+            await b.carry_out(UPGRADES, AT_ONCE)
         assert failed.value.outcome == "rolled_back"
         assert b.system.configuration == idle()
         last = {name: b.client.of(ModesCommand, name)[-1].modes for name in ("first", "third")}
@@ -203,18 +204,17 @@ def test_where_one_of_them_refuses_the_others_go_back_to_their_modes(tmp_path: P
 def test_what_is_begun_at_once_is_durable_before_and_the_next_manager_says_which(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         ending = Ending(b)
-        b.executor.entry = await b.journal.begin(NewChange("apply", None, None, b.specification, 4))
+        b.entry = await b.journal.begin(NewChange("apply", None, None, b.specification, 4))
         fourth = instance("fourth", LISTENER)
         b.startable(fourth)
         actions = [Create(fourth), *REMOVALS]
-        running = asyncio.ensure_future(b.executor.run(actions, overlap=Overlap(((0,), (1, 2, 3)), {0: [0]})))
+        running = asyncio.ensure_future(b.carry_out(actions, Overlap(((0,), (1, 2, 3)), {0: [0]})))
         await ending.have_begun()
         [interrupted] = await b.journal.take_over()
         assert str(interrupted) == "the manager ended during steps 2 to 4 of 4"
         for each in ending.may.values():
             each.set()
         await running
-        b.journal.close()
 
     bench(idle(), tmp_path, body)
 
@@ -228,7 +228,7 @@ def test_where_one_attachment_of_a_round_fails_the_others_are_detached_again(tmp
     async def body(b: Bench) -> None:
         b.client.reply("second", AttachCommand, REFUSED)
         with pytest.raises(StepFailed, match=r"^attach second\.out to /chatter: ") as failed:
-            await b.executor.run(ATTACHMENTS, overlap=AT_ONCE)
+            await b.carry_out(ATTACHMENTS, AT_ONCE)
         assert failed.value.outcome == "rolled_back"
         assert b.system.configuration == unattached
         detached = {name: len(b.client.of(DetachCommand, name)) for name in OLD}
@@ -267,7 +267,7 @@ def test_cancelled_between_two_rounds_it_takes_everything_back_and_leaves_no_pro
         starts = SlowStarts(b, "two")
         creations = [Create(each) for each in NEW.values()]
         overlap = Overlap(one_by_one(creations).rounds, {0: [0, 1, 2]})
-        running = asyncio.ensure_future(b.executor.run(creations, overlap=overlap))
+        running = asyncio.ensure_future(b.carry_out(creations, overlap))
         await starts.begun.wait()
         while "one" not in b.system.configuration.instances:
             await asyncio.sleep(0.01)
@@ -289,7 +289,7 @@ def test_cancelled_when_every_step_is_done_it_takes_nothing_back(tmp_path: Path)
         b.startable(*NEW.values())
         creations = [Create(each) for each in NEW.values()]
         overlap = Overlap(one_by_one(creations).rounds, {0: [0, 1, 2]})
-        running = asyncio.ensure_future(b.executor.run(creations, overlap=overlap))
+        running = asyncio.ensure_future(b.carry_out(creations, overlap))
         add = b.events.add
 
         def cancel_at_the_last(kind: str, words: str, **fields: Any) -> Any:
@@ -308,7 +308,7 @@ def test_cancelled_when_every_step_is_done_it_takes_nothing_back(tmp_path: Path)
 def test_a_process_starts_before_its_turn_and_is_in_the_model_at_its_step(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         overlap = Overlap(one_by_one(CREATE_ATTACH_CREATE).rounds, {0: [0, 2]})
-        running = asyncio.ensure_future(b.executor.run(CREATE_ATTACH_CREATE, overlap=overlap))
+        running = asyncio.ensure_future(b.carry_out(CREATE_ATTACH_CREATE, overlap))
         await asyncio.sleep(1)
         assert [launch.instance for launch in b.backend.launches] == ["one", "two"]
         assert b.saved() == ["one", "two"], "the next manager must find both"
@@ -327,9 +327,9 @@ def test_a_process_does_not_start_before_what_its_step_waits_for(tmp_path: Path)
     async def body(b: Bench) -> None:
         b.startable(*NEW.values())
         launched: list[int] = []
-        b.executor.on_moved = lambda *_: launched.append(len(b.backend.launches))
+        b.observers.append(Moves(lambda: launched.append(len(b.backend.launches))))
         actions = [*REMOVALS, Create(NEW["one"])]
-        await b.executor.run(actions, overlap=Overlap(one_by_one(actions).rounds, {2: [3]}))
+        await b.carry_out(actions, Overlap(one_by_one(actions).rounds, {2: [3]}))
         assert launched == [0, 0, 1, 1], "it is started when two steps are done, before the third is"
 
     bench(idle(), tmp_path, body)
@@ -338,16 +338,16 @@ def test_a_process_does_not_start_before_what_its_step_waits_for(tmp_path: Path)
 def test_a_process_that_exits_before_its_turn_ends_the_change_at_the_next_step(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.startable(NEW["one"])
-        b.executor.on_moved = lambda *_: b.launcher.exited(Exited("two", 2, "no such file"))
+        b.observers.append(Moves(lambda: b.launcher.exited(Exited("two", 2, "no such file"))))
         actions = [*CREATE_ATTACH_CREATE[:2], Remove("first"), CREATE_ATTACH_CREATE[2]]
         overlap = Overlap(one_by_one(actions).rounds, {0: [0, 3]})
         with pytest.raises(StepFailed, match=r"^create two \(Talker\): two exited with status 2") as failed:
-            await b.executor.run(actions, overlap=overlap)
+            await b.carry_out(actions, overlap)
         assert failed.value.outcome == "rolled_back"
         assert "first" not in [name for name, _ in b.backend.ended]
         assert b.system.configuration == idle() and b.saved() == []
-        b.executor.on_moved = lambda *_: None
-        await b.executor.run(REMOVALS)
+        b.observers.clear()
+        await b.carry_out(REMOVALS)
         assert not b.system.configuration.instances, "what failed is forgotten"
 
     bench(idle(), tmp_path, body)
@@ -359,7 +359,7 @@ def test_a_process_that_cannot_start_before_its_turn_leaves_nothing(tmp_path: Pa
         b.backend.fail_start["two"] = StartFailed("cannot start `./nosuch`")
         actions = [Create(NEW["one"]), ATTACH, Create(NEW["three"]), Create(NEW["two"])]
         with pytest.raises(StepFailed, match=r"^create two \(Talker\): cannot start `./nosuch`"):
-            await b.executor.run(actions, overlap=Overlap(one_by_one(actions).rounds, {0: [0, 2, 3]}))
+            await b.carry_out(actions, Overlap(one_by_one(actions).rounds, {0: [0, 2, 3]}))
         assert b.backend.running == {"listener"} and b.saved() == []
 
     bench(build.system({"listener": LISTENER}, ["listener.in /chatter"], modes={}), tmp_path, body)
@@ -373,7 +373,7 @@ def test_a_manager_that_is_superseded_leaves_no_process_that_it_has_started_ahea
 
     async def body(b: Bench) -> None:
         other = Journal(b.journal.path, b.backend.name)
-        b.executor.entry = await b.journal.begin(NewChange("apply", None, None, b.specification, 3))
+        b.entry = await b.journal.begin(NewChange("apply", None, None, b.specification, 3))
         start = b.backend.start
 
         async def start_and_lose(launch: Launch) -> Handle:
@@ -384,11 +384,10 @@ def test_a_manager_that_is_superseded_leaves_no_process_that_it_has_started_ahea
         b.backend.start = start_and_lose  # type: ignore[method-assign]
         overlap = Overlap(one_by_one(CREATE_ATTACH_CREATE).rounds, {0: [0, 2]})
         with pytest.raises(StepFailed, match="nothing is rolled back, since another manager has taken over"):
-            await b.executor.run(CREATE_ATTACH_CREATE, overlap=overlap)
+            await b.carry_out(CREATE_ATTACH_CREATE, overlap)
         assert [launch.instance for launch in b.backend.launches] == (["one", "two"] if launched else ["one"])
         assert "two" not in b.backend.running
         other.close()
-        b.journal.close()
 
     bench(build.system({"listener": LISTENER}, ["listener.in /chatter"], modes={}), tmp_path, body)
 
@@ -411,7 +410,7 @@ def test_what_a_change_has_created_in_a_row_is_removed_at_once_in_a_roll_back(tm
     async def body(b: Bench) -> None:
         b.startable(*NEW.values())
         ending = EndingCreated(b)
-        running = asyncio.ensure_future(b.executor.run([*CREATIONS, LAST_FAILS]))
+        running = asyncio.ensure_future(b.carry_out([*CREATIONS, LAST_FAILS]))
         await ending.have_begun()
         assert sorted(ending.begun) == sorted(NEW)
         for each in ending.may.values():
@@ -429,7 +428,7 @@ def test_what_cannot_be_removed_does_not_keep_the_others(tmp_path: Path) -> None
         b.startable(*NEW.values())
         b.backend.fail_end["two"] = BackendError("the kernel keeps it")
         with pytest.raises(StepFailed, match=r"the roll-back failed: remove two: the kernel keeps it$") as failed:
-            await b.executor.run([*CREATIONS, LAST_FAILS])
+            await b.carry_out([*CREATIONS, LAST_FAILS])
         assert failed.value.outcome == "failed"
         assert set(b.system.configuration.instances) == {*OLD, "two"}
         assert b.words("rollback_failed") == ["the roll-back is incomplete: remove two: the kernel keeps it"]
@@ -439,7 +438,7 @@ def test_what_cannot_be_removed_does_not_keep_the_others(tmp_path: Path) -> None
 
 def test_processes_that_a_change_has_removed_in_a_row_start_side_by_side_in_a_roll_back(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        running = asyncio.ensure_future(b.executor.run([*REMOVALS, LAST_FAILS]))
+        running = asyncio.ensure_future(b.carry_out([*REMOVALS, LAST_FAILS]))
         await asyncio.sleep(1)
         launched = [launch.instance for launch in b.backend.launches]
         assert launched[:2] == ["third", "second"], "how many start at once depends on the machine"
@@ -461,7 +460,7 @@ def test_one_that_cannot_start_again_does_not_keep_the_others(lost: str, tmp_pat
         b.startable(*OLD.values())
         b.backend.fail_start[lost] = StartFailed("cannot start `./nosuch`")
         with pytest.raises(StepFailed, match=f"create {lost} .*: cannot start `./nosuch`$") as failed:
-            await b.executor.run([*REMOVALS, LAST_FAILS])
+            await b.carry_out([*REMOVALS, LAST_FAILS])
         assert failed.value.outcome == "failed"
         assert set(b.system.configuration.instances) == OLD.keys() - {lost}
         assert b.saved() == sorted(OLD.keys() - {lost})

@@ -84,12 +84,12 @@ def _steps_swapped(patch: pytest.MonkeyPatch) -> None:
 
     run = executor.Executor.run
 
-    async def swapped(self: Any, actions: Any, forms: Any = (), overlap: Any = None) -> None:
-        actions = list(actions)
+    async def swapped(self: Any, overlap: Any = None) -> None:
+        actions = self.change.actions
         removes = [index for index, action in enumerate(actions) if isinstance(action, Remove) and index]
         for index in removes[-1:]:
             actions[index - 1], actions[index] = actions[index], actions[index - 1]
-        await run(self, actions, ())
+        await run(self)
 
     patch.setattr(Remove, "apply", without_check)
     patch.setattr(executor.Executor, "run", swapped)

@@ -1,4 +1,4 @@
-"""Work that a cancellation must not leave half done: ``await uninterrupted(work(), on_cancel)``."""
+"""Work that a cancellation must not leave half done: ``await run_to_completion(work(), on_cancel)``."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 
 
-async def uninterrupted(work: Coroutine[Any, Any, T], on_cancel: Callable[[], object]) -> T:
+async def run_to_completion(work: Coroutine[Any, Any, T], on_cancel: Callable[[], object]) -> T:
     """What ``work`` returns or raises, also where the caller is cancelled meanwhile: then ``on_cancel`` is called.
 
-    The cancellation has no other effect: ``on_cancel`` has to see to it that what comes afterwards is cut short.
+    The cancellation has no other effect: ``on_cancel`` must cut short what comes afterwards.
     ``asyncio.shield`` protects the work only, not the caller, which would go on without its result.
     """
     task = asyncio.ensure_future(work)

@@ -27,7 +27,6 @@ from midstride.model.wording import counted
 from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
 from midstride.runtime.backend_protocol import Backend
-from midstride.runtime.change.action_driver import ActionDriver
 from midstride.runtime.change.change_session import ChangeSession
 from midstride.runtime.change.reconciler import Reconciler
 from midstride.runtime.change.runtime_verification import Verifier
@@ -135,7 +134,6 @@ class Manager:
             self._launcher,
             self.events,
             self._store,
-            driver=self._driver,
             lock=self._reconciler_lock,
             busy=self._is_busy,
             on_reconciled=self._on_reconciled,
@@ -150,8 +148,9 @@ class Manager:
             self._store,
             self._reconciler,
             verifier or Verifier(),
-            driver=self._driver,
-            journal=self._journal,
+            self._launcher,
+            backend,
+            self._journal,
         )
         self.watched = WatchedSystem(
             self.system,
@@ -182,9 +181,6 @@ class Manager:
         if isinstance(event, ComponentState):
             self._restorer.on_report(event)
         self.watched.on_report(event)
-
-    def _driver(self) -> ActionDriver:
-        return ActionDriver(self._client, self._launcher, self._backend, self.system, self.events)
 
     @property
     def specification(self) -> Specification:
@@ -250,7 +246,6 @@ class Manager:
             self._reconciler,
             self._session,
             self._store,
-            self._journal,
             self.events,
             self._options,
             backend=self._backend.name,

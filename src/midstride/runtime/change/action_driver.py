@@ -7,7 +7,7 @@ each component that can be reached.
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Callable, Collection, Container, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -29,12 +29,10 @@ from midstride.model.action import (
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import handover_seconds
-from midstride.plan.change import Change
-from midstride.plan.plan import Plan
 from midstride.plan.state_continuity import left_behind, without_outputs
 from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.change.mode_changes import ModeChanges
-from midstride.runtime.change.parameter_transfer import ParameterTransfer
+from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.handover.cut_turns import CutTurn, only_turn
 from midstride.runtime.handover.fences import Fences, StepBudget
 from midstride.runtime.handover.live_handover import LiveHandover
@@ -57,11 +55,11 @@ R = TypeVar("R")
 
 @dataclass(slots=True)
 class ActionDriver:
-    """Performs the actions of one change on the components of ``system``, whose configuration is that before an action.
+    """Performs the actions of ``change`` on the components of ``system``, whose configuration is that before an action.
 
     While ``rolling_back``, a removed instance gets back its own state, and a failure to transfer state does not fail
-    the action. ``last_numbers`` holds the number of the last message of each output that was detached. ``parameters``
-    carries over what was set at run time.
+    the action. ``last_numbers`` holds the number of the last message of each output that was detached. States of
+    replacements that hand over no output move as well.
     """
 
     client: ComponentClient
@@ -69,27 +67,29 @@ class ActionDriver:
     backend: Backend
     system: RunningSystem
     events: EventLog
-    before_handover: Callable[[Configuration, Handover], Awaitable[None]] | None = None
+    change: RunningChange
     rolling_back: bool = False
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
     late: dict[str, float] = field(default_factory=dict)
-    parameters: ParameterTransfer | None = None
     # By instance: what state of its predecessor it continues without, and why.
     own_state: dict[str, str] = field(default_factory=dict)
-    moves: StateMoves | None = None
-    timing: Mapping[str, float] = field(default_factory=dict)  # of the specification
-    leaving: Container[str] = ()  # the instances that the plan removes
-    change: Change | None = None  # what the plan does
     fences: Fences = field(init=False)
     modes: ModeChanges = field(init=False)
+    _moves: StateMoves = field(init=False)
     _settled: float = -math.inf  # when the inputs have settled that were attached (steady s)
     _keeping: set[str] = field(default_factory=set)  # instances that keep state, also where they have exited since
     _before_setting: dict[str, replies.PreviousParameters] = field(default_factory=dict)  # by instance
     _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
 
     def __post_init__(self) -> None:
-        self.fences = Fences(self.client, self.launcher, self.system, self.events)
+        change = self.change.plan.change
+        self.fences = Fences(self.client, self.launcher, self.system, self.events, self.change.patience)
         self.modes = ModeChanges(self.client, self.system, self.fences, self._is_gone)
+        self._moves = StateMoves(self.client, self._move_state, self._keeps_own_state, without_outputs(change))
+        self._keeping = {name for name in change.replaced if keeps_state(self.client, name)}
+        predecessors = {new: old for old, new in change.replaced.items()}
+        for new, because in left_behind(change, self.change.actions).items():
+            self._keeps_own_state(predecessors[new], new, because)
 
     @property
     def configuration(self) -> Configuration:
@@ -105,9 +105,8 @@ class ActionDriver:
         if any(self.fences.hangs_already(name) for name in action.instances()):
             await self._fence_leaving(action, self.fences.now())
         try:
-            if self.moves is not None:
-                gone = {name for name in self.configuration.instances if self._is_gone(name)} | {*self.fences.fenced}
-                await self.moves.before(action, self.configuration.instances, gone)
+            gone = {name for name in self.configuration.instances if self._is_gone(name)} | {*self.fences.fenced}
+            await self._moves.before(action, self.configuration.instances, gone)
             try:
                 await self._perform(action, because, budget, turn)
             except (CommandRefused, CallTimeout):
@@ -138,7 +137,7 @@ class ActionDriver:
         """The instances of a step that the plan removes, and that have not been fenced yet."""
         if self.rolling_back or not isinstance(action, Degrade | Detach | Remove):
             return []
-        return sorted(name for name in action.instances() if name in self.leaving and name not in self.fences.fenced)
+        return sorted(self.change.leaving.intersection(action.instances()) - self.fences.fenced.keys())
 
     async def _own_degradations(self, action: Action) -> list[str]:
         """What degraded by itself in the instances of ``action``: the root cause of whatever they refused."""
@@ -159,19 +158,18 @@ class ActionDriver:
     async def start(self, instance: Instance) -> bool:
         """Start the process of an instance that is to be created; see :meth:`Launcher.start`."""
         standby, topics = self.system.has_instance(instance.role), self._topics(instance)
-        if self.parameters is None:
-            return await self.launcher.start(instance, standby=standby, topics=topics)
         if instance.component.has_lifecycle:
-            await self.parameters.ask(instance)
-        start_values = self.parameters.start_values
+            await self.change.parameters.ask(instance)
+        start_values = self.change.parameters.start_values
         return await self.launcher.start(instance, standby=standby, start_values=start_values, topics=topics)
 
     def _topics(self, instance: Instance) -> dict[str, str]:
         """The topic of each port of a component whose program has to know them when it starts."""
-        if instance.component.gate is None or self.change is None:
+        if instance.component.gate is None:
             return {}
-        comes = any(instance.name == each.name for each in self.change.coming)
-        specification = self.change.target if comes else self.change.specification
+        change = self.change.plan.change
+        comes = any(instance.name == each.name for each in change.coming)
+        specification = change.target if comes else change.specification
         attachments = specification.attachments_of(instance.role) if instance.role in specification.nodes else []
         return {port.port: specification.connectors[connector].topic for port, connector in attachments}
 
@@ -185,8 +183,7 @@ class ActionDriver:
                 await self.launcher.registered(instance)
                 if not standby:  # it does already, unless it was started by hand and replaced once
                     await have_answer(self.client, instance.name)
-                if self.parameters is not None:
-                    await self.parameters.started(instance)
+                await self.change.parameters.started(instance)
                 if (state := self._exported.get(instance.role)) is not None:
                     await self._import_state(instance.name, state)
             case Degrade() | Upgrade():
@@ -222,30 +219,8 @@ class ActionDriver:
         reply = await self.client.change(instance, command)
         if not self.rolling_back:
             self._before_setting[instance] = reply
-            if self.parameters is not None:
-                values = {name: reply.before[name] for name in reply.declared}
-                self.parameters.set_in_place(self.configuration.instances[instance], values)
-
-    def prepare(
-        self,
-        plan: Plan,
-        timing: Mapping[str, float],
-        parameters: ParameterTransfer,
-        before_handover: Callable[[Configuration, Handover], Awaitable[None]],
-        wait: float,
-    ) -> None:
-        """From now on, perform the actions of ``plan``, and move the states of replacements that hand over no output.
-
-        ``timing``: of the target. ``wait``: after how long a component that hangs, and is to go, is fenced (s).
-        """
-        self.timing, self.parameters, self.before_handover = timing, parameters, before_handover
-        self.fences.wait = wait
-        change = self.change = plan.change
-        self._keeping.update(name for name in change.replaced if keeps_state(self.client, name))
-        self.moves = StateMoves(self.client, self._move_state, self._keeps_own_state, without_outputs(change))
-        predecessors = {new: old for old, new in change.replaced.items()}
-        for new, because in left_behind(change, (step.action for step in plan.steps)).items():
-            self._keeps_own_state(predecessors[new], new, because)
+            values = {name: reply.before[name] for name in reply.declared}
+            self.change.parameters.set_in_place(self.configuration.instances[instance], values)
 
     async def _move_state(self, old: str, new: str) -> None:
         try:
@@ -285,8 +260,7 @@ class ActionDriver:
                     self._exported[instance.role] = exported.state
             except (CallTimeout, Unreachable) as error:  # an unresponsive component must still be removable
                 self.events.add("note", f"the state of {action.instance} is lost: {error}")
-        if self.parameters is not None:
-            await self.parameters.leaving(action.instance, self.configuration)
+        await self.change.parameters.leaving(action.instance, self.configuration)
         if instance.component.run is None:
             try:
                 await self.launcher.release(action.instance)
@@ -298,8 +272,7 @@ class ActionDriver:
             self.events.add("note", f"{action.instance} was started elsewhere: it is released, and left running")
         else:
             await self.launcher.end(action.instance)
-        if self.parameters is not None:
-            await self.parameters.leaving(action.instance, self.configuration)
+        await self.change.parameters.leaving(action.instance, self.configuration)
 
     async def _change_answering(self, leaving: str, runs: bool) -> None:
         """If another instance has the role of one that leaves, have it answer requests from now on."""
@@ -371,8 +344,7 @@ class ActionDriver:
         configuration = self.configuration
         pairs = {(swap.old.instance, swap.new.instance) for swap in action.swaps}
         roles = {name: instance.role for name, instance in configuration.instances.items()}
-        if self.before_handover is not None:
-            await self.before_handover(configuration, action)
+        await self.change.before_handover(configuration, action)
         # Where the outputs of other roles are swapped, nothing is replaced.
         replaced = [(old, new) for old, new in pairs if old != new and roles[old] == roles[new]]
         await self._live_handover(action.swaps, replaced, turn)
@@ -395,7 +367,7 @@ class ActionDriver:
             states,
             self.fences,
             self._carry_parameters,
-            Map() if self.rolling_back else self.timing,
+            Map() if self.rolling_back else self.change.target.timing,
             turn or only_turn(),
         )
         self.last_numbers |= await handover.run()
@@ -406,7 +378,7 @@ class ActionDriver:
 
         Raises StepFailed if one breaks what it guarantees.
         """
-        seconds = handover_seconds(self.timing, "watch_after")
+        seconds = handover_seconds(self.change.target.timing, "watch_after")
         if not isinstance(action, Handover) or not seconds:
             return
         ports = sorted({(swap.new, self.configuration.topic(swap.connector)) for swap in action.swaps})
@@ -421,5 +393,5 @@ class ActionDriver:
             raise
 
     async def _carry_parameters(self, old: str, new: str) -> None:
-        if self.parameters is not None and not self.rolling_back:
-            await self.parameters.before_cut(old, self.configuration.instances[new])
+        if not self.rolling_back:
+            await self.change.parameters.before_cut(old, self.configuration.instances[new])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Final, cast
@@ -32,21 +32,24 @@ from midstride.plan.runtime_values import Values, of_change
 from midstride.plan.sensitivity import sensitivity
 from midstride.plan.strategies.registry import planner
 from midstride.plan.strategies.restore import restore
-from midstride.runtime.cancellation import uninterrupted
+from midstride.runtime.backend_protocol import Backend
+from midstride.runtime.cancellation import run_to_completion
 from midstride.runtime.change.action_driver import ActionDriver
 from midstride.runtime.change.crash_during_change import CrashResponse
 from midstride.runtime.change.executor import Executor
 from midstride.runtime.change.parameter_transfer import ParameterTransfer
 from midstride.runtime.change.reconciler import Reconciler
+from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.change.runtime_verification import StepVerifier, Verifier
-from midstride.runtime.change.stalled_first import replaced_first
+from midstride.runtime.change.stalled_first import with_stalled_first
 from midstride.runtime.handover.arbiter_choice import require_arbiters
 from midstride.runtime.handover.fences import DEFAULT_WAIT
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.process.launcher import Launcher
 from midstride.runtime.records.change_report import ChangeTimeline
 from midstride.runtime.records.events import EventLog
-from midstride.runtime.records.journal import Journal, JournalEntry
+from midstride.runtime.records.journal import Journal
 from midstride.runtime.records.journal_records import NewChange
 from midstride.runtime.records.measure import SwapReport
 from midstride.runtime.records.mode_recorder import ModeRecorder
@@ -55,7 +58,6 @@ from midstride.runtime.records.state_store import StateStore
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.watch.degradation_report import in_words, lowered_functionalities
 from midstride.runtime.watch.degradation_timer import DegradationTimer
-from midstride.runtime.watch.observed_configuration import with_failures
 from midstride.runtime.watch.silence import SilenceMonitor
 from midstride.runtime.watch.subscriber_recording import Recording
 from midstride.verify.verdict import Verdict
@@ -70,7 +72,7 @@ LONGEST_FIRST_CALLS: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class _Taken:
+class _Steps:
     """How the steps of a plan have ended, and when (steady s).
 
     ``seconds``: how long they took together; ``times``: each of those that were done.
@@ -87,7 +89,7 @@ class _Taken:
 
 @dataclass
 class ChangeSession:
-    """Carries out one change at a time; the caller holds the manager's lock. ``driver`` makes one for its actions.
+    """Carries out one change at a time; the caller holds the manager's lock.
 
     ``measuring`` is true once all steps are done and only the measurement is left. ``another_waits`` is set while the
     next command waits.
@@ -101,12 +103,12 @@ class ChangeSession:
     store: StateStore
     reconciler: Reconciler
     verifier: Verifier
-    driver: Callable[[], ActionDriver]
+    launcher: Launcher
+    backend: Backend
     journal: Journal
     measuring: bool = False
     another_waits: asyncio.Event = field(default_factory=asyncio.Event)
     modes: ModeRecorder | None = None  # of the change in progress
-    _executing: asyncio.Task[None] | None = None  # its plan, until that has ended
     _measured_until: int = 0
 
     async def plan(self, request: PlanRequest) -> tuple[Plan, Specification]:
@@ -116,7 +118,7 @@ class ChangeSession:
         instances, nodes = system.configuration.instances.items(), system.specification.nodes
         request = request.for_roles({name: live.role for name, live in instances if name not in nodes})
         measured = dict(self.journal.estimates)
-        request, orders, remarks = replaced_first(request, system.configuration, self.monitor.undiscovering)
+        request, orders, remarks = with_stalled_first(request, system.configuration, self.monitor.undiscovering)
         plan, target = await asyncio.to_thread(
             _plan, request, system.specification, system.configuration, values, measured, orders
         )
@@ -143,84 +145,84 @@ class ChangeSession:
         except (PlanRefused, ManagerError) as error:
             return self._refuse(str(error))
         verdict: Verdict | UnsetType = UNSET
-        step_verifier = None
         if verify:
             self.events.add("verifying", f"Alloy judges the {len(plan.steps)} steps of the plan")
             verdict = await self.verifier.plan(plan)
-            self._verified(verdict)
+            self.events.add("verified", str(verdict), verdict=verdict)
             if not verdict.holds:
                 return self._refuse(verdict.words, verdict)
-            seen = tuple(plan.configurations())
-            step_verifier = StepVerifier(self.verifier, seen, self.client, self.system.crashed, self._verified)
-        preview = await asyncio.to_thread(PlanPreview.of, plan)  # which steps of a large plan commute takes a while
-        new = NewChange(request.describe(), by, self.system.specification, target, len(plan.steps), preview)
         try:
-            entry = await self.journal.begin(new)
+            change = await self.begin(
+                plan,
+                target,
+                request.describe(),
+                by,
+                verdict=verdict,
+                keep=not request.declared_parameters,
+                brief=brief,
+                wait=wait,
+            )
         except ManagerError as error:
             return self._refuse(str(error), verdict)
-        keep = not request.declared_parameters
-        return await self.carry_out(
-            plan, target, preview, entry, step_verifier, verdict, keep=keep, brief=brief, wait=wait
-        )
-
-    def _verified(self, verdict: Verdict) -> None:
-        self.events.add("verified", str(verdict), verdict=verdict)
+        return await self.carry_out(change)
 
     def _refuse(self, because: str, verdict: Verdict | UnsetType = UNSET) -> Outcome:
         self.events.add("outcome", f"refused: {because}", outcome="refused")
         return Outcome(outcome="refused", because=because, verdict=verdict)
 
-    async def carry_out(
+    async def begin(
         self,
         plan: Plan,
         target: Specification,
-        preview: PlanPreview,
-        entry: JournalEntry,
-        verifier: StepVerifier | None = None,
-        verdict: Verdict | UnsetType = UNSET,
+        command: str,
+        by: str | None = None,
         *,
+        is_new: bool = False,
+        required: bool = True,
+        verdict: Verdict | UnsetType = UNSET,
         keep: bool = True,
         brief: bool = False,
         wait: float = DEFAULT_WAIT,
-    ) -> Outcome:
-        """Carry out ``plan``, measure, report, and record it in ``entry``; ``preview`` and ``verdict`` are reported.
+    ) -> RunningChange:
+        """The change that carries ``plan`` out, from now on in the journal; ``is_new``: no system runs yet.
 
         ``keep``: with the parameter values that were set at run time. ``brief``: the next command does not wait for the
-        whole measurement. ``wait``: after how long a component that hangs, and is to go, is fenced (s).
+        whole measurement. ``wait``: after how long a component that hangs, and is to go, is fenced (s). Raises
+        Superseded; where the journal is ``required``, ManagerError.
+        """
+        system = self.system
+        preview = await asyncio.to_thread(PlanPreview.of, plan)  # which steps of a large plan commute takes a while
+        before = None if is_new else system.specification
+        new = NewChange(command, by, before, target, len(plan.steps), preview)
+        entry = await self.journal.begin(new, required=required)
+        recording = Recording(self.client, self.clock, self.another_waits if brief else None, self._measured_until)
+        transfer = ParameterTransfer(self.client, system.values, plan.change, plan.parameters, keep)
+        change = RunningChange(
+            plan, target, preview, entry, recording, transfer, wait, system.configuration, {**system.missing}, verdict
+        )
+        if verdict is not UNSET:
+            seen = tuple(plan.configurations())
+            change.observers.append(StepVerifier(self.verifier, seen, self.client, system.crashed, self.events))
+        return change
+
+    async def carry_out(self, change: RunningChange) -> Outcome:
+        """Carry out ``change``, measure, report, and record it in the journal.
 
         If cancelled, it rolls back, and raises CancelledError where that has succeeded. Once the plan has ended, or if
         it is being rolled back already, only the measurement is broken off.
         """
-        recording = Recording(self.client, self.clock, self.another_waits if brief else None, self._measured_until)
-        transfer = ParameterTransfer(self.client, self.system.values, plan.change, plan.parameters, keep)
-        work = self._carry_out(plan, target, preview, entry, recording, transfer, verifier, wait)
-        recorded = self._recorded(work, plan, entry, recording, verdict)
-        return await uninterrupted(recorded, lambda: self._interrupt(recording))
+        return await run_to_completion(self._recorded(change), change.interrupt)
 
-    def _interrupt(self, recording: Recording) -> None:
-        """The manager is to end: roll back what is being carried out; what has been is only reported, not measured."""
-        recording.broken_off.set()
-        if self._executing is not None:
-            self._executing.cancel()
-
-    async def _recorded(
-        self,
-        work: Awaitable[Outcome],
-        plan: Plan,
-        entry: JournalEntry,
-        recording: Recording,
-        verdict: Verdict | UnsetType,
-    ) -> Outcome:
-        """What comes of ``work``, which carries ``plan`` out; with its timeline also in ``entry``."""
+    async def _recorded(self, change: RunningChange) -> Outcome:
+        """What comes of ``change``; with its timeline also in the journal."""
         since, before = time.time(), self.events.last
-        modes = self._record_modes(plan)
+        modes = self._record_modes(change)
         try:
-            outcome = await work
+            outcome = await self._carry_out(change)
         finally:
             self.modes = None
-            await recording.stop(self.system.configuration.instances)
-        outcome = structs.replace(outcome, verdict=verdict)
-        roles = {role for step in plan.steps for role in step.roles}
+            await change.recording.stop(self.system.configuration.instances)
+        roles = {role for step in change.plan.steps for role in step.roles}
         timeline = ChangeTimeline(
             since=since,
             until=time.time(),
@@ -228,11 +230,11 @@ class ChangeSession:
             events=[structs.replace(event, plan=UNSET) for event in self.events.since(before)],
         )
         with suppress(Superseded):
-            await entry.recorded(outcome, timeline)
+            await change.entry.recorded(outcome, timeline)
         return outcome
 
-    def _record_modes(self, plan: Plan) -> ModeRecorder:
-        created = [step.action.instance for step in plan.steps if isinstance(step.action, Create)]
+    def _record_modes(self, change: RunningChange) -> ModeRecorder:
+        created = [action.instance for action in change.actions if isinstance(action, Create)]
         self.modes = recorder = ModeRecorder(self.system.configuration, created, time.time)
         now, steady = time.time(), self.clock.steady()
         for name in self.system.configuration.instances:
@@ -240,18 +242,8 @@ class ChangeSession:
                 recorder.reported(latest.state, now - (steady - latest.at))
         return recorder
 
-    async def _carry_out(
-        self,
-        plan: Plan,
-        target: Specification,
-        preview: PlanPreview,
-        entry: JournalEntry,
-        recording: Recording,
-        transfer: ParameterTransfer,
-        verifier: StepVerifier | None,
-        wait: float,
-    ) -> Outcome:
-        system, actions = self.system, [step.action for step in plan.steps]
+    async def _carry_out(self, change: RunningChange) -> Outcome:
+        system, plan, recording = self.system, change.plan, change.recording
         silent_before = {fault.words for fault in self.monitor.faults(system.configuration)}
         afterwards = "".join(
             f"; afterwards {wording.lowered(shift.functionality, shift.after, shift.before)}"
@@ -259,30 +251,29 @@ class ChangeSession:
             if shift.levels > 0
         )
         steps = counted(len(plan.steps), "step")
-        self.events.add("plan", f"{steps}, disruption {plan.disruption:g}{afterwards}", plan=preview)
-        await recording.begin(system.configuration, actions)
-        before, missing = system.configuration, dict(system.missing)
-        driver = self.driver()
-        driver.prepare(plan, target.timing, transfer, recording.record_driving_inputs, wait)
-        taken = await self._take_steps(driver, plan, target, preview, entry, recording, verifier)
+        self.events.add("plan", f"{steps}, disruption {plan.disruption:g}{afterwards}", plan=change.preview)
+        await recording.begin(system.configuration, change.actions)
+        driver = ActionDriver(self.client, self.launcher, self.backend, system, self.events, change)
+        taken = await self._take_steps(driver)
         fenced = driver.fences.fenced
-        exited = {name for name in system.crashed if name in before.instances and name not in fenced}
+        exited = {name for name in system.crashed if name in change.before.instances and name not in fenced}
         await self.reconciler.reconcile_crashes()  # before measuring: dependent functionalities must not wait for it
-        await entry.end(taken.outcome, taken.because, taken.seconds)
-        swaps = await self._measure(driver, recording, taken, actions)
+        await change.entry.end(taken.outcome, taken.because, taken.seconds)
+        swaps = await self._measure(driver, taken)
         await self.reconciler.reconcile()  # the report includes unexpected degradations
         silences = {fault.words: fault for fault in [*recording.silences, *self.monitor.faults(system.configuration)]}
-        await entry.measured(swaps)
+        await change.entry.measured(swaps)
         if swaps:
             self.events.add("measured", f"measured at {counted(len(swaps), 'subscriber')}", swaps=swaps)
-        planned = plan.change.settled(plan.change.final) if taken.outcome == "done" else before
-        lowered = lowered_functionalities(system, self.client, before, planned)
+        planned = plan.change.settled(plan.change.final) if taken.outcome == "done" else change.before
+        lowered = lowered_functionalities(system, self.client, change.before, planned)
         said = f"{taken.outcome}: {taken.because}" if taken.because else taken.outcome
         words = f"{said}; afterwards {in_words(lowered)}" if lowered else said
         self.events.add("outcome", words, outcome=taken.outcome)
+        missing = {name for name, event in system.missing.items() if change.missing_before.get(name) is not event}
         return Outcome(
             outcome=taken.outcome,
-            plan=PlanForm.of(plan, preview),
+            plan=PlanForm.of(plan, change.preview),
             seconds=taken.seconds,
             steps=taken.times,
             skews=driver.modes.skews,
@@ -294,83 +285,61 @@ class ChangeSession:
             },
             fenced=[fenced[name] for name in sorted(fenced)],
             because=taken.because,
-            parameters=transfer.report(taken.outcome == "done"),
-            unexpected_exits=sorted(
-                exited | {name for name, event in system.missing.items() if missing.get(name) is not event}
-            ),
+            parameters=change.parameters.report(taken.outcome == "done"),
+            unexpected_exits=sorted(exited | missing),
             unexpected_degradations=sorted(map(str, self.reconciler.degraded)),
             silences=[fault for words, fault in silences.items() if words not in silent_before],
             remaining_degradations=lowered,
+            verdict=change.verdict,
         )
 
-    async def _take_steps(
-        self,
-        driver: ActionDriver,
-        plan: Plan,
-        target: Specification,
-        preview: PlanPreview,
-        entry: JournalEntry,
-        recording: Recording,
-        verifier: StepVerifier | None,
-    ) -> _Taken:
-        """Execute ``plan``, and roll it back if a step fails; the model then has the target, or what was before.
+    async def _take_steps(self, driver: ActionDriver) -> _Steps:
+        """Execute the plan, and roll it back if a step fails; the model then has the target, or what was before.
 
         If cancelled, it rolls back as well, and raises CancelledError where that has succeeded.
         """
-        system, actions = self.system, [step.action for step in plan.steps]
-        timer = DegradationTimer(plan.change, self.clock.steady, self._with_failures)
-        started, before, missing = self.clock.steady(), system.configuration, dict(system.missing)
+        system, change, plan = self.system, driver.change, driver.change.plan
+        started = self.clock.steady()
         system.configuration = plan.change.start
-        response = CrashResponse(driver, self.reconciler, actions)
-        executor = Executor(
-            driver,
-            self.store,
-            entry,
-            on_moved=timer.moved,
-            after_step=None if verifier is None else verifier.look,
-            on_performed=response.performed,
-            commanding=response.commanding,
-        )
+        timer = DegradationTimer(plan.change, self.client, system.crashed)
+        response = CrashResponse(change, self.reconciler)
+        change.observers += [timer, response]
+        executor = Executor(driver, self.store)
         outcome: OutcomeKind = "done"
         because = None
-        with self.reconciler.during_change(lambda name: timer.moved(system.configuration, (name,)), response.crashed):
+        with self.reconciler.during(change):
             try:
                 # Alloy judges the configurations of the sequence: what is verified takes one step after another.
-                found = await asyncio.to_thread(overlap, plan) if verifier is None else None
-                self._executing = asyncio.ensure_future(executor.run(actions, preview.steps, found))
-                if recording.broken_off.is_set():
-                    self._executing.cancel()
-                await self._executing
-                if target != system.specification:
+                found = await asyncio.to_thread(overlap, plan) if change.verdict is UNSET else None
+                await change.take(executor.run(found))
+                if change.target != system.specification:
                     system.changed_since = True
-                    self.store.write_specification(target)
-                system.specification = target
+                    self.store.write_specification(change.target)
+                system.specification = change.target
                 system.configuration = plan.change.settled(system.configuration)
                 system.forget_filled_roles()
             except StepFailed as error:
                 outcome, because = cast("OutcomeKind", error.outcome), str(error)
-                system.missing = {**missing, **system.missing}  # those that it has tried to restore
+                system.missing = {**change.missing_before, **system.missing}  # those that it has tried to restore
                 system.forget_filled_roles()
                 if outcome == "rolled_back":
-                    system.configuration = before
+                    system.configuration = change.before
             except asyncio.CancelledError:
                 undone = system.configuration == plan.change.start
                 if undone:
-                    system.configuration = before
-                await entry.end("rolled_back" if undone else "failed", "the manager was terminated", None)
+                    system.configuration = change.before
+                await change.entry.end("rolled_back" if undone else "failed", "the manager was terminated", None)
                 raise
             finally:
-                self._executing = None
                 await response.close()
         system.values.forget_ended(system.configuration)
         self.reconciler.save_values()
         ended = self.clock.steady()
-        return _Taken(outcome, because, ended, round(ended - started, 6), timer.stop(), executor.times)
+        return _Steps(outcome, because, ended, round(ended - started, 6), timer.stop(), executor.times)
 
-    async def _measure(
-        self, driver: ActionDriver, recording: Recording, taken: _Taken, actions: Sequence[Action]
-    ) -> list[SwapReport]:
+    async def _measure(self, driver: ActionDriver, taken: _Steps) -> list[SwapReport]:
         """What each subscriber has seen, once it has been watched for long enough after the last step."""
+        recording = driver.change.recording
         if recording.recorded:
             self.events.add("measuring", "watching the subscribers for 20 periods more")
         done = taken.outcome == "done"
@@ -378,15 +347,12 @@ class ChangeSession:
         try:
             swaps = await recording.finish(driver.last_numbers, resumed=not done, hung=driver.fences.fenced)
             if done:
-                await recording.wait(taken.ended + self._first_calls(actions) - self.clock.steady())
+                await recording.wait(taken.ended + self._first_calls(driver.change.actions) - self.clock.steady())
             return swaps
         finally:
             self.measuring = False
             hurried = recording.hurried is not None and recording.hurried.is_set()
             self._measured_until = int(self.clock.steady() * 1e9) if hurried else 0
-
-    def _with_failures(self, configuration: Configuration, instances: Iterable[str]) -> Configuration:
-        return with_failures(configuration, instances, self.client, self.system.crashed)
 
     def _first_calls(self, actions: Iterable[Action]) -> float:
         """How long the first calls of the functionalities that ``actions`` have raised take (s)."""

@@ -8,60 +8,51 @@ or swaps are the change's: it completes or is rolled back, and what is then miss
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from immutables import Map
-
-from midstride.errors import MidstrideError
-from midstride.model.action import Action, Create, Degrade, Handover, Remove
+from midstride.model.action import Action, Create, Handover, Remove
 from midstride.model.component import FunctionalityRef
-from midstride.runtime.change.action_driver import ActionDriver
-from midstride.runtime.change.mode_changes import by_instance
+from midstride.runtime.change.mode_changes import lower_modes
 from midstride.runtime.change.reconciler import Reconciler, respond
+from midstride.runtime.change.running_change import RunningChange
+from midstride.runtime.change_observer import ChangeObserver
 
 
 @dataclass(slots=True)
-class CrashResponse:
-    """The response to crashes during one change, for which ``driver`` performs ``actions``.
+class CrashResponse(ChangeObserver):
+    """The response to crashes during ``change``."""
 
-    ``commanding`` is held while it sends commands, and by the executor of the change while that does.
-    """
-
-    driver: ActionDriver
+    change: RunningChange
     reconciler: Reconciler
-    actions: Iterable[Action]
-    commanding: asyncio.Lock = field(default_factory=asyncio.Lock)
     _lowered: dict[FunctionalityRef, int] = field(default_factory=dict)
     _closed: bool = False
 
     async def close(self) -> None:
         """The steps have ended, and the reconciler takes over."""
         self._closed = True
-        async with self.commanding:
+        async with self.change.commanding:
             pass  # what is being degraded is
 
     async def crashed(self) -> None:
         """A component has crashed: degrade what relies on it, as soon as no step commands the same components."""
-        async with self.commanding:
+        async with self.change.commanding:
             if not self._closed:
                 await self._lower()
 
     async def performed(self, action: Action) -> None:
         """An action of the change has been performed, or undone: it may have raised what a crash had lowered."""
-        if not self.driver.system.crashed:
+        if not self.reconciler.system.crashed:
             return
         for ref in getattr(action, "modes", ()):
             self._lowered.pop(ref, None)
         await self.crashed()
 
     async def _lower(self) -> None:
-        system, driver = self.driver.system, self.driver
+        system, reconciler = self.reconciler.system, self.reconciler
         configuration = system.configuration
         own = {
             name
-            for action in self.actions
+            for action in self.change.actions
             if isinstance(action, (Create, Remove, Handover))
             for name in action.instances()
         }
@@ -72,12 +63,7 @@ class CrashResponse:
         # A step has given these other support.
         changes = {ref: configuration.modes[ref] for ref in live}
         changes |= {ref: index for ref, index in wanted.items() if self._lowered.get(ref) != index}
-        for name, modes in by_instance(changes).items():
-            words = Degrade(Map(modes)).describe(configuration)
-            try:
-                await driver.modes.lower(name, modes, "; ".join(f"{each} exited unexpectedly" for each in gone))
-                driver.events.add("degraded", words)
-            except MidstrideError as error:
-                driver.events.add("note", f"{words} failed: {error}")
+        because = "; ".join(f"{each} exited unexpectedly" for each in gone)
+        await lower_modes(changes, because, reconciler.client, system, reconciler.events)
         self._lowered = wanted
-        self.reconciler.pending |= dict.fromkeys(wanted)
+        reconciler.pending |= dict.fromkeys(wanted)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -28,14 +28,10 @@ class StartFailedEarly(Exception):
 
 @dataclass(slots=True)
 class EarlyStarts:
-    """Those of one change. What is started is saved, so that the next manager finds it.
-
-    ``require_lease`` raises Superseded if another manager has taken over.
-    """
+    """The early starts of the change of ``driver``. What is started is saved, so that the next manager finds it."""
 
     driver: ActionDriver
     store: StateStore
-    require_lease: Callable[[], Awaitable[None]]
     _one: asyncio.Lock = field(default_factory=asyncio.Lock)
     _tasks: list[asyncio.Task[None]] = field(default_factory=list)
     _failed: asyncio.Event = field(default_factory=asyncio.Event)
@@ -60,10 +56,10 @@ class EarlyStarts:
         Before each step its intent is written, which only the manager with the lease can. Here, nothing is.
         """
         async with self._one:
-            await self.require_lease()
+            await self.driver.change.entry.require_lease()
             started = await self._start(action)
             try:
-                await self.require_lease()
+                await self.driver.change.entry.require_lease()
             except Superseded:
                 if started:
                     await self.driver.launcher.abandon(action.instance.name)

@@ -10,27 +10,21 @@ import asyncio
 import contextlib
 import itertools
 import logging
-from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from immutables import Map
-from msgspec import UNSET
-
 from midstride.errors import BackendError, MidstrideError, StepFailed, Superseded
-from midstride.model.action import Action, Create, Degrade, Handover, Remove, SetParameters
-from midstride.model.component import FunctionalityRef
+from midstride.model.action import Action, Create, Handover, Remove, SetParameters
 from midstride.model.configuration import Configuration
 from midstride.model.wording import counted
-from midstride.plan.forms.step_forms import AnyStep
 from midstride.plan.overlap import Overlap, one_by_one
 from midstride.runtime.backend_protocol import Exited
-from midstride.runtime.cancellation import uninterrupted
+from midstride.runtime.cancellation import run_to_completion
 from midstride.runtime.change.action_driver import ActionDriver
 from midstride.runtime.change.early_starts import EarlyStarts, StartFailedEarly
-from midstride.runtime.change.mode_changes import by_instance
+from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.handover.cut_turns import CutTurn, CutTurns, GivenUp
-from midstride.runtime.records.journal import JournalEntry
 from midstride.runtime.records.reports import StepTime
 from midstride.runtime.records.state_store import StateStore
 from midstride.runtime.running_system import RunningSystem
@@ -43,10 +37,9 @@ Done = list[tuple[Action, Configuration]]
 
 @dataclass(slots=True)
 class _Run:
-    """The steps of one change, in words as soon as they begin, those that are done, and how long they took."""
+    """The steps of ``change``, in words as soon as they begin, those that are done, and how long they took."""
 
-    actions: Sequence[Action]
-    forms: Sequence[AnyStep]
+    change: RunningChange
     overlap: Overlap
     began: float  # steady s
     words: dict[int, str] = field(default_factory=dict)
@@ -54,12 +47,15 @@ class _Run:
     times: dict[int, StepTime] = field(default_factory=dict)
     looked: int = 0  # how many numbers of steps have been looked up in ``overlap.starts``
 
+    @property
+    def actions(self) -> Sequence[Action]:
+        return self.change.actions
+
     def name(self, index: int) -> str:
         return self.words.get(index) or self.actions[index].describe()
 
     def position(self, index: int) -> dict[str, Any]:
-        step = self.forms[index] if self.forms else UNSET
-        return {"index": index, "total": len(self.actions), "step": step}
+        return {"index": index, "total": len(self.actions), "step": self.change.preview.steps[index]}
 
     def numbered(self, index: int, words: str) -> str:
         return f"{index + 1}/{len(self.actions)} {words}"
@@ -74,23 +70,10 @@ class _Run:
 
 @dataclass(slots=True)
 class Executor:
-    """Carries out actions on the running system.
-
-    ``entry`` records the steps in the journal. ``on_moved`` is called with the configuration after each step and the
-    instances that the step changed. ``after_step`` checks the configuration after each step of a plan: if it raises,
-    the step has failed. ``on_performed`` is called after each action of a plan and of its roll-back;
-    ``commanding`` is held while an action sends commands to components that run already, and to which the response to a
-    crash may send some: a component refuses the second of two changes at one revision. It sends none to those that the
-    plan creates, removes or hands over from or to (:mod:`.crash_during_change`).
-    """
+    """Carries out the change of ``driver`` on the running system."""
 
     driver: ActionDriver
     store: StateStore
-    entry: JournalEntry | None = None
-    on_moved: Callable[[Configuration, Collection[str]], None] = lambda *_: None
-    after_step: Callable[[Configuration], Awaitable[None]] | None = None
-    on_performed: Callable[[Action], Awaitable[None]] | None = None
-    commanding: asyncio.Lock = field(default_factory=asyncio.Lock)
     # The steps of the plan that were done, as measured.
     times: list[StepTime] = field(default_factory=list)
     # Whether ``run`` was cancelled between two rounds, while it rolled back, or when every step was done.
@@ -98,27 +81,25 @@ class Executor:
     _starts: EarlyStarts = field(init=False)
 
     def __post_init__(self) -> None:
-        self._starts = EarlyStarts(self.driver, self.store, self._require_lease)
+        self._starts = EarlyStarts(self.driver, self.store)
 
-    async def _require_lease(self) -> None:
-        if self.entry is not None:
-            await self.entry.require_lease()
+    @property
+    def change(self) -> RunningChange:
+        return self.driver.change
 
     @property
     def system(self) -> RunningSystem:
         return self.driver.system
 
-    async def run(
-        self, actions: Sequence[Action], forms: Sequence[AnyStep] = (), overlap: Overlap | None = None
-    ) -> None:
-        """Carry out ``actions`` in order; ``overlap`` says which of them at once, and which processes start ahead.
+    async def run(self, overlap: Overlap | None = None) -> None:
+        """Carry out the plan's actions in order; ``overlap``: which at once, and which processes start ahead.
 
         Raises StepFailed after the roll-back; its ``outcome`` says whether that succeeded. If cancelled, it rolls back
         as well, and raises CancelledError where that succeeded. A roll-back is not broken off, and when every step is
         done, nothing is rolled back any more: ``interrupted`` says then that it was cancelled.
         """
-        run = _Run(actions, forms, overlap or one_by_one(actions), self.driver.backend.clock.steady())
-        self.driver.leaving = {action.instance for action in actions if isinstance(action, Remove)}
+        actions = self.change.actions
+        run = _Run(self.change, overlap or one_by_one(actions), self.driver.backend.clock.steady())
         for indices in run.overlap.rounds:
             for index in indices:
                 run.words[index] = actions[index].describe(self.system.configuration)
@@ -128,8 +109,7 @@ class Executor:
             try:
                 if self.interrupted:  # since the round before has ended
                     raise asyncio.CancelledError
-                if self.entry is not None:
-                    await self.entry.step(*(run.words[index] for index in indices))
+                await self.change.entry.step(*(run.words[index] for index in indices))
                 self._starts.check()
                 if isinstance(action := actions[indices[0]], Create):
                     await self._starts.start(action)
@@ -139,13 +119,13 @@ class Executor:
                 failures = {actions.index(early.action): early.error}
             except (Exception, asyncio.CancelledError) as error:
                 failures = {indices[0]: error}
-            await uninterrupted(self._starts.at_rest(), self._interrupt)
+            await run_to_completion(self._starts.at_rest(), self._interrupt)
             for index in sorted(run.times.keys() & indices):  # of a round when all of it has ended
                 self.driver.events.add("step_done", run.numbered(index, "done"), **run.position(index))
                 self.times.append(run.times[index])
             if failures:
-                await uninterrupted(self._fail(indices, failures, run), self._interrupt)
-        await uninterrupted(self._starts.stop(), self._interrupt)
+                await run_to_completion(self._fail(indices, failures, run), self._interrupt)
+        await run_to_completion(self._starts.stop(), self._interrupt)
 
     def _interrupt(self) -> None:
         self.interrupted = True
@@ -168,7 +148,7 @@ class Executor:
             finally:
                 errors = await asyncio.gather(*map(asyncio.shield, taking), return_exceptions=True)
         for index in indices if held else ():
-            await self._performed(run.actions[index])
+            await self.change.performed(run.actions[index])
         return {index: error for index, error in zip(indices, errors, strict=True) if error is not None}
 
     async def _hand_over(self, indices: Sequence[int], run: _Run) -> dict[int, BaseException]:
@@ -202,15 +182,13 @@ class Executor:
         key = _estimates(action, self.system.configuration, run.actions) if place is None else None
         begun = clock.steady()
         await self._step(action, run.done, held=place is not None and self._commanding(action) is not None, turn=turn)
-        if self.entry is not None:
-            self.entry.took(clock.steady() - begun, key, place or 0)
+        self.change.entry.took(clock.steady() - begun, key, place or 0)
         if turn is not None:
             turn.ended = True
             await turn.turns.waiting(self.driver.watch(action))
         if index == len(run.actions) - 1:
             await self.driver.settle()
-        if self.after_step is not None:
-            await self.after_step(self.system.configuration)
+        await self.change.step_done(self.system.configuration)
         run.times[index] = StepTime(index + 1, round(begun - run.began, 6), round(clock.steady() - begun, 6))
 
     async def _step(self, action: Action, done: Done, *, held: bool, turn: CutTurn | None) -> None:
@@ -234,11 +212,7 @@ class Executor:
             raise
         done.append((action, before))
         if not held:
-            await self._performed(action)
-
-    async def _performed(self, action: Action) -> None:
-        if self.on_performed is not None:
-            await self.on_performed(action)
+            await self.change.performed(action)
 
     async def _fail(self, indices: Sequence[int], failures: Mapping[int, BaseException], run: _Run) -> None:
         """Roll back, and raise StepFailed: the steps ``failures`` have failed while those at ``indices`` were taken."""
@@ -250,7 +224,7 @@ class Executor:
         errors = [failures[index] for index in reasons]
         error = next((each for each in errors if isinstance(each, asyncio.CancelledError | Superseded)), errors[0])
         failed = [place for place, index in enumerate(indices) if index in failures]
-        if isinstance(error, Superseded) or not (self.entry is None or await self.entry.failed(failed)):
+        if isinstance(error, Superseded) or not await self.change.entry.failed(failed):
             # What runs is the other manager's.
             await self._starts.stop()
             because += "; nothing is rolled back, since another manager has taken over"
@@ -273,7 +247,7 @@ class Executor:
 
     def _commanding(self, action: Action) -> asyncio.Lock | None:
         """The lock that is held during ``action``; None if the response to a crash leaves its instances alone."""
-        return None if isinstance(action, Create | Handover | Remove) else self.commanding
+        return None if isinstance(action, Create | Handover | Remove) else self.change.commanding
 
     async def _perform(self, action: Action, turn: CutTurn | None = None) -> Configuration:
         before = self.system.configuration
@@ -281,41 +255,14 @@ class Executor:
         await self.driver.perform(action, f"the plan asked for it: {action.describe(before)}", turn)
         before = self.system.configuration  # steps beside it may have been done meanwhile
         after = action.effect(before)
-        self._moved(after, action.instances())
+        self.system.moved(after)
+        self.change.moved(after, action.instances())
         match action:
             case Remove(instance):
                 self.store.remove_instance(instance)
             case SetParameters(instance):
                 self.store.write_instance(after.instances[instance], self.driver.launcher.handles.get(instance))
         return before
-
-    def _moved(self, configuration: Configuration, instances: Collection[str]) -> None:
-        self.system.moved(configuration)
-        self.on_moved(configuration, instances)
-
-    async def lower(
-        self, modes: Mapping[FunctionalityRef, int], because: str
-    ) -> dict[FunctionalityRef, MidstrideError]:
-        """Degrade functionalities whose assumptions no longer hold; returns why each of the others could not be.
-
-        Instances are independent of each other here. No order and no precondition applies: the assumptions are already
-        violated.
-        """
-        failed: dict[FunctionalityRef, MidstrideError] = {}
-
-        async def lower_instance(name: str, group: Mapping[FunctionalityRef, int]) -> None:
-            words = Degrade(Map(group)).describe(self.system.configuration)
-            try:
-                await self.driver.modes.lower(name, group, because)
-                self.driver.events.add("degraded", words)
-            except MidstrideError as error:
-                self.driver.events.add("note", f"{words} failed: {error}")
-                failed.update(dict.fromkeys(group, error))
-
-        await asyncio.gather(*(lower_instance(name, group) for name, group in by_instance(modes).items()))
-        if reached := {ref: index for ref, index in modes.items() if ref not in failed}:
-            self._moved(self.system.configuration.with_modes(reached), {ref.instance for ref in reached})
-        return failed
 
     async def _roll_back(self, done: Done) -> list[str]:
         """Undo the actions in ``done``, last first. Returns what failed; the other actions are undone.
@@ -364,7 +311,7 @@ class Executor:
                 if isinstance(undoing, Create):
                     await self._starts.start(undoing)  # the next manager must find what was removed and is there again
                 await self.perform(undoing)
-                await self._performed(undoing)
+                await self.change.performed(undoing)
                 return None
             except Exception as error:
                 problem = f"{what}: {_words(error)}"

@@ -10,12 +10,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from midstride.errors import CommandRefused, RevisionChanged
+from immutables import Map
+
+from midstride.errors import CommandRefused, MidstrideError, RevisionChanged
 from midstride.model.action import Degrade, Upgrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.handover.fences import Fences, StepBudget
 from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.reports import ModeSkew
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.watch.observed_configuration import own_degradations_in
@@ -36,7 +39,6 @@ class ModeChanges:
     system: RunningSystem
     fences: Fences
     is_gone: Callable[[str], bool]
-    drain_timeout: float = DRAIN_TIMEOUT
     # How far apart the functionalities of several instances changed their modes that were to do so at once.
     skews: list[ModeSkew] = field(default_factory=list)
 
@@ -46,7 +48,7 @@ class ModeChanges:
 
     async def enter(self, action: Degrade | Upgrade, because: str, budget: StepBudget) -> None:
         """The functionalities of all instances at once; those of several are held between two calls before that."""
-        groups = by_instance(action.modes)
+        groups = _by_instance(action.modes)
         if isinstance(action, Degrade):
             gone = [name for name in groups if self.is_gone(name) or name in self.fences.fenced]
             groups = {name: modes for name, modes in groups.items() if name not in gone}
@@ -61,7 +63,7 @@ class ModeChanges:
                 if isinstance(outcome, CommandRefused):
                     continue  # it has changed nothing, and may hang
                 before = {ref: self.configuration.modes[ref] for ref in modes}
-                await self.client.undo(instance, self._command(before, "roll-back", self.drain_timeout))
+                await self.client.undo(instance, _command(self.configuration, before, "roll-back", DRAIN_TIMEOUT))
             raise failed[0]
         moments = [each.at for each in found if isinstance(each, replies.PreviousModes) and each.at is not None]
         if len(moments) > 1:
@@ -70,7 +72,7 @@ class ModeChanges:
 
     async def _hold(self, groups: Mapping[str, Mapping[FunctionalityRef, int]], budget: StepBudget) -> None:
         """Have each instance begin no call of its functionalities until their modes change. Raises what one raises."""
-        timeouts = {name: budget.timeout(name, self.drain_timeout) for name in groups}
+        timeouts = {name: budget.timeout(name, DRAIN_TIMEOUT) for name in groups}
         seconds = max(timeouts.values()) + HELD_LONGER
 
         async def hold(instance: str) -> None:
@@ -92,7 +94,7 @@ class ModeChanges:
         because: str,
         budget: StepBudget,
     ) -> replies.PreviousModes:
-        command = self._command(modes, because, budget.timeout(instance, self.drain_timeout))
+        command = _command(self.configuration, modes, because, budget.timeout(instance, DRAIN_TIMEOUT))
         try:
             return await self.client.change(instance, command)
         except CommandRefused:
@@ -104,27 +106,49 @@ class ModeChanges:
         """Whether its own reflex or code has degraded it since the change began."""
         return bool(own_degradations_in(self.configuration, await self.client.peek(instance)))
 
-    async def lower(self, instance: str, modes: Mapping[FunctionalityRef, int], because: str) -> None:
-        """Degrade functionalities of ``instance`` whose assumptions no longer hold. Raises MidstrideError.
 
-        A failure is not undone: if only the reply was lost, undoing would upgrade them without their inputs.
-        """
-        if self.is_gone(instance):
-            return
-        command = self._command(modes, because, self.drain_timeout)
+async def lower_modes(
+    modes: Mapping[FunctionalityRef, int],
+    because: str,
+    client: ComponentClient,
+    system: RunningSystem,
+    events: EventLog,
+) -> dict[FunctionalityRef, MidstrideError]:
+    """Degrade functionalities whose assumptions no longer hold; returns why each of the others could not be.
+
+    Instances are independent of each other here. No order and no precondition applies: the assumptions are already
+    violated. A failure is not undone: if only the reply was lost, undoing would upgrade them without their inputs.
+    """
+    failed: dict[FunctionalityRef, MidstrideError] = {}
+
+    async def lower_instance(name: str, group: Mapping[FunctionalityRef, int]) -> None:
+        words = Degrade(Map(group)).describe(system.configuration)
+        command = _command(system.configuration, group, because, DRAIN_TIMEOUT)
         try:
-            await self.client.change(instance, command)
-        except RevisionChanged:  # one that was stopped may just have carried out what it was sent before
-            await self.client.change(instance, command)
+            if name not in system.crashed and not client.is_lost(name):
+                try:
+                    await client.change(name, command)
+                except RevisionChanged:  # one that was stopped may just have carried out what it was sent before
+                    await client.change(name, command)
+            events.add("degraded", words)
+        except MidstrideError as error:
+            events.add("note", f"{words} failed: {error}")
+            failed.update(dict.fromkeys(group, error))
 
-    def _command(self, modes: Mapping[FunctionalityRef, int], because: str, timeout: float) -> commands.ModesCommand:
-        names: dict[str, Any] = {
-            ref.functionality: self.configuration.functionality(ref).modes[index].name for ref, index in modes.items()
-        }
-        return commands.ModesCommand(modes=names, because=because, timeout=timeout)
+    await asyncio.gather(*(lower_instance(name, group) for name, group in _by_instance(modes).items()))
+    return failed
 
 
-def by_instance(modes: Mapping[FunctionalityRef, int]) -> dict[str, dict[FunctionalityRef, int]]:
+def _command(
+    configuration: Configuration, modes: Mapping[FunctionalityRef, int], because: str, timeout: float
+) -> commands.ModesCommand:
+    names: dict[str, Any] = {
+        ref.functionality: configuration.functionality(ref).modes[index].name for ref, index in modes.items()
+    }
+    return commands.ModesCommand(modes=names, because=because, timeout=timeout)
+
+
+def _by_instance(modes: Mapping[FunctionalityRef, int]) -> dict[str, dict[FunctionalityRef, int]]:
     """The modes of each instance, the instances in order of their names."""
     found: dict[str, dict[FunctionalityRef, int]] = {}
     for ref, index in sorted(modes.items()):

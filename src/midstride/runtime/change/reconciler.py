@@ -20,8 +20,8 @@ from midstride.model.best import lowered
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.backend_protocol import Exited
-from midstride.runtime.change.action_driver import ActionDriver
-from midstride.runtime.change.executor import Executor
+from midstride.runtime.change.mode_changes import lower_modes
+from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.process.component_client import ComponentClient, ComponentEvent, Disconnected
 from midstride.runtime.process.launcher import Launcher
 from midstride.runtime.records.events import EventLog
@@ -50,9 +50,9 @@ class Reconciler:
     """Handles the events of a back end and of components.
 
     While a command is in progress (``busy``), the command reconciles at its start and its end; otherwise the reconciler
-    does so in the background, holding ``lock``. ``driver`` makes what degrades functionalities. ``on_reconciled`` is
-    called when the model is up to date, with no command in progress; ``on_degraded`` for each functionality that has
-    degraded unexpectedly, with its mode. ``degraded`` are those that did so since the last change began.
+    does so in the background, holding ``lock``. ``on_reconciled`` is called when the model is up to date, with no
+    command in progress; ``on_degraded`` for each functionality that has degraded unexpectedly, with its mode.
+    ``degraded`` are those that did so since the last change began.
     """
 
     system: RunningSystem
@@ -61,15 +61,13 @@ class Reconciler:
     launcher: Launcher
     events: EventLog
     store: StateStore
-    driver: Callable[[], ActionDriver]
     lock: Callable[[], AbstractAsyncContextManager[Any]]
     busy: Callable[[], bool]
     on_reconciled: Callable[[], None] = lambda: None
     on_degraded: Callable[[FunctionalityRef, int], None] = lambda ref, index: None
     degraded: set[FunctionalityRef] = field(default_factory=set)
     pending: dict[FunctionalityRef, MidstrideError | None] = field(default_factory=dict)  # could not be degraded yet
-    _on_failure: Callable[[str], None] | None = None  # both during a change: see `during_change`
-    _on_crash: Callable[[], Coroutine[Any, Any, None]] | None = None
+    _change: RunningChange | None = None  # while its steps are carried out
     _why_pending: str = _LOST_BEFORE
     _unanswered: set[str] = field(default_factory=set)  # instances of these that did not answer
     _reconciled_at: float = 0.0  # when a functionality was last degraded, or refused to be (steady s)
@@ -82,20 +80,14 @@ class Reconciler:
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
     @contextlib.contextmanager
-    def during_change(
-        self, on_failure: Callable[[str], None], on_crash: Callable[[], Coroutine[Any, Any, None]]
-    ) -> Iterator[None]:
-        """While the steps of a change are carried out.
-
-        ``on_failure`` is called with a live instance as soon as it has exited, or reports a worse mode than the model
-        has; ``on_crash`` responds to an exit.
-        """
+    def during(self, change: RunningChange) -> Iterator[None]:
+        """While the steps of ``change`` are carried out: its observers learn of exits and of worse modes at once."""
         self.degraded.clear()
-        self._on_failure, self._on_crash = on_failure, on_crash
+        self._change = change
         try:
             yield
         finally:
-            self._on_failure = self._on_crash = None
+            self._change = None
 
     def on_exit(self, event: Exited) -> None:
         """A process has exited without being asked to."""
@@ -123,8 +115,8 @@ class Reconciler:
                 self._unanswered.discard(state.instance)
                 configuration = self.system.configuration
                 degraded = own_degradations_in(configuration, state)
-                if degraded and self._on_failure is not None:
-                    self._on_failure(state.instance)
+                if degraded and self._change is not None:
+                    self._change.moved(configuration, (state.instance,))
                 wrong = differs(configuration, state) or bool(unsupported_modes(configuration, state))
                 if answers_again or degraded or wrong or self._can_retry(state):
                     self._reconcile_soon()
@@ -147,10 +139,10 @@ class Reconciler:
         self.system.crashed[event.instance] = event
         status = "" if event.status is None else f" (status {event.status})"
         self.events.add("exited", f"{event.instance} exited unexpectedly{status}", log=event.log_tail)
-        if event.instance in self.system.configuration.instances and self._on_failure is not None:
-            self._on_failure(event.instance)
-        if self.busy() and self._on_crash is not None:
-            self._in_background(self._on_crash())
+        if event.instance in self.system.configuration.instances and self._change is not None:
+            self._change.moved(self.system.configuration, (event.instance,))
+        if self.busy() and self._change is not None:
+            self._in_background(self._change.crashed())
         else:
             self._reconcile_soon()
 
@@ -241,8 +233,10 @@ class Reconciler:
                 because.append(words)
             after, to_lower = respond(configuration, crashed, degraded, [*self.pending, *touched])
             self.system.moved(after)
-            executor = Executor(self.driver(), self.store)
-            failed = await executor.lower(to_lower, "; ".join(because) or self._why_pending)
+            words = "; ".join(because) or self._why_pending
+            failed = await lower_modes(to_lower, words, self.client, self.system, self.events)
+            if reached := {ref: index for ref, index in to_lower.items() if ref not in failed}:
+                self.system.moved(self.system.configuration.with_modes(reached))
             self.pending, self._reconciled_at = dict(failed), self.monitor.clock.steady()
             self._unanswered = {ref.instance for ref, error in failed.items() if not isinstance(error, CommandRefused)}
 

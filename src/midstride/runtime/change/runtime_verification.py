@@ -16,7 +16,9 @@ from typing import Final
 from midstride.errors import VerificationError
 from midstride.model.configuration import Configuration
 from midstride.plan.plan import Plan
+from midstride.runtime.change_observer import ChangeObserver
 from midstride.runtime.process.component_client import SILENCE, ComponentClient
+from midstride.runtime.records.events import EventLog
 from midstride.runtime.watch.observed_configuration import observe
 from midstride.verify.checking import AlloyOptions, verify_configuration, verify_plan
 from midstride.verify.verdict import Verdict
@@ -45,16 +47,16 @@ class Verifier:
 
 
 @dataclass(slots=True)
-class StepVerifier:
+class StepVerifier(ChangeObserver):
     """Verifies the live configuration after each step of a plan; ``judged`` are those that were verified with it."""
 
     verifier: Verifier
     judged: tuple[Configuration, ...]
     client: ComponentClient
     exited: Container[str]
-    report: Callable[[Verdict], object]
+    events: EventLog
 
-    async def look(self, configuration: Configuration) -> None:
+    async def step_done(self, configuration: Configuration) -> None:
         """Raises VerificationError if the live configuration is unknown, or is not known to be valid."""
         found, silent = observe(configuration, self.client, self.exited)
         if silent:
@@ -65,6 +67,6 @@ class StepVerifier:
         if found in self.judged:
             return
         verdict = await self.verifier.configuration(found)
-        self.report(verdict)
+        self.events.add("verified", str(verdict), verdict=verdict)
         if not verdict.holds:
             raise VerificationError(verdict.words)

@@ -14,7 +14,7 @@ from midstride.model.specification import Order
 from midstride.plan.request import PlanRequest
 
 
-def replaced_first(
+def with_stalled_first(
     request: PlanRequest, configuration: Configuration, stopped: Collection[str]
 ) -> tuple[PlanRequest, tuple[Order, ...], tuple[str, ...]]:
     """``request`` with the roles of ``stopped`` instances that it needs, the order, and why in words.

@@ -13,7 +13,6 @@ from midstride.errors import CommandRefused, ManagerError, PlanRefused, StepFail
 from midstride.model.component import FunctionalityRef
 from midstride.model.specification import Specification
 from midstride.plan.change_builder import change_between
-from midstride.plan.forms.plan_forms import PlanPreview
 from midstride.plan.runtime_values import of_change
 from midstride.plan.strategies.registry import planner
 from midstride.plan.strategies.restore import restore
@@ -23,8 +22,7 @@ from midstride.runtime.options import SystemOptions
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.process.launcher import Launcher
 from midstride.runtime.records.events import EventLog
-from midstride.runtime.records.journal import Journal
-from midstride.runtime.records.journal_records import Interrupted, NewChange
+from midstride.runtime.records.journal_records import Interrupted
 from midstride.runtime.records.state_store import SavedState, StateStore
 from midstride.runtime.restore.recovery import recover
 from midstride.runtime.running_system import RunningSystem
@@ -43,7 +41,6 @@ class BringUp:
     reconciler: Reconciler
     session: ChangeSession
     store: StateStore
-    journal: Journal
     events: EventLog
     options: SystemOptions
     backend: str
@@ -114,11 +111,8 @@ class BringUp:
         # Before any component has the token.
         self.store.begin(self.backend, self.client.token, running, self.options, system.file, system.changed_since)
         if plan.steps or specification != running:
-            before = None if is_new else running
-            preview = await asyncio.to_thread(PlanPreview.of, plan)
-            new = NewChange("up", None, before, specification, len(plan.steps), preview)
-            entry = await self.journal.begin(new, required=False)
-            outcome = await self.session.carry_out(plan, specification, preview, entry)
+            begun = await self.session.begin(plan, specification, "up", is_new=is_new, required=False)
+            outcome = await self.session.carry_out(begun)
             if outcome.outcome != "done":
                 raise StepFailed(str(outcome.because), outcome.outcome)
         else:

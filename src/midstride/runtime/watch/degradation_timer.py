@@ -7,32 +7,30 @@ of the last one counts.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Container, Iterable
 
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.plan.change import Change
 from midstride.plan.disruption import Levels
+from midstride.runtime.change_observer import ChangeObserver
+from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.watch.observed_configuration import with_failures
 
 
-class DegradationTimer:
+class DegradationTimer(ChangeObserver):
     """Sums the seconds below the baseline; :meth:`moved` must be called with each configuration as it is reached.
 
-    ``observed(configuration, instances)`` is the configuration with what has failed of these instances. The cost of a
-    step depends on what it changes: at the start, only functionalities that the change lowered beforehand are below.
+    What has degraded unexpectedly, as it reports to ``client``, or is in ``exited`` counts as well. The cost of a step
+    depends on what it changes: at the start, only functionalities that the change lowered beforehand are below.
     """
 
-    def __init__(
-        self,
-        change: Change,
-        steady: Callable[[], float],
-        observed: Callable[[Configuration, Iterable[str]], Configuration] = lambda configuration, _: configuration,
-    ) -> None:
+    def __init__(self, change: Change, client: ComponentClient, exited: Container[str]) -> None:
         self._change = change
-        self._observed = observed
+        self._client = client
+        self._exited = exited
         self._levels = Levels(change)
-        self._steady = steady
-        self._since = steady()
+        self._since = client.clock.steady()
         lowered = dict.fromkeys(change.start.instances[ref.instance].role for ref in change.lowered)
         self._below = set(self._levels.fallen(change.start, lowered))
         self._seconds: defaultdict[FunctionalityRef, float] = defaultdict(float)
@@ -41,12 +39,13 @@ class DegradationTimer:
         """A step has led to ``configuration``, now, and has changed ``instances``; or one of these has failed."""
         self._count()
         for role in {self._change.role_of(instance) for instance in instances}:
-            actual = self._observed(configuration, configuration.instances_by_role.get(role, ()))
+            instances_of = configuration.instances_by_role.get(role, ())
+            actual = with_failures(configuration, instances_of, self._client, self._exited)
             self._below -= {counted.ref for counted in self._levels.counted(role)}
             self._below |= self._levels.below(actual, role).keys()
 
     def _count(self) -> None:
-        now = self._steady()
+        now = self._client.clock.steady()
         for ref in self._below:
             self._seconds[ref] += now - self._since
         self._since = now

@@ -13,6 +13,7 @@ from midstride.model.action import Action, Attach, Create, Detach, Handover, Rem
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.contract import Predicate
+from midstride.runtime.change_observer import ChangeObserver
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.records.measure import WINDOW_PERIODS, Observation, SwapReport, report, unknown_report
@@ -81,7 +82,7 @@ class RecordedInput:
 
 
 @dataclass(slots=True)
-class Recording:
+class Recording(ChangeObserver):
     """The recording of one plan. Failures do not affect the plan: their figures are reported as unknown.
 
     Where ``hurried`` is set meanwhile, it ends as soon as the figures mean something; where ``broken_off`` is, at once,
@@ -154,8 +155,8 @@ class Recording:
             begun = self._begun[port] = recording.now
         return begun
 
-    async def record_driving_inputs(self, configuration: Configuration, action: Handover) -> None:
-        """Just before a hand-over: record the input that drives the new side of a message-driven output."""
+    async def before_handover(self, configuration: Configuration, action: Handover) -> None:
+        """Record the input that drives the new side of a message-driven output."""
         for swap in action.swaps:
             grid = await self._grid(swap.old)
             if grid is None or grid.trigger != "message":

@@ -1,0 +1,95 @@
+"""One change that is carried out, as a value: what it is to do, what records it, and what follows it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Collection, Coroutine
+from dataclasses import dataclass, field
+from typing import Any
+
+from msgspec import UNSET, UnsetType
+
+from midstride.model.action import Action, Handover, Remove
+from midstride.model.configuration import Configuration
+from midstride.model.specification import Specification
+from midstride.plan.forms.plan_forms import PlanPreview
+from midstride.plan.plan import Plan
+from midstride.runtime.backend_protocol import Exited
+from midstride.runtime.change.parameter_transfer import ParameterTransfer
+from midstride.runtime.change_observer import ChangeObserver
+from midstride.runtime.records.journal import JournalEntry
+from midstride.runtime.watch.subscriber_recording import Recording
+from midstride.verify.verdict import Verdict
+
+
+@dataclass(slots=True)
+class RunningChange:
+    """The change of a running system to ``target`` by ``plan``; ``preview`` is the plan's form.
+
+    ``entry`` records it in the journal, and ``recording`` what subscribers receive meanwhile; ``parameters`` carries
+    over what was set at run time. ``patience``: after how long a component that hangs, and is to go, is fenced (s).
+    ``before`` is the configuration that it started from, and ``missing_before`` what had exited by then. ``verdict`` is
+    Alloy's on the plan, if it was asked.
+
+    ``commanding`` is held while an action sends commands to components that run already, and to which the response to a
+    crash may send some: a component refuses the second of two changes at one revision.
+    """
+
+    plan: Plan
+    target: Specification
+    preview: PlanPreview
+    entry: JournalEntry
+    recording: Recording
+    parameters: ParameterTransfer
+    patience: float
+    before: Configuration
+    missing_before: dict[str, Exited] = field(default_factory=dict)
+    verdict: Verdict | UnsetType = UNSET
+    observers: list[ChangeObserver] = field(default_factory=list)
+    commanding: asyncio.Lock = field(default_factory=asyncio.Lock)
+    actions: list[Action] = field(init=False)
+    leaving: frozenset[str] = field(init=False)  # the instances that the plan removes
+    _steps: asyncio.Task[None] | None = None  # until they have ended
+
+    def __post_init__(self) -> None:
+        self.actions = [step.action for step in self.plan.steps]
+        self.leaving = frozenset(action.instance for action in self.actions if isinstance(action, Remove))
+        self.observers.append(self.recording)
+
+    async def take(self, steps: Coroutine[Any, Any, None]) -> None:
+        """Await ``steps``, which carry the plan out; cancelled by :meth:`interrupt`, also before they begin."""
+        self._steps = asyncio.ensure_future(steps)
+        if self.recording.broken_off.is_set():
+            self._steps.cancel()
+        try:
+            await self._steps
+        finally:
+            self._steps = None
+
+    def interrupt(self) -> None:
+        """The manager is to end: roll back what is being carried out; what has been is only reported, not measured."""
+        self.recording.broken_off.set()
+        if self._steps is not None:
+            self._steps.cancel()
+
+    # -- what its observers learn --------------------------------------------------------------------------
+
+    def moved(self, configuration: Configuration, instances: Collection[str]) -> None:
+        for observer in self.observers:
+            observer.moved(configuration, instances)
+
+    async def performed(self, action: Action) -> None:
+        for observer in self.observers:
+            await observer.performed(action)
+
+    async def step_done(self, configuration: Configuration) -> None:
+        for observer in self.observers:
+            await observer.step_done(configuration)
+
+    async def before_handover(self, configuration: Configuration, action: Handover) -> None:
+        for observer in self.observers:
+            await observer.before_handover(configuration, action)
+
+    async def crashed(self) -> None:
+        for observer in self.observers:
+            await observer.crashed()
