@@ -1,6 +1,6 @@
 # Each target sets up what it needs by itself, from python3 (3.10 or later) and pip: tools/setup says how.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-long wheel bench docs changelog recording animation screenshots lint alloy verify
+.PHONY: help demo test test-all test-long wheel bench docs reference changelog recording animation screenshots lint alloy verify
 
 # ROS 2 writes a log file for every process: beside the Makefile rather than in the home folder.
 export ROS_LOG_DIR ?= $(CURDIR)/.ros/log
@@ -33,6 +33,10 @@ docs: ## the documentation as a site to open from the disk: site/index.html
 	@tools/setup test
 	@tools/in-venv tools/docs $(ARGS)
 
+reference: ## write the generated pages and lists of docs/ anew
+	@tools/setup test
+	@tools/in-venv python -m tools.reference
+
 changelog: ## what has changed since the last version, from changes/
 	@tools/setup test
 	@tools/in-venv towncrier build --draft --version next
@@ -55,8 +59,9 @@ verify: ## every proof, and every check of the Alloy specification to scope 5 (A
 	@[ -n "$$MIDSTRIDE_ALLOY" ] || tools/alloy
 	@tools/in-venv midstride prove --alloy $(ARGS)
 
-lint: ## ruff and mypy
+lint: ## ruff and mypy, and whether the generated pages of docs/ are up to date
 	@tools/setup test
 	@tools/in-venv ruff check .
 	@tools/in-venv ruff format --check .
 	@tools/in-venv mypy src tests tools/*.py
+	@tools/in-venv python -m tools.reference --check

@@ -32,11 +32,14 @@ NAVIGATION = {
     "How to": ["docs/how-to/*"],
     "Reference": [*(f"docs/reference/{page}" for page in ("commands", "language", "diagnostics", "api")), "docs/http"],
     "Explanation": [
-        *(f"docs/{page}" for page in ("semantics", "architecture", "assurance", "benchmarks", "design", "paper")),
-        "docs/glossary",
+        *(f"docs/{page}" for page in ("semantics", "architecture", "assurance", "benchmarks")),
+        *(f"docs/{page}" for page in ("decisions/README", "paper", "glossary")),
         "CHANGELOG",
     ],
 }
+
+# Pages that are listed by another one, below which they are.
+BELOW = {"docs/decisions/README": "docs/decisions/[!R]*"}
 
 CREATED_BY = {"AnyOf": "any_of", "Approximate": "approximate", "Guarantee": "guarantee", "Interval": "between"}
 
@@ -86,11 +89,13 @@ class StrideLexer(RegexLexer):
 
 
 def add_navigation(app: Sphinx, document: str, source: list[str]) -> None:
-    """The tables of contents, which GitHub has no use for, at the end of the start page."""
+    """The tables of contents, which GitHub has no use for, at the end of the start page, and of those in `BELOW`."""
     if document == app.config.root_doc:
         for caption, pages in NAVIGATION.items():
             listed = "\n".join(f"/{page}" for page in pages)
             source[0] += f"\n```{{toctree}}\n:hidden:\n:glob:\n:caption: {caption}\n\n{listed}\n```\n"
+    if document in BELOW:
+        source[0] += f"\n```{{toctree}}\n:hidden:\n:glob:\n\n/{BELOW[document]}\n```\n"
 
 
 def unlink_folders(app: Sphinx, page: nodes.document) -> None:

@@ -5,7 +5,7 @@ process is killed; a new process is matched only at the next announcement, up to
 only after up to 3 s that everything has arrived; and each endpoint that comes or goes costs three messages to every
 process. For the processes that Midstride starts, and for the manager itself, the profiles beside this file change these
 four, unless the user has set a profile. Everything else keeps its default, the lease of 20 s in particular: the manager
-knows of deaths from sockets and processes (docs/design.md has figures).
+knows of deaths from sockets and processes (docs/decisions/fast-dds-settings.md has figures).
 Three things are easy to get wrong:
 
 - Fast DDS 3 reads the profile named by one variable, Fast DDS 2 by another, in another spelling, and

@@ -7,7 +7,7 @@ that belongs to a role which an ``order`` names. Independent *parts* of the core
 A state of a part is the set of its tied actions that are done, as the bits of an integer. Everything else is taken to
 be as favourable as it can be: what can come is there, what has to go is still there. By F3 no configuration that a plan
 passes through with the same tied actions done has less loss, so every cost worked out here is a lower bound of the
-plan's (docs/design.md, *The proof of least disruption*).
+plan's (docs/decisions/least-disruption.md).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Each role by itself, and for each resource the roles that have to be absent at some time, so that the others fit.
 
-The proof is in docs/design.md, *The proof of least disruption*.
+The proof is in docs/decisions/least-disruption.md.
 """
 
 from __future__ import annotations

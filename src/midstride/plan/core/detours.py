@@ -124,7 +124,7 @@ def further(change: Change, constraints: Sequence[Constraint]) -> list[Detour]:
     """The detours that may make ``change`` cheaper, of the roles that make none yet.
 
     Of the others, none does, whatever else is done besides: what they free is not scarce, and what they serve is never
-    lost (docs/design.md, *Detours*).
+    lost (docs/decisions/detours.md).
     """
     done = {detour.role for detour in change.detours}
     full = fullest(change)

@@ -1,6 +1,6 @@
 """Replacements that lose nothing as the next step, or as the last ones, so that the search need not try other moments.
 
-The proof is in docs/design.md, *The proof of least disruption*.
+The proof is in docs/decisions/least-disruption.md.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Strategy ``minimal`` with detours: the best plan of the change itself and of each change with detours.
 
 What a plan with certain detours loses at least, and a plan that loses no more, are found as for any other change. The
-bound on all plans is the least of these bounds (docs/design.md, *Detours*).
+bound on all plans is the least of these bounds (docs/decisions/detours.md).
 """
 
 from __future__ import annotations

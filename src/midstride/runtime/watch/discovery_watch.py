@@ -2,7 +2,7 @@
 
 Seen with Fast DDS, which can deadlock in a process whose peers come and go (eProsima/Fast-DDS#6502). Now and then, and
 after each command, the manager creates an endpoint, and each component says whether its own middleware shows it
-(docs/design.md has why).
+(docs/decisions/discovery-probe.md has why).
 """
 
 from __future__ import annotations
