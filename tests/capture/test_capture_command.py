@@ -17,6 +17,7 @@ from midstride.cli import main
 from midstride.cli.commands import capture
 from midstride.runtime.workspace import Workspace
 from tests.capture.simulated import SimulatedGraph
+from tests.planting import plant
 
 FILE = """system chat
 
@@ -35,7 +36,7 @@ def graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ObservedGraph:
     simulated = SimulatedGraph()
     simulated.publisher("/talker", "/chatter", "std_msgs/msg/String", rate=50.0)
     graph = simulated.observed()
-    monkeypatch.setattr(ros2, "observe", lambda seconds, nodes: graph)
+    plant(monkeypatch, ros2, "observe", lambda seconds, nodes=(): graph)
     Path("chat.stride").write_text(FILE)
     return graph
 
@@ -107,9 +108,9 @@ def relay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Gates:
     simulated.publisher("/relay", "/out", "std_msgs/msg/String", rate=10.0)
     graph = simulated.observed()
     gates = Gates(IN, OUT, ProbedPort("/relay", "/rosout", True))
-    monkeypatch.setattr(ros2, "observe", lambda seconds, nodes: graph)
-    monkeypatch.setattr(probed_page, "probing", lambda folder: nullcontext(gates))
-    monkeypatch.setattr(capture, "find_workspace", lambda system: Workspace(tmp_path))
+    plant(monkeypatch, ros2, "observe", lambda seconds, nodes=(): graph)
+    plant(monkeypatch, probed_page, "probing", lambda folder: nullcontext(gates))
+    plant(monkeypatch, capture, "find_workspace", lambda system: Workspace(tmp_path))
     Path("chat.stride").write_text(RELAY)
     return gates
 
@@ -140,7 +141,7 @@ def test_what_a_probe_finds_is_proposed(relay: Gates, capsys: pytest.CaptureFixt
 def test_topics_that_a_gate_does_not_have_are_named(
     relay: Gates, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(probed_page, "probing", lambda folder: nullcontext(Gates(OUT)))
+    plant(monkeypatch, probed_page, "probing", lambda folder: nullcontext(Gates(OUT)))
     assert main(["capture", "--probe", "--yes"]) == 0
     assert capsys.readouterr().err.splitlines()[:2] == [
         "/source: not probed: it has no gate",

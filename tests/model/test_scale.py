@@ -18,6 +18,7 @@ from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import Evaluator, violations
 from midstride.model.specification import Node, Specification, structure
 from tests.model.build import at, component, filter_, mode, port, sink, work
+from tests.planting import plant
 
 REPORTER = component(
     "Reporter",
@@ -58,9 +59,9 @@ def judgements(patch: pytest.MonkeyPatch) -> Iterator[Counter[str]]:
     counted: Counter[str] = Counter()
 
     def counting(name: str, judge: Callable[..., object]) -> Callable[..., object]:
-        def call(*arguments: object) -> object:
+        def call(*arguments: object, **named: object) -> object:
             counted[name] += 1
-            return judge(*arguments)
+            return judge(*arguments, **named)
 
         return call
 
@@ -68,7 +69,7 @@ def judgements(patch: pytest.MonkeyPatch) -> Iterator[Counter[str]]:
         for kind in (Evaluator, best_module.MonotoneEvaluator):
             for name in ("mode_satisfied", "input_satisfied", "connector_satisfied", "guarantee"):
                 if name in vars(kind):
-                    inside.setattr(kind, name, counting(name, vars(kind)[name]))
+                    plant(inside, kind, name, counting(name, vars(kind)[name]))
         yield counted
 
 

@@ -20,6 +20,7 @@ from midstride.node.handover.cut import IncomingCut, OutgoingCut
 from midstride.node.handover.cut_protocol import CutInTask, CutOutTask
 from midstride.wire.pipe import PipeClaim
 from tests.node.test_cut import PERIOD, Clocks, Grid, Owner, T, link_of, write
+from tests.planting import plant
 
 SLOT = round(PERIOD * 1e9)
 # What the clock shows: before T, at T, long after T, and when the old side has waited long enough in any case.
@@ -388,12 +389,12 @@ def test_between_two_hosts_an_old_side_that_was_relieved_writes_on_command_only(
 def test_the_exploration_finds_a_side_that_does_not_claim(
     task: type, name: str, mistake: Any, manager: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(task, name, mistake)
+    plant(monkeypatch, task, name, mistake)
     assert any(len(seen.writes) == 2 for seen in explore(manager=manager))
 
 
 @pytest.mark.full
 def test_the_exploration_finds_a_topic_without_a_writer(monkeypatch: pytest.MonkeyPatch) -> None:
     """The new side fails, and its report is lost."""
-    monkeypatch.setattr(CutOutTask, "_given_up", lambda self, passed_at: False)
+    plant(monkeypatch, CutOutTask, "_given_up", lambda self, passed_at: False)
     assert any(seen.settled and not seen.writes for seen in explore(fails=True))

@@ -15,6 +15,7 @@ from midstride.backends.simulator.simulated_process import SimulatedProcess
 from midstride.wire.pipe import PipeClaim
 from tests.conformance import puppets
 from tests.conformance.lab import Lab
+from tests.planting import plant
 
 TOPIC = "/chatter"
 SWAPS = [{"port": "out", "topic": TOPIC}]
@@ -72,10 +73,10 @@ def test_as_many_readers_as_before_are_not_the_same_readers(tmp_path: Path, monk
         begun = lab.backend.clock.steady()
         found = {"sink": 0.5, "recorder": 1.5, "new": 0.0}
 
-        def ids(_: SimulatedWriter) -> frozenset[str]:
+        def ids(self: SimulatedWriter) -> frozenset[str]:
             return frozenset(name for name, after in found.items() if lab.backend.clock.steady() >= begun + after)
 
-        monkeypatch.setattr(SimulatedWriter, "reader_ids", ids)
+        plant(monkeypatch, SimulatedWriter, "reader_ids", ids)
         await lab.start("sink", puppets.sink())
         await lab.attach("sink", "in", TOPIC)
         await lab.start("node", puppets.talker())
@@ -380,7 +381,7 @@ def test_an_old_side_that_has_a_claim_elsewhere_writes_again_on_command_only(
         def claim_of(process: SimulatedProcess, cut: str) -> PipeClaim:
             return PipeClaim({}, cut, process.instance)
 
-        monkeypatch.setattr(simulator.control, "claim_of", claim_of)
+        plant(monkeypatch, simulator.control, "claim_of", claim_of)
         await cut_at(lab, await next_slot(lab, 0.2))
         assert await outcomes(lab) == ("done", "done")
         await lab.sleep(1.0)

@@ -16,6 +16,7 @@ from midstride.errors import Unreachable
 from midstride.node.control.component_agent import Agent
 from midstride.node.control.component_reflex import Reflex
 from midstride.runtime.process.launcher import STOP_GRACE
+from tests.planting import plant
 
 from .author import Bench, simulate
 
@@ -612,7 +613,7 @@ def test_a_value_that_is_no_json_is_not_among_those_that_were_set(
 ) -> None:
     """As `ros2 param set /node gain .nan` on a parameter that the author's code has declared on the ROS node itself."""
     gain = SimpleNamespace(name="gain", value=None, declared=2.0)
-    monkeypatch.setattr(KeptParameters, "held", lambda _: {"gain": gain})
+    plant(monkeypatch, KeptParameters, "held", lambda self: {"gain": gain})
     source = """
 comp.parameter("speed", 1.5, on_change=print)
 f = comp.create_functionality("f")
@@ -904,12 +905,12 @@ def test_an_input_is_not_attached_where_the_platform_refuses_the_subscription(
 ) -> None:
     create, refusing = SimulatedHost.create_subscription, [True]
 
-    def failing(host: SimulatedHost, *arguments: Any) -> Any:
+    def failing(self: SimulatedHost, *args: Any, **named: Any) -> Any:
         if refusing.pop():
             raise RuntimeError("no more subscriptions")
-        return create(host, *arguments)
+        return create(self, *args, **named)
 
-    monkeypatch.setattr(SimulatedHost, "create_subscription", failing)
+    plant(monkeypatch, SimulatedHost, "create_subscription", failing)
 
     async def main(bench: Bench) -> None:
         await bench.start(
@@ -937,12 +938,12 @@ def test_a_mode_that_the_platform_cannot_run_is_a_failure_with_its_reason(
 ) -> None:
     create = SimulatedHost.create_timer
 
-    def failing(host: SimulatedHost, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> Any:
+    def failing(self: SimulatedHost, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> Any:
         if period < 0.2:
             raise RuntimeError("no more timers")
-        return create(host, period, epoch, callback)
+        return create(self, period, epoch, callback)
 
-    monkeypatch.setattr(SimulatedHost, "create_timer", failing)
+    plant(monkeypatch, SimulatedHost, "create_timer", failing)
 
     async def main(bench: Bench) -> None:
         await bench.start("node", TALKER)

@@ -30,6 +30,7 @@ from midstride.verify.verdict import Answer, Verdict
 from midstride.wire import replies
 from midstride.wire.commands import AttachCommand, AwaitWriteCommand, ModesCommand, RecordCommand, RecordsCommand
 from midstride.wire.state import ComponentState
+from tests.planting import plant
 from tests.runtime.scripted import REFUSED, TIMEOUT, ReconcilingBench, reported
 from tests.runtime.systems import example, replace
 
@@ -125,10 +126,10 @@ def test_nothing_is_begun_that_could_not_be_written_down(tmp_path: Path, monkeyp
     async def body(s: SessionBench) -> None:
         s.store.close()
 
-        def full(_: object) -> None:
+        def full(self: object) -> None:
             raise OSError("no space left")
 
-        monkeypatch.setattr(StateStore, "_open", full)
+        plant(monkeypatch, StateStore, "_open", full)
         await refused(s, "no space left")
 
     session(tmp_path, body)

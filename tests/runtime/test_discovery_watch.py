@@ -12,6 +12,7 @@ from midstride.backends.simulator import Simulator
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.watch.discovery_watch import INTERVAL, PATIENCE, SOON
+from tests.planting import plant
 from tests.runtime.systems import managed, replace
 
 NOTICED = INTERVAL + SOON + sum(PATIENCE) + 1
@@ -111,7 +112,7 @@ def test_a_look_that_fails_in_the_platform_is_not_the_last_one(
             raise RuntimeError("error not set")  # as rclpy does where there is no memory, or no descriptor, left
 
         with monkeypatch.context() as patch:
-            patch.setattr(simulator, "probe", failing)
+            plant(patch, simulator, "probe", failing)
             await asyncio.sleep(3 * (INTERVAL + SOON))
         assert [record.exc_text is not None for record in caplog.records] == [True], "it is logged once"
         await noticed(manager, simulator, "listener")

@@ -24,6 +24,7 @@ from midstride.wire.commands import AttachCommand, Command, DetachCommand, Modes
 from midstride.wire.replies import Attached, Detached
 from tests.model import build
 from tests.model.build import work
+from tests.planting import plant
 from tests.runtime.scripted import (
     LISTENER,
     REFUSED,
@@ -367,7 +368,7 @@ def test_while_others_register_a_start_has_more_time(tmp_path: Path) -> None:
 
 
 def test_but_not_without_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(SimulatedClock, "processors", lambda clock: 100)
+    plant(monkeypatch, SimulatedClock, "processors", lambda self: 100)
     at, _ = hung(tmp_path, 50, every=20)
     assert at == pytest.approx(launcher.REGISTRATION_LIMIT)
 

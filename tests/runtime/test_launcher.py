@@ -26,6 +26,7 @@ from midstride.runtime.process.launcher import (
 from midstride.wire.commands import ObserveCommand, ReleaseCommand, WelcomeCommand
 from midstride.wire.state import Endpoint
 from tests.model import build
+from tests.planting import plant
 from tests.runtime.scripted import (
     LISTENER,
     REFUSED,
@@ -234,7 +235,7 @@ def test_one_that_was_stopped_has_no_more_time(tmp_path: Path, monkeypatch: pyte
         await b.launcher.start(changed(CAMERA, name="front/other"))
         b.startable(CAMERA)
         b.client.reply("front/camera", ObserveCommand, TIMEOUT, reported(CAMERA))
-        monkeypatch.setattr(b.backend, "is_stopped", lambda name: name == "front/camera")
+        plant(monkeypatch, b.backend, "is_stopped", lambda instance: instance == "front/camera")
         with pytest.raises(StartFailed, match=f"registered but could not be accepted: {TIMEOUT}"):
             await b.launcher.registered(CAMERA)
 
@@ -336,7 +337,7 @@ def test_the_graph_forgets_what_was_started_and_not_recorded(tmp_path: Path, mon
         return ["late"]
 
     async def body(b: Bench) -> None:
-        monkeypatch.setattr(b.backend, "end_orphans", ended)
+        plant(monkeypatch, b.backend, "end_orphans", ended)
         assert await b.launcher.end_orphans({"talker"}) == ["late"]
         assert b.backend.ended == [("late", 0.0)]
 

@@ -24,6 +24,7 @@ from midstride.wire.channel import Report
 from midstride.wire.commands import ModesCommand
 from midstride.wire.frames import StateChanged
 from midstride.wire.state import ComponentState, FieldSamples, FunctionalityState, LinkState, Measured
+from tests.planting import plant
 from tests.runtime.systems import request
 from tests.runtime.test_reflex import CHAIN, Chain, in_chain
 
@@ -171,7 +172,7 @@ def test_a_chain_that_fell_while_the_manager_was_cut_off_is_restored(
 
     async def body(chain: Chain) -> None:
         with monkeypatch.context() as cut:
-            cut.setattr(ComponentClient, "_on_report", lambda *_: None)
+            plant(cut, ComponentClient, "_on_report", lambda *_, **__: None)
             await fall(chain)
             assert words(chain, "degraded") == []
         (chain.folder / "silent").unlink()
@@ -224,15 +225,15 @@ def test_a_restore_that_fails_is_tried_again_later(tmp_path: Path, monkeypatch: 
     async def body(chain: Chain) -> None:
         change = ComponentClient.change
 
-        async def refusing(client: ComponentClient, instance: str, command: object) -> object:
+        async def refusing(self: ComponentClient, instance: str, command: object) -> object:
             if isinstance(command, ModesCommand) and command.modes == {"work": "normal"} and instance == "b":
                 refused.append(chain.simulator.clock.steady())
                 if len(refused) <= 2:
                     command = ModesCommand(modes={"work": "no such mode"}, because="")
-            return await change(client, instance, command)  # type: ignore[arg-type]
+            return await change(self, instance, command)  # type: ignore[arg-type]
 
         await fall(chain)
-        monkeypatch.setattr(ComponentClient, "change", refusing)
+        plant(monkeypatch, ComponentClient, "change", refusing)
         (chain.folder / "silent").unlink()
         await restored(chain, 20.0)
         assert len(refused) == 3
@@ -282,7 +283,7 @@ def test_a_chain_that_falls_again_and_again_while_the_manager_is_cut_off_comes_b
     async def body(chain: Chain) -> None:
         for number in range(1, 4):
             with monkeypatch.context() as cut:
-                cut.setattr(ComponentClient, "_on_report", lambda *_: None)
+                plant(cut, ComponentClient, "_on_report", lambda *_, **__: None)
                 await fall(chain)
             (chain.folder / "silent").unlink()
             assert await restored(chain, 10.0) < RESTORED + 2 ** (number - 1)
@@ -312,14 +313,14 @@ def test_a_degraded_mode_that_is_at_work_is_no_call_that_hangs(
     """Each report shows a call under way, of which only a long one may hang."""
     on_report = ComponentClient._on_report
 
-    def at_work(client: ComponentClient, instance: str, frame: Report) -> None:
+    def at_work(self: ComponentClient, instance: str, frame: Report) -> None:
         if isinstance(frame, StateChanged):
             views = {name: structs.replace(view, busy=busy) for name, view in frame.state.functionalities.items()}
             frame = StateChanged(state=structs.replace(frame.state, functionalities=views))
-        on_report(client, instance, frame)
+        on_report(self, instance, frame)
 
     async def body(chain: Chain) -> None:
-        monkeypatch.setattr(ComponentClient, "_on_report", at_work)
+        plant(monkeypatch, ComponentClient, "_on_report", at_work)
         await fall(chain)
         (chain.folder / "silent").unlink()
         await asyncio.sleep(RESTORED)

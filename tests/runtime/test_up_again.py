@@ -25,6 +25,7 @@ from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import UpReport
 from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import Command
+from tests.planting import plant
 from tests.runtime.systems import EXAMPLES, example, replace, rewritten, saved
 
 
@@ -158,7 +159,7 @@ async def change_until(manager: Manager, op: str) -> None:
     assert reached.is_set(), op
     launcher.end = launcher.abandon = dead  # type: ignore[method-assign]
     for name in ("write_instance", "remove_instance"):
-        setattr(manager._store, name, lambda *_: None)
+        plant(pytest.MonkeyPatch(), manager._store, name, lambda *_, **__: None)
     with suppress(MidstrideError):
         await change
 

@@ -32,6 +32,7 @@ from midstride.server.openapi import FORMS
 from midstride.server.requests import LARGEST_BODY
 from midstride.server.view.live import LiveView
 from tests.plan.cases import replacing
+from tests.planting import plant
 from tests.runtime.systems import managed, replace
 from tests.server.scripted import ScriptedManager
 
@@ -304,7 +305,7 @@ def test_bodies_are_read_while_other_requests_are_answered(monkeypatch: pytest.M
         assert answered.wait(60)
         return parse_json(text)
 
-    monkeypatch.setattr(requests, "parse_json", parse)
+    plant(monkeypatch, requests, "parse_json", parse)
 
     async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
         asking = asyncio.ensure_future(client.post("/plan", content=b"{"))
@@ -319,7 +320,7 @@ def test_bodies_are_read_while_other_requests_are_answered(monkeypatch: pytest.M
 
 def test_a_plan_is_written_in_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     threads: list[int] = []
-    monkeypatch.setattr(PlannedChange, "of", lambda *_, **__: threads.append(threading.get_ident()))
+    plant(monkeypatch, PlannedChange, "of", lambda *_, **__: threads.append(threading.get_ident()))
 
     async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
         manager.answers["plan"] = None

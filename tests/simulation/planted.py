@@ -19,6 +19,7 @@ from midstride.runtime.records import state_store
 from midstride.runtime.records.disk import Database
 from midstride.runtime.restore import recovery
 from midstride.wire import commands, replies
+from tests.planting import plant, plant_value
 
 Plant = Callable[[pytest.MonkeyPatch], None]
 
@@ -26,20 +27,20 @@ Plant = Callable[[pytest.MonkeyPatch], None]
 def _acknowledgement_dropped(patch: pytest.MonkeyPatch) -> None:
     """The old side of a cut forgets that the new one has reported its first write."""
 
-    async def taken(self: Any, failed: bool) -> bool:
+    async def taken(self: Any, failed: bool, place: str = "") -> bool:
         return False
 
-    patch.setattr(cut_protocol.CutOutTask, "taken", taken)
+    plant(patch, cut_protocol.CutOutTask, "taken", taken)
 
 
 def _resumed_without_claim(patch: pytest.MonkeyPatch) -> None:
     """The old side of a cut writes again although the new one may have taken over: its report is late."""
-    patch.setattr(cut_protocol.CutOutTask, "_may_resume", lambda self: not self._taken)
+    plant(patch, cut_protocol.CutOutTask, "_may_resume", lambda self: not self._taken)
 
 
 def _written_without_claim(patch: pytest.MonkeyPatch) -> None:
     """The new side of a cut writes although the old one may write again."""
-    patch.setattr(cut.IncomingCut, "admits", cut.IncomingCut.passes)
+    plant(patch, cut.IncomingCut, "admits", cut.IncomingCut.passes)
 
 
 def _write_not_durable(patch: pytest.MonkeyPatch) -> None:
@@ -51,29 +52,29 @@ def _write_not_durable(patch: pytest.MonkeyPatch) -> None:
         self.held = list(statements)
         write(self, held, *args, **named)
 
-    patch.setattr(Database, "write", later)
+    plant(patch, Database, "write", later)
 
 
 def _dependants_not_lowered(patch: pytest.MonkeyPatch) -> None:
     """After a crash, no dependent functionality is degraded."""
     respond = reconciler.respond
-    patch.setattr(reconciler, "respond", lambda *args: (respond(*args)[0], {}))
+    plant(patch, reconciler, "respond", lambda *args, **named: (respond(*args, **named)[0], {}))
 
 
 def _gate_opened_early(patch: pytest.MonkeyPatch) -> None:
     """The new publisher's gate opens as soon as the cut is agreed."""
-    patch.setattr(cut.IncomingCut, "passes", lambda self, link: True)
+    plant(patch, cut.IncomingCut, "passes", lambda self, link: True)
 
 
 def _gate_closed_late(patch: pytest.MonkeyPatch) -> None:
     """The old publisher goes on after the agreed moment."""
-    patch.setattr(cut.OutgoingCut, "passes", lambda self, link: True)
+    plant(patch, cut.OutgoingCut, "passes", lambda self, link: True)
 
     def passed(self: Any) -> bool:
         self.over = self.now() >= self.at
         return bool(self.over)
 
-    patch.setattr(cut.OutgoingCut, "passed", passed)
+    plant(patch, cut.OutgoingCut, "passed", passed)
 
 
 def _steps_swapped(patch: pytest.MonkeyPatch) -> None:
@@ -91,8 +92,8 @@ def _steps_swapped(patch: pytest.MonkeyPatch) -> None:
             actions[index - 1], actions[index] = actions[index], actions[index - 1]
         await run(self)
 
-    patch.setattr(Remove, "apply", without_check)
-    patch.setattr(executor.Executor, "run", swapped)
+    plant(patch, Remove, "apply", without_check)
+    plant(patch, executor.Executor, "run", swapped)
 
 
 def _start_not_recorded(patch: pytest.MonkeyPatch) -> None:
@@ -103,7 +104,7 @@ def _start_not_recorded(patch: pytest.MonkeyPatch) -> None:
         if "_" not in instance.name:
             write(self, instance, handle)
 
-    patch.setattr(state_store.StateStore, "write_instance", only_known)
+    plant(patch, state_store.StateStore, "write_instance", only_known)
 
 
 def _roll_back_not_recorded(patch: pytest.MonkeyPatch) -> None:
@@ -116,17 +117,17 @@ def _roll_back_not_recorded(patch: pytest.MonkeyPatch) -> None:
         return await original(self, undoing, created)
 
     original = executor.Executor._undo
-    patch.setattr(executor.Executor, "_undo", undo)
+    plant(patch, executor.Executor, "_undo", undo)
 
 
 def _removal_not_recorded(patch: pytest.MonkeyPatch) -> None:
     """A removed instance stays recorded."""
-    patch.setattr(state_store.StateStore, "remove_instance", lambda self, name: None)
+    plant(patch, state_store.StateStore, "remove_instance", lambda self, name: None)
 
 
 def _specification_not_saved(patch: pytest.MonkeyPatch) -> None:
     """After a change, the earlier specification stays saved."""
-    patch.setattr(state_store.StateStore, "write_specification", lambda self, specification: None)
+    plant(patch, state_store.StateStore, "write_specification", lambda self, specification: None)
 
 
 def _failed_write_forgotten(patch: pytest.MonkeyPatch) -> None:
@@ -137,7 +138,7 @@ def _failed_write_forgotten(patch: pytest.MonkeyPatch) -> None:
         write(self, statements)
         self._pending.clear()
 
-    patch.setattr(state_store.StateStore, "_write", forgetting)
+    plant(patch, state_store.StateStore, "_write", forgetting)
 
 
 def _undo_incomplete(patch: pytest.MonkeyPatch) -> None:
@@ -147,7 +148,7 @@ def _undo_incomplete(patch: pytest.MonkeyPatch) -> None:
     async def all_but_one(self: Any, done: Any) -> list[str]:
         return await roll_back(self, done[1:])
 
-    patch.setattr(executor.Executor, "_roll_back", all_but_one)
+    plant(patch, executor.Executor, "_roll_back", all_but_one)
 
 
 def _started_ahead_left(patch: pytest.MonkeyPatch) -> None:
@@ -156,24 +157,18 @@ def _started_ahead_left(patch: pytest.MonkeyPatch) -> None:
     async def abandon(self: Any, actions: Any) -> list[str]:
         return []
 
-    patch.setattr(executor.Executor, "_abandon", abandon)
+    plant(patch, executor.Executor, "_abandon", abandon)
 
 
 def _lease_forgotten(patch: pytest.MonkeyPatch) -> None:
     """A manager goes on to write after another one has taken over."""
     write = Database.write
-    patch.setattr(Database, "write", lambda self, statements, only_if=None: write(self, statements))
+    plant(patch, Database, "write", lambda self, statements, only_if=None: write(self, statements))
 
 
 def _superseded_goes_on(patch: pytest.MonkeyPatch) -> None:
     """A superseded manager begins no further step, and goes on to change components otherwise."""
-    patch.setattr(component_client.ComponentClient, "superseded", lambda self: False)
-    patch.setattr(component_client.ComponentClient, "__setattr__", _but_superseded)
-
-
-def _but_superseded(client: Any, name: str, value: Any) -> None:
-    if name != "superseded":
-        object.__setattr__(client, name, value)
+    plant_value(patch, component_client.ComponentClient, "superseded", lambda: False)
 
 
 def _saved_by_superseded(patch: pytest.MonkeyPatch) -> None:
@@ -184,7 +179,7 @@ def _saved_by_superseded(patch: pytest.MonkeyPatch) -> None:
         original(self, statements)
 
     original = state_store.StateStore._write
-    patch.setattr(state_store.StateStore, "_write", write)
+    plant(patch, state_store.StateStore, "_write", write)
 
 
 def _orphans_left(patch: pytest.MonkeyPatch) -> None:
@@ -193,12 +188,12 @@ def _orphans_left(patch: pytest.MonkeyPatch) -> None:
     async def end_orphans(self: Any, known: Any) -> list[str]:
         return []
 
-    patch.setattr(launcher.Launcher, "end_orphans", end_orphans)
+    plant(patch, launcher.Launcher, "end_orphans", end_orphans)
 
 
 def _redundant_left(patch: pytest.MonkeyPatch) -> None:
     """A new manager keeps both instances of a role that was being replaced."""
-    patch.setattr(recovery, "_redundant", lambda found: [])
+    plant(patch, recovery, "_redundant", lambda found: [])
 
 
 def _cut_not_cancelled(patch: pytest.MonkeyPatch) -> None:
@@ -207,7 +202,7 @@ def _cut_not_cancelled(patch: pytest.MonkeyPatch) -> None:
     async def cancel(self: Any, cuts: Any) -> None:
         pass
 
-    patch.setattr(live_handover.LiveHandover, "_cancel", cancel)
+    plant(patch, live_handover.LiveHandover, "_cancel", cancel)
 
 
 def _handover_not_undone(patch: pytest.MonkeyPatch) -> None:
@@ -216,12 +211,12 @@ def _handover_not_undone(patch: pytest.MonkeyPatch) -> None:
     async def undo(self: Any) -> None:
         await self._cancel(self._cuts)
 
-    patch.setattr(live_handover.LiveHandover, "_undo", undo)
+    plant(patch, live_handover.LiveHandover, "_undo", undo)
 
 
 def _never_resumes(patch: pytest.MonkeyPatch) -> None:
     """The old side of a cut waits for the new one for ever."""
-    patch.setattr(cut_protocol.CutOutTask, "_given_up", lambda self, passed_at: False)
+    plant(patch, cut_protocol.CutOutTask, "_given_up", lambda self, passed_at: False)
 
 
 def _repetition_carried_out(patch: pytest.MonkeyPatch) -> None:
@@ -230,12 +225,12 @@ def _repetition_carried_out(patch: pytest.MonkeyPatch) -> None:
     async def change(self: Any, request: Any, command: Any, token: str) -> Any:
         return await self._carry_out(request, command, token)
 
-    patch.setattr(component_agent.Agent, "_change_once", change)
+    plant(patch, component_agent.Agent, "_change_once", change)
 
 
 def _pending_forgotten(patch: pytest.MonkeyPatch) -> None:
     """A functionality that could not be degraded is not tried again."""
-    patch.setattr(reconciler.Reconciler, "pending", property(lambda self: {}, lambda self, value: None), raising=False)
+    plant_value(patch, reconciler.Reconciler, "pending", {})
 
 
 def _lost_reply_not_repeated(patch: pytest.MonkeyPatch) -> None:
@@ -249,57 +244,59 @@ def _lost_reply_not_repeated(patch: pytest.MonkeyPatch) -> None:
             return replies.Detached(acknowledged=None, last=None)
         return await send(self, instance, command, revision)
 
-    patch.setattr(component_client.ComponentClient, "_send", trusting)
+    plant(patch, component_client.ComponentClient, "_send", trusting)
 
 
 def _gate_not_reopened(patch: pytest.MonkeyPatch) -> None:
     """The old side of a cut that is given up leaves its gate closed."""
-    patch.setattr(cut.OutgoingCut, "reopen", lambda self: setattr(self, "over", True))
+    plant(patch, cut.OutgoingCut, "reopen", lambda self: setattr(self, "over", True))
 
 
 def _new_side_not_closed(patch: pytest.MonkeyPatch) -> None:
     """The new side of a cut that the old one has given up leaves its gate open."""
-    patch.setattr(cut.IncomingCut, "close", cut.IncomingCut.conclude)
+    plant(patch, cut.IncomingCut, "close", cut.IncomingCut.conclude)
 
 
-PLANTED: Final[dict[str, Plant]] = {
-    function.__name__.strip("_").replace("_", " "): function
-    for function in (
-        _acknowledgement_dropped,
-        _resumed_without_claim,
-        _written_without_claim,
-        _write_not_durable,
-        _lease_forgotten,
-        _superseded_goes_on,
-        _saved_by_superseded,
-        _dependants_not_lowered,
-        _gate_opened_early,
-        _gate_closed_late,
-        _steps_swapped,
-        _start_not_recorded,
-        _roll_back_not_recorded,
-        _removal_not_recorded,
-        _specification_not_saved,
-        _failed_write_forgotten,
-        _undo_incomplete,
-        _started_ahead_left,
-        _orphans_left,
-        _redundant_left,
-        _cut_not_cancelled,
-        _handover_not_undone,
-        _never_resumes,
-        _repetition_carried_out,
-        _pending_forgotten,
-        _lost_reply_not_repeated,
-        _gate_not_reopened,
-        _new_side_not_closed,
+# Each with words of the violation by which it is found.
+PLANTED: Final[dict[str, tuple[Plant, str]]] = {
+    function.__name__.strip("_").replace("_", " "): (function, words)
+    for function, words in (
+        (_acknowledgement_dropped, "resumed before it learned"),
+        (_resumed_without_claim, "are both heard on"),
+        (_written_without_claim, "is open on"),
+        (_write_not_durable, "another manager of this system has taken over"),
+        (_lease_forgotten, "a superseded manager starts"),
+        (_superseded_goes_on, "a superseded manager sends"),
+        (_saved_by_superseded, "although what it assumes there is broken, and the manager does not react"),
+        (_dependants_not_lowered, "although what it assumes there is broken, and the manager does not react"),
+        (_gate_opened_early, "both write one slot"),
+        (_gate_closed_late, "both write one slot"),
+        (_steps_swapped, "without faults"),
+        (_start_not_recorded, "run, and are not saved"),
+        (_roll_back_not_recorded, "run, and are not saved"),
+        (_removal_not_recorded, "saved are"),
+        (_specification_not_saved, "another specification is saved"),
+        (_failed_write_forgotten, "another specification is saved"),
+        (_undo_incomplete, "without faults"),
+        (_started_ahead_left, "without faults"),
+        (_orphans_left, "is open on"),
+        (_redundant_left, "is open on"),
+        (_cut_not_cancelled, "?"),
+        (_handover_not_undone, "although nothing has failed"),
+        (_never_resumes, "?"),
+        (_repetition_carried_out, "and repeated at"),
+        (_pending_forgotten, "?"),
+        (_lost_reply_not_repeated, "after `detach` is done"),
+        (_gate_not_reopened, "?"),
+        (_new_side_not_closed, "is open on"),
     )
 }
 
 
 @contextlib.contextmanager
-def planted(name: str) -> Iterator[None]:
-    """While open, that fault is in the code."""
+def planted(name: str) -> Iterator[str]:
+    """While open, that fault is in the code; words of the violation by which it is found."""
+    plant_it, words = PLANTED[name]
     with pytest.MonkeyPatch.context() as patch:
-        PLANTED[name](patch)
-        yield
+        plant_it(patch)
+        yield words

@@ -71,9 +71,9 @@ def test_no_seed_violates_an_invariant_and_every_cell_of_the_matrix_is_reached(
 def test_planted_faults_are_found(capsys: pytest.CaptureFixture[str]) -> None:
     lines, missed = ["| fault in our code | found by seed | violated |", "|---|---|---|"], set[str]()
     for name in PLANTED:
-        with planted(name):
+        with planted(name) as words:
             found = next((run for run in simulate_many(range(WITHIN)) if run.problems), None)
-        if found is None:
+        if found is None or not any(words in problem for problem in found.problems):
             missed.add(name)
         lines.append(f"| {name} | - | |" if found is None else f"| {name} | {found.seed} | {found.problems[0]} |")
     show("planted", lines, capsys)

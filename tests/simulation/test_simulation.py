@@ -47,15 +47,15 @@ print([run.digest for run in simulate_many({seeds!r})])
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
+    "name",
     [
-        ("gate opened early", "both"),
-        pytest.param("resumed without claim", "both", marks=pytest.mark.full),
-        ("acknowledgement dropped", "resumed before it learned"),
-        ("dependants not lowered", "although what it assumes there is broken"),
-        ("removal not recorded", "saved are"),
+        "gate opened early",
+        pytest.param("resumed without claim", marks=pytest.mark.full),
+        "acknowledgement dropped",
+        "dependants not lowered",
+        "removal not recorded",
     ],
 )
-def test_a_fault_in_our_own_code_is_found(name: str, words: str) -> None:
-    with planted(name):
+def test_a_fault_in_our_own_code_is_found(name: str) -> None:
+    with planted(name) as words:
         assert any(words in problem for run in simulate_many(range(100)) for problem in run.problems)

@@ -15,6 +15,7 @@ from midstride.model.component import ComponentSpec, PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.contract import Contract, satisfies
 from midstride.model.rules import Evaluator
+from tests.planting import plant
 
 Plant = Callable[[pytest.MonkeyPatch], None]
 
@@ -29,12 +30,12 @@ class Fault:
     message: str
 
 
-def _nothing(*_: object) -> None:
+def _nothing(*_: object, **__: object) -> None:
     """Finds nothing wrong."""
 
 
 def _create_forgets_capacities(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(model, "capacity_violation", _nothing)
+    plant(patch, model, "capacity_violation", _nothing)
 
 
 def _create_starts_in_the_normal_mode(patch: pytest.MonkeyPatch) -> None:
@@ -42,22 +43,22 @@ def _create_starts_in_the_normal_mode(patch: pytest.MonkeyPatch) -> None:
         after = configuration.with_instance(self.instance)
         return after.with_modes(dict.fromkeys(self.instance.functionality_refs(), 0))
 
-    patch.setattr(model.Create, "effect", effect)
+    plant(patch, model.Create, "effect", effect)
 
 
 def _remove_forgets_attachments(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(Configuration, "attached_ports", lambda *_: ())
+    plant(patch, Configuration, "attached_ports", lambda *_, **__: ())
 
 
 def _attach_judges_by_the_last_mode(patch: pytest.MonkeyPatch) -> None:
     def last(component: ComponentSpec, output: str) -> Contract:
         return component.owner(output).modes[-1].guarantee(output)
 
-    patch.setattr(rules, "normal_guarantee", last)
+    plant(patch, rules, "normal_guarantee", last)
 
 
 def _attach_forgets_the_cap(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(model, "cap_violation", _nothing)
+    plant(patch, model, "cap_violation", _nothing)
 
 
 def _attach_forgets_what_was_attached(patch: pytest.MonkeyPatch) -> None:
@@ -68,11 +69,11 @@ def _attach_forgets_what_was_attached(patch: pytest.MonkeyPatch) -> None:
             configuration = configuration.without_attachment(self.port, connector)
         return configuration.with_attachment(self.port, self.connector)
 
-    patch.setattr(model.Attach, "effect", effect)
+    plant(patch, model.Attach, "effect", effect)
 
 
 def _detach_checks_nothing(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(Configuration, "consumers", lambda *_: ())
+    plant(patch, Configuration, "consumers", lambda *_, **__: ())
 
 
 def _degrade_checks_only_the_degraded(patch: pytest.MonkeyPatch) -> None:
@@ -80,14 +81,14 @@ def _degrade_checks_only_the_degraded(patch: pytest.MonkeyPatch) -> None:
         reasons = tuple(model._mode_reasons(configuration, self.modes, "worse"))
         return reasons or model._unsatisfied(self.effect(configuration), self.modes, "then")
 
-    patch.setattr(model.Degrade, "check", check)
+    plant(patch, model.Degrade, "check", check)
 
 
 def _degrade_goes_all_the_way(patch: pytest.MonkeyPatch) -> None:
     def effect(self: model.Degrade, configuration: Configuration) -> Configuration:
         return configuration.with_modes({ref: configuration.functionality(ref).last_mode for ref in self.modes})
 
-    patch.setattr(model.Degrade, "effect", effect)
+    plant(patch, model.Degrade, "effect", effect)
 
 
 def _upgrade_judges_the_mode_it_leaves(patch: pytest.MonkeyPatch) -> None:
@@ -95,7 +96,7 @@ def _upgrade_judges_the_mode_it_leaves(patch: pytest.MonkeyPatch) -> None:
         reasons = tuple(model._mode_reasons(configuration, self.modes, "better"))
         return reasons or model._unsatisfied(configuration, self.modes, "before")
 
-    patch.setattr(model.Upgrade, "check", check)
+    plant(patch, model.Upgrade, "check", check)
 
 
 def _upgrade_checks_one_by_one(patch: pytest.MonkeyPatch) -> None:
@@ -110,15 +111,15 @@ def _upgrade_checks_one_by_one(patch: pytest.MonkeyPatch) -> None:
         ]
         return tuple(reason for reasons in alone for reason in reasons)
 
-    patch.setattr(model.Upgrade, "check", check)
+    plant(patch, model.Upgrade, "check", check)
 
 
 def _handover_judges_by_the_normal_mode(patch: pytest.MonkeyPatch) -> None:
-    def guarantee(self: Configuration, port: PortRef) -> Contract:
-        component = self.component(port.instance)
-        return component.owner(port.port).modes[0].guarantee(port.port)
+    def guarantee(self: Configuration, output: PortRef) -> Contract:
+        component = self.component(output.instance)
+        return component.owner(output.port).modes[0].guarantee(output.port)
 
-    patch.setattr(Configuration, "guarantee", guarantee)
+    plant(patch, Configuration, "guarantee", guarantee)
 
 
 def _handover_keeps_the_old(patch: pytest.MonkeyPatch) -> None:
@@ -127,7 +128,7 @@ def _handover_keeps_the_old(patch: pytest.MonkeyPatch) -> None:
             configuration = configuration.with_attachment(swap.new, swap.connector)
         return configuration
 
-    patch.setattr(model.Handover, "effect", effect)
+    plant(patch, model.Handover, "effect", effect)
 
 
 def _names_are_predicates(patch: pytest.MonkeyPatch) -> None:
@@ -140,7 +141,7 @@ def _names_are_predicates(patch: pytest.MonkeyPatch) -> None:
         }
         return any(whole(self, PortRef(port.instance, name)) for name in others)
 
-    patch.setattr(Evaluator, "input_satisfied", any_input)
+    plant(patch, Evaluator, "input_satisfied", any_input)
 
 
 def _the_environment_counts_for_nothing(patch: pytest.MonkeyPatch) -> None:
@@ -150,7 +151,7 @@ def _the_environment_counts_for_nothing(patch: pytest.MonkeyPatch) -> None:
         needed = self.configuration.context.connectors[name].guarantee
         return any(satisfies(self.guarantee(output), needed) for output in self.configuration.publishers_on(name))
 
-    patch.setattr(Evaluator, "connector_satisfied", satisfied)
+    plant(patch, Evaluator, "connector_satisfied", satisfied)
 
 
 _ALLOWS, _REFUSES = "the code allows it, the specification refuses it", "the specification allows it"

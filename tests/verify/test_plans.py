@@ -14,6 +14,7 @@ from midstride.plan.forms.plan_forms import encode_plan
 from midstride.verify.checking import AlloyOptions, verify_plan
 from midstride.verify.run import Alloy, find
 from midstride.verify.verdict import Answer, Finding, Verdict
+from tests.planting import plant
 from tests.verify.systems import ROVER, TALKER, Document, loop, plan, specification
 
 pytestmark = pytest.mark.alloy
@@ -267,7 +268,7 @@ def test_a_fault_in_an_actions_effect_is_caught(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     document = plans()[of]
-    monkeypatch.setattr(action, "effect", effect)
+    plant(monkeypatch, action, "effect", effect)
     verdict = judged(document, alloy)
     assert verdict.failed == step
     assert [(f.kind, f.because) for f in verdict.findings] == [("effect", "its effect is not that of the action")]
@@ -276,6 +277,6 @@ def test_a_fault_in_an_actions_effect_is_caught(
 def test_a_fault_in_an_actions_precondition_is_caught(alloy: Alloy, monkeypatch: pytest.MonkeyPatch) -> None:
     document = plans()["talker"]
     drop(1)(document)
-    monkeypatch.setattr(Detach, "check", lambda self, configuration: ())
+    plant(monkeypatch, Detach, "check", lambda self, configuration: ())
     verdict = judged(document, alloy)
     assert (verdict.failed, verdict.findings[0].subject) == (1, "listener.listen in mode normal")

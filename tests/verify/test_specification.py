@@ -15,6 +15,7 @@ from midstride.verify.alloy_checks import Checked, Task, check_specification, ta
 from midstride.verify.library import MODULES, PRINTED, AlloyCommand, commands
 from midstride.verify.run import Alloy, SolverOutcome, find
 from midstride.verify.verdict import Answer
+from tests.planting import plant
 
 SMALL = 3
 PAPER = (Path(__file__).parents[2] / "docs" / "paper.md").read_text(encoding="utf-8")
@@ -230,10 +231,10 @@ def test_the_command_as_json(capsys: pytest.CaptureFixture[str]) -> None:
 def test_the_command_fails_if_a_check_has_another_result(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def solve(self: Alloy, source: Path, asked: str, **_: object) -> dict[str, SolverOutcome]:
+    def solve(*_: object, **__: object) -> dict[str, SolverOutcome]:
         return {"ValidSystem": SolverOutcome(True), "FinerModes": SolverOutcome(False)}
 
-    monkeypatch.setattr(Alloy, "solve", solve)
+    plant(monkeypatch, Alloy, "solve", solve)
     monkeypatch.setattr("midstride.cli.commands.prove.find", lambda: Alloy("java", Path("no.jar"), "no Alloy"))
     assert main(["prove", "--alloy", "--scope", "3"]) == 1
     out = capsys.readouterr().out
@@ -244,7 +245,7 @@ def test_the_command_fails_if_a_check_has_another_result(
 
 @pytest.mark.usefixtures("little")
 def test_a_command_that_alloy_skipped_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Alloy, "solve", lambda *_, **__: {"ValidSystem": SolverOutcome(True)})
+    plant(monkeypatch, Alloy, "solve", lambda *_, **__: {"ValidSystem": SolverOutcome(True)})
     (checked,) = check_specification(Alloy("java", Path("no.jar"), "no Alloy"), SMALL)
     assert checked.answer is Answer.UNKNOWN
     assert checked.because == "Alloy did not answer FinerModes"
