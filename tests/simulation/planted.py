@@ -281,13 +281,13 @@ PLANTED: Final[dict[str, tuple[Plant, str]]] = {
         (_started_ahead_left, "without faults"),
         (_orphans_left, "is open on"),
         (_redundant_left, "is open on"),
-        (_cut_not_cancelled, "?"),
+        (_cut_not_cancelled, "is closed after a roll-back"),
         (_handover_not_undone, "although nothing has failed"),
-        (_never_resumes, "?"),
+        (_never_resumes, "was silent for"),
         (_repetition_carried_out, "and repeated at"),
-        (_pending_forgotten, "?"),
+        (_pending_forgotten, "although what it assumes there is broken"),
         (_lost_reply_not_repeated, "after `detach` is done"),
-        (_gate_not_reopened, "?"),
+        (_gate_not_reopened, "is closed after a roll-back"),
         (_new_side_not_closed, "is open on"),
     )
 }
