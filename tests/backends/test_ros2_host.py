@@ -520,9 +520,11 @@ def test_a_second_component_of_the_same_name_says_so_and_ends(tmp_path: Path, st
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             await r.start("talker", TALKER)
-            from midstride.backends.ros2.component.node_threads import LOOK_AFTER
+            from midstride.backends.ros2 import middleware
 
-            await asyncio.sleep(LOOK_AFTER)  # of two that join together, either may give way
+            await asyncio.sleep(
+                middleware.of_this_process().name_delay
+            )  # of two that join together, either may give way
             environment, words = without_midstride(), "a node /talker is running already"
             if started_by == "a manager of another system":
                 environment |= {ENV_TOKEN: "the token of that system", ENV_CONTROL: str(tmp_path / "another")}
@@ -711,6 +713,7 @@ def test_the_ros_actions_of_this_process_are_listed_and_none_of_another_with_a_n
     from rclpy.node import Node
     from std_msgs.msg import String
 
+    from midstride.backends.ros2 import middleware
     from midstride.backends.ros2.component.node_parameters import endpoints
 
     async def scenario() -> None:
@@ -720,10 +723,12 @@ def test_the_ros_actions_of_this_process_are_listed_and_none_of_another_with_a_n
             control.create_subscription(String, "/go/_action/status", lambda message: None, 1)
             other.node.create_publisher(String, "/acting/undock/_action/status", 1)
             await bare.until(lambda: bare.node.count_publishers("/acting/undock/_action/status"))
-            assert endpoints(bare.node, "/_acting_control", set()) == [
+            assert endpoints(bare.node, "/_acting_control", set(), middleware.of_this_process()) == [
                 Endpoint(kind="ROS action", name="/acting/dock", serves=True),
                 Endpoint(kind="ROS action", name="/go", serves=False),
             ]
+            unknown = endpoints(bare.node, "/_acting_control", set(), middleware.of_identifier("rmw_zenoh_cpp"))
+            assert unknown == [], "where processes are unknown, those of two nodes of a name are not told apart"
             control.destroy_node()
 
     run(scenario())

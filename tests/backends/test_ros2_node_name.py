@@ -126,10 +126,12 @@ def test_a_foreign_node_of_the_roles_name_is_found_although_an_instance_has_it(t
         (tmp_path / "theirs").mkdir()
         async with rig(tmp_path / "ours") as r, rig(tmp_path / "theirs") as other:
             if foreign == "a node":
-                from midstride.backends.ros2.component.node_threads import LOOK_AFTER
+                from midstride.backends.ros2 import middleware
 
                 await r.start("counter", COUNTING, node="counter")
-                await asyncio.sleep(LOOK_AFTER)  # of two that join together, either may give way
+                await asyncio.sleep(
+                    middleware.of_this_process().name_delay
+                )  # of two that join together, either may give way
                 with Bare("counter"):
                     await refused_soon(r)
             else:

@@ -26,6 +26,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from midstride.backends.ros2.middleware import of_identifier
+from midstride.backends.ros2.middleware import of_this_process as middleware_of_this_process
 from midstride.runtime.records.status_forms import Middleware
 
 PROFILES: Final = Path(__file__).parent / "profiles"
@@ -35,7 +37,6 @@ RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 # The major version of Fast DDS: the variable that names its profile.
 PROFILE_VARIABLES: Final = {3: "FASTDDS_DEFAULT_PROFILES_FILE", 2: "FASTRTPS_DEFAULT_PROFILES_FILE"}
 _LIBRARIES: Final = {3: "libfastdds.so", 2: "libfastrtps.so"}
-_FAST_DDS: Final = frozenset({"rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp"})
 _IN_OPEN: Final = 0x20  # inotify: the file was opened
 
 # What ROS 2 and its middlewares read of a user's settings.
@@ -64,11 +65,12 @@ class DdsSettings:
     warnings: tuple[str, ...] = ()
 
     def described(self, environment: Mapping[str, str], notes: Iterable[str]) -> Middleware:
-        """What is set, and what the user has set in ``environment`` and is left."""
+        """What is set, what the user has set in ``environment`` and is left, and what the middleware does not tell."""
         kept = {
             name: value for name in USER_VARIABLES if (value := environment.get(name)) and name not in self.variables
         }
-        return Middleware(name=self.middleware, set=dict(self.variables), kept=kept, notes=list(notes))
+        notes = [*notes, *of_identifier(self.middleware).limits()]
+        return Middleware(name=self.middleware, set=dict(self.variables), kept=kept, notes=notes)
 
     @property
     def profile(self) -> str | None:
@@ -77,7 +79,7 @@ class DdsSettings:
 
 def choose(environment: Mapping[str, str], middleware: str, major: int | None) -> DdsSettings:
     """What to set, given what the user has set. ``major``: the version of Fast DDS, None where it is not known."""
-    if middleware not in _FAST_DDS:
+    if not of_identifier(middleware).fast_dds:
         return DdsSettings(
             middleware, {}, (f"discovery: {middleware} keeps its defaults, and may find new processes late",)
         )
@@ -110,9 +112,7 @@ def of_this_process(*, enabled: bool = True) -> DdsSettings:
 
     Nothing where that is not ``enabled``.
     """
-    from rclpy.utilities import get_rmw_implementation_identifier
-
-    middleware = str(get_rmw_implementation_identifier())
+    middleware = middleware_of_this_process().identifier
     if not enabled:
         return DdsSettings(middleware, warnings=("discovery and transports: switched off (--no-middleware-settings)",))
     return choose(os.environ, middleware, loaded_major())

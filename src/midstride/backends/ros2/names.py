@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterable
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 PARAMETER_EVENTS: Final = "/parameter_events"
 # Topics that every node has, and that belong to no port.
@@ -57,8 +57,3 @@ def instances_of(node: str, in_graph: Iterable[str], system: str) -> int:
 def is_hidden(full_name: str) -> bool:
     """Whether ROS's tools leave the node out: a part of its name starts with an underscore."""
     return "/_" in full_name
-
-
-def participant(info: Any) -> bytes:
-    """Which process has an endpoint of the graph: the first 12 bytes of its identity, by the standard (DDSI-RTPS)."""
-    return bytes(info.endpoint_gid)[:12]

@@ -22,7 +22,7 @@ from rclpy.logging import get_logger
 from rclpy.task import Future
 
 from midstride.backends.common import control_transport, ending_on_signals, on_thread, with_short_pauses
-from midstride.backends.ros2 import names
+from midstride.backends.ros2 import middleware, names
 from midstride.backends.ros2.component import node_parameters, port_endpoints
 from midstride.backends.ros2.component.node_threads import ComponentNodes
 from midstride.backends.ros2.component.parameter_services import parameters_of
@@ -70,7 +70,8 @@ class Ros2Host:
         self.message_now: Callable[[], int] = time.time_ns  # the middleware stamps with the system's clock
         self.publishes_ros_time = False
         self.clock_history = ClockHistory()
-        self.read_info: Callable[[Any], MessageInfo] = port_endpoints.read_info
+        self._rmw = middleware.of_this_process()
+        self.read_info: Callable[[Any], MessageInfo] = self._rmw.message_info
         self.gate = ServiceGate(self.steady, is_open=not context.standby)
 
     @property
@@ -127,7 +128,7 @@ class Ros2Host:
         self._ports.add(id(publisher))
         return port_endpoints.RosPublisher(
             publisher,
-            qos,
+            qos.is_reliable and self._rmw.acknowledges,
             self._destroy(self.ros_node.destroy_publisher),
             self.ros_node.get_subscriptions_info_by_topic,
         )
@@ -185,7 +186,11 @@ class Ros2Host:
 
     def extra_endpoints(self) -> list[Endpoint]:
         nodes = self._nodes
-        return [] if nodes is None else node_parameters.endpoints(self.ros_node, nodes.control_name, self._ports)
+        return (
+            []
+            if nodes is None
+            else node_parameters.endpoints(self.ros_node, nodes.control_name, self._ports, self._rmw)
+        )
 
     # -- life ----------------------------------------------------------------------------------------
 

@@ -14,7 +14,8 @@ from rclpy.exceptions import (
 from rclpy.parameter import Parameter
 
 from midstride.backends.ros2.component.data_node import NodeParameter
-from midstride.backends.ros2.names import PARAMETER_EVENTS, participant
+from midstride.backends.ros2.middleware import RmwImplementation
+from midstride.backends.ros2.names import PARAMETER_EVENTS
 from midstride.errors import CommandRefused, NodeError
 from midstride.model.instance_names import full_name
 from midstride.node.legible import legible
@@ -103,7 +104,7 @@ class Ros2NodeParameters:
         return SetParametersResult(successful=True)
 
 
-def endpoints(node: Any, control: str, ports: Collection[int]) -> list[Endpoint]:
+def endpoints(node: Any, control: str, ports: Collection[int], rmw: RmwImplementation) -> list[Endpoint]:
     """The topics, services and ROS actions of ``node`` that are neither ROS's own nor in ``ports`` (by ``id``).
 
     ``control`` is the full name of the node beside it.
@@ -117,29 +118,32 @@ def endpoints(node: Any, control: str, ports: Collection[int]) -> list[Endpoint]
             name = _service_name(node, service)
             if id(service) not in ports and not name.endswith(_SERVICES_OF_ROS):
                 found["service", name] = serves
-    for name, serves in _actions(node, control):
+    for name, serves in _actions(node, control, rmw):
         found["ROS action", name] = serves or bool(found.get(("ROS action", name)))
     return [Endpoint(kind=kind, name=name, serves=serves) for (kind, name), serves in sorted(found.items())]
 
 
-def _actions(node: Any, control: str) -> Iterator[tuple[str, bool]]:
+def _actions(node: Any, control: str, rmw: RmwImplementation) -> Iterator[tuple[str, bool]]:
     """The ROS actions of this process, each with whether it serves or calls it.
 
     The graph knows them, for rclpy keeps no list. One's own ends are in it at once. Another node may have the same
-    name, so they are recognized by the process.
+    name, so they are recognized by the process; where that is unknown, by the name if no other node has it.
     """
     status_topics = [topic for topic, _ in node.get_topic_names_and_types() if topic.endswith(_ACTION_STATUS)]
     if not status_topics:
         return  # every node is among the publishers of the next line
-    own = {
-        participant(info)
+    own: set[bytes | str | None] = {
+        rmw.process_of(info)
         for info in node.get_publishers_info_by_topic(PARAMETER_EVENTS)
         if full_name(info.node_name, info.node_namespace) == control
     }
+    if rmw.participant is None:
+        name = node.get_name(), node.get_namespace()
+        own = {full_name(*name)} if node.get_node_names_and_namespaces().count(name) == 1 else set()
     for topic in status_topics:
         servers, clients = node.get_publishers_info_by_topic(topic), node.get_subscriptions_info_by_topic(topic)
         for serves, ends in ((True, servers), (False, clients)):
-            if any(participant(info) in own for info in ends):
+            if any((rmw.process_of(info) or full_name(info.node_name, info.node_namespace)) in own for info in ends):
                 yield topic.removesuffix(_ACTION_STATUS), serves
 
 

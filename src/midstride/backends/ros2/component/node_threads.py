@@ -18,7 +18,7 @@ from rclpy.executors import ExternalShutdownException, ShutdownException, Single
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
-from midstride.backends.ros2 import names
+from midstride.backends.ros2 import middleware, names
 from midstride.backends.ros2.component import early_join
 from midstride.backends.ros2.component.data_node import DataNode
 from midstride.backends.ros2.component.diagnostics_publisher import DiagnosticsPublisher
@@ -33,8 +33,6 @@ from midstride.node.service_gate import ServiceGate
 # A node that was started by hand looks for another one of its name before it joins (s); each looks after it has joined.
 # So of two, the one that was started by hand gives way.
 LOOK_BEFORE: Final = 0.5
-# A node's name that was lost on its way is sent again every 3 s (Fast DDS's heartbeat of `ros_discovery_info`).
-LOOK_AFTER: Final = 4.0
 # An instance that leaves may show one of its two nodes for longer than the other one, but not for so long (s).
 LEAVING: Final = 1.0
 # How long the threads may take to end (s).
@@ -150,7 +148,7 @@ class ComponentNodes:
         )
         self._full_name = self.data.get_fully_qualified_name()
         self.control_name = self._control.get_fully_qualified_name()
-        self._checked_until = time.monotonic() + LOOK_AFTER
+        self._checked_until = time.monotonic() + middleware.of_this_process().name_delay
         self._foreign_since: float | None = None  # since when the graph has shown another node of its name
         self._data_thread = ExecutorThread("midstride-data", self._context, failed)
         self._control_thread = ExecutorThread("midstride-control", self._context, failed)

@@ -12,14 +12,11 @@ from rclpy.subscription import Subscription as RclpySubscription
 
 from midstride.backends.common import comes_true
 from midstride.model.contract import QoS
-from midstride.node.component_host import MessageInfo
 
 # Where rclpy can hand message information to a callback at all (not on humble).
 HAS_INFO: Final = hasattr(RclpySubscription, "CallbackType")
-_UNKNOWN: Final = MessageInfo(None, None, None)
 # From here on a duration means that there is none (ns): each middleware has a number for it, of 68 years or more.
 _INFINITE: Final = 10**18
-_UNSUPPORTED: Final = 2**64 - 1  # a middleware's word for "I do not count"
 
 
 def serialized(message_type: type) -> type:
@@ -72,15 +69,15 @@ def seconds_of(duration: Any) -> float | None:
 class RosPublisher:
     """An output's publisher. ``publish`` is rclpy's own method: a message costs nothing on the way."""
 
-    __slots__ = ("_destroy", "_in_graph", "_publisher", "_reliable", "publish")
+    __slots__ = ("_acknowledged", "_destroy", "_in_graph", "_publisher", "publish")
 
     def __init__(
-        self, publisher: Any, qos: QoS, destroy: Callable[[Any], object], in_graph: Callable[[str], list[Any]]
+        self, publisher: Any, acknowledged: bool, destroy: Callable[[Any], object], in_graph: Callable[[str], list[Any]]
     ) -> None:
-        """``in_graph`` lists the subscriptions of a topic."""
+        """``acknowledged``: its readers acknowledge, and the middleware tells; ``in_graph`` lists those of a topic."""
         self._publisher = publisher
         self._in_graph = in_graph
-        self._reliable = qos.is_reliable
+        self._acknowledged = acknowledged
         self._destroy = destroy
         self.publish: Callable[[Any], None] = publisher.publish
 
@@ -98,11 +95,11 @@ class RosPublisher:
             return frozenset()
 
     async def acknowledged(self, timeout: float) -> bool | None:
-        """True as soon as it is so; None where that does not show in time, or where no reader acknowledges.
+        """True as soon as it is so; None where that does not show in time, or cannot be known.
 
         rclpy's own wait holds the interpreter's lock for as long as it lasts, so it is asked again and again.
         """
-        if not self._reliable:
+        if not self._acknowledged:
             return None
         at_once = Duration(nanoseconds=0)
         try:
@@ -144,16 +141,3 @@ def for_rclpy(callback: Callable[[Any, Any], None]) -> Callable[..., None]:
     if HAS_INFO:
         return callback
     return lambda message: callback(message, None)
-
-
-def read_info(info: Any) -> MessageInfo:
-    """What rclpy's dictionary says; what it does not say is None, never 0."""
-    if not info:
-        return _UNKNOWN
-    number, gid = info.get("publication_sequence_number"), info.get("publisher_gid")
-    data = gid.get("data") if isinstance(gid, dict) else gid
-    return MessageInfo(
-        source=info.get("source_timestamp") or None,
-        number=None if number is None or number == _UNSUPPORTED else int(number),
-        publisher=bytes(data).hex() if data else None,
-    )

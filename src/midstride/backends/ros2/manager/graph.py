@@ -12,29 +12,30 @@ every node has one, and the graph may keep the name of one that is gone, for goo
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, Final, TypeAlias
+from typing import Any, TypeAlias
 
 from rclpy.node import NodeNameNonExistentError
 
-from midstride.backends.ros2 import names
+from midstride.backends.ros2 import middleware, names
 from midstride.backends.ros2.component import port_endpoints
+from midstride.backends.ros2.middleware import RmwImplementation
 from midstride.backends.ros2.names import InstanceNode
 from midstride.foreign.graph_check import GraphEndpoint
 from midstride.model.instance_names import full_name, split_name
 from midstride.runtime.backend_protocol import Endpoints
 
-# For how long a dead process may stay in the graph (s): the lease of the middleware, and some time to notice.
-LINGER: Final = 25.0
-# The instances by process.
-_Instances: TypeAlias = Mapping[bytes, InstanceNode]
+# The instances by process. Where processes are unknown, by the name of their node; None where several nodes have it.
+_Instances: TypeAlias = Mapping[bytes | str, InstanceNode | None]
 
 
 class Graph:
-    """To be used on one thread. ``node`` is rclpy's."""
+    """To be used on one thread. ``node`` is rclpy's; ``rmw`` is what the middleware can tell."""
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self, node: Any, rmw: RmwImplementation | None = None) -> None:
         self._node = node
+        self._rmw = middleware.of_this_process() if rmw is None else rmw
         self._died: dict[str, float] = {}
         self._dead_endpoints: dict[bytes, float] = {}
         self._known: _Instances = {}
@@ -51,12 +52,12 @@ class Graph:
     def forget(self, full_name: str) -> None:
         """Ignore what the graph shows under a name now, and nothing that appears there later."""
         now = time.monotonic()
-        self._dead_endpoints = {gid: at for gid, at in self._dead_endpoints.items() if now - at < LINGER}
+        self._dead_endpoints = {gid: at for gid, at in self._dead_endpoints.items() if now - at < self._rmw.linger}
         self._dead_endpoints.update((_gid(info), now) for info in self._under(full_name))
 
     def _lives(self, info: Any, name: str) -> bool:
         died = self._died.get(name)
-        return (died is None or time.monotonic() - died > LINGER) and _gid(info) not in self._dead_endpoints
+        return (died is None or time.monotonic() - died > self._rmw.linger) and _gid(info) not in self._dead_endpoints
 
     def has(self, full_name: str) -> bool:
         """Whether a living instance, or a foreign node, of that name is in the graph."""
@@ -64,12 +65,16 @@ class Graph:
 
     def of_name(self, node: str) -> set[InstanceNode | None]:
         """The living instances whose node has that name; None among them is a foreign node."""
-        living: dict[bytes, InstanceNode | None] = {}
         listed = self._node_names().count(node)
+        if self._rmw.participant is None:  # counted: an instance has one node of that name, and a control node
+            own = [(info, found) for info, found in self._controls() if found.node == node]
+            alive = {found for info, found in own if self._lives(info, found.instance)}
+            return {*alive, *([None] if listed > len({found for _, found in own}) else [])}
+        living: dict[bytes | str, InstanceNode | None] = {}
         for _, _, info in self._of_node(node):
-            process = names.participant(info)
+            process = self._process(info)
             instances = self._instances_of([process])
-            if self._lives(info, _name(info, instances)):
+            if self._lives(info, self._name(info, instances)):
                 living[process] = instances.get(process)
             if len(living) == listed:  # each is in another process
                 break
@@ -96,7 +101,7 @@ class Graph:
         return [
             GraphEndpoint(output, topic, info.topic_type, port_endpoints.qos_of(info.qos_profile))
             for output, topic, info in self._of_node(node)
-            if self._lives(info, node) and names.participant(info) not in instances
+            if self._lives(info, node) and self._process(info) not in instances
         ]
 
     def _under(self, full_name: str) -> Iterator[Any]:
@@ -105,8 +110,8 @@ class Graph:
         controlled = filter(None, map(names.controlled, seen))
         nodes = seen & {full_name, *(found.node for found in controlled if found.instance == full_name)}
         infos = [info for node in nodes for _, _, info in self._of_node(node)]
-        instances = self._instances_of(map(names.participant, infos))
-        return (info for info in infos if _name(info, instances) == full_name)
+        instances = self._instances_of(map(self._process, infos))
+        return (info for info in infos if self._name(info, instances) == full_name)
 
     def _of_node(self, node: str) -> Iterator[tuple[bool, str, Any]]:
         """Whether it is an output, its topic, and the endpoint itself: of every node of that name.
@@ -139,25 +144,39 @@ class Graph:
     def lingering_readers(self, topic: str) -> int:
         """How many subscriptions of dead processes the graph still shows on ``topic``."""
         infos = self._subscriptions(topic)
-        instances = self._instances_of(map(names.participant, infos))
-        return sum(not self._lives(info, _name(info, instances)) for info in infos)
+        instances = self._instances_of(map(self._process, infos))
+        return sum(not self._lives(info, self._name(info, instances)) for info in infos)
 
     def _visible(self, infos: list[Any], instances: _Instances) -> list[str]:
-        named = [(info, _name(info, instances)) for info in infos if not names.is_hidden(_node(info))]
+        named = [(info, self._name(info, instances)) for info in infos if not names.is_hidden(_node(info))]
         return [name for info, name in named if self._lives(info, name)]
 
-    def _instances_of(self, processes: Iterable[bytes]) -> _Instances:
+    def _process(self, info: Any) -> bytes | str:
+        """Which process an endpoint belongs to; where that is unknown, the name of its node."""
+        return self._rmw.process_of(info) or _node(info)
+
+    def _name(self, info: Any, instances: _Instances) -> str:
+        """The name that an endpoint is shown under: of its instance, else of its node."""
+        node = _node(info)
+        found = instances.get(self._process(info))
+        return node if found is None or node != found.node else found.instance
+
+    def _instances_of(self, processes: Iterable[bytes | str]) -> _Instances:
         """The instances of these processes, if they have any. Which one a process is never changes."""
-        if not self._known.keys() >= set(processes):
+        if self._rmw.participant is None or not self._known.keys() >= set(processes):
             self._known = self._instances()
         return self._known
 
     def _instances(self) -> _Instances:
-        return {
-            names.participant(info): found
-            for info in self._publishers(names.PARAMETER_EVENTS)
-            if (found := names.controlled(_node(info))) is not None
-        }
+        if self._rmw.participant is not None:
+            return {self._process(info): found for info, found in self._controls()}
+        listed = Counter(self._node_names())
+        return {found.node: found if listed[found.node] == 1 else None for _, found in self._controls()}
+
+    def _controls(self) -> list[tuple[Any, InstanceNode]]:
+        """An endpoint of each instance's control node."""
+        infos = self._publishers(names.PARAMETER_EVENTS)
+        return [(info, found) for info in infos if (found := names.controlled(_node(info))) is not None]
 
     def _topics(self) -> Iterator[str]:
         return (topic for topic, _ in self._node.get_topic_names_and_types())
@@ -171,13 +190,6 @@ class Graph:
 
 def _node(info: Any) -> str:
     return full_name(info.node_name, info.node_namespace)
-
-
-def _name(info: Any, instances: _Instances) -> str:
-    """The name that an endpoint is shown under: of its instance, else of its node."""
-    node = _node(info)
-    found = instances.get(names.participant(info))
-    return node if found is None or node != found.node else found.instance
 
 
 def _gid(info: Any) -> bytes:

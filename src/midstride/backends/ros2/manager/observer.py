@@ -14,7 +14,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from midstride.backends.common_messages import message_class
-from midstride.backends.ros2.component.port_endpoints import for_rclpy, qos_of, read_info, seconds_of
+from midstride.backends.ros2 import middleware
+from midstride.backends.ros2.component.port_endpoints import for_rclpy, qos_of, seconds_of
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
 from midstride.errors import NodeError
 from midstride.model.instance_names import full_name
@@ -83,10 +84,13 @@ def _subscribe(node: Any, graph: ObservedGraph, publishers: list[ObservedEndpoin
         graph.unreadable.add(type_)
         return
 
+    rmw = middleware.of_this_process()
+
     def heard(_: bytes, info: Any) -> None:
-        known = read_info(info)
+        known = rmw.message_info(info)
         written = known.source / 1e9 if known.source else time.monotonic()
-        graph.heard(topic, None if known.publisher is None else _identity(known.publisher), written)
+        writer = known.publisher if rmw.names_writers else None
+        graph.heard(topic, None if writer is None else _identity(writer), written)
 
     reliable = all(each.qos.is_reliable for each in publishers)
     profile = QoSProfile(

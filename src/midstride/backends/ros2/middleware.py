@@ -1,0 +1,102 @@
+"""What each implementation of ROS 2's middleware interface (rmw) can tell, chosen once by its identifier.
+
+What one cannot tell is unknown: None, an empty answer, and a sentence in :meth:`RmwImplementation.limits`, which
+`midstride status` shows. Nothing is guessed. The sources, as read in ros2/rmw_fastrtps, ros2/rmw_cyclonedds and
+ros2/rmw_zenoh:
+
+- *Processes.* An endpoint's gid is its GUID in both DDS, and begins with that of the participant, one for each
+  context (DDSI-RTPS 9.3.1). rmw_zenoh hashes the key expression of the liveliness token into it.
+- *Acknowledgements.* Both DDS wait for their readers. rmw_zenoh returns success unchecked (ros2/rmw_zenoh#215).
+- *Numbers.* rmw_fastrtps and rmw_zenoh number each publisher's messages; rmw_zenoh denied it by mistake until
+  ros2/rmw_zenoh#920. rmw_cyclonedds does not.
+- *Writers.* With a message, rmw_cyclonedds gives a handle of the receiving process in place of the publisher's GUID.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+from midstride.node.component_host import MessageInfo
+
+_PARTICIPANT: Final = 12  # bytes of a GUID that name its participant (DDSI-RTPS 9.3.1)
+_UNSUPPORTED: Final = 2**64 - 1  # RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED
+_NOTHING: Final = MessageInfo(None, None, None)
+# How long after its lease the end of a process may take to show (s).
+_NOTICE: Final = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class RmwImplementation:
+    """What one implementation can tell; the defaults are those of an unknown one.
+
+    ``fast_dds``: Midstride has discovery settings for it (:mod:`.dds_profiles`). ``lease``: for how long the graph
+    shows a process that was killed, by default (s); of an unknown one, the longest known. ``name_delay``: how late the
+    name of a node may come to be known (s), where the first message about it is lost.
+    """
+
+    identifier: str
+    fast_dds: bool = False
+    participant: int | None = None
+    acknowledges: bool = False
+    numbers_messages: bool = False
+    names_writers: bool = False
+    lease: float = 20.0
+    name_delay: float = 4.0
+
+    def process_of(self, info: Any) -> bytes | None:
+        """Which process has an endpoint of the graph: equal for those of one process. None if that is unknown."""
+        return None if self.participant is None else bytes(info.endpoint_gid)[: self.participant]
+
+    @property
+    def linger(self) -> float:
+        """For how long the graph may show a process that has ended without leaving ROS (s)."""
+        return self.lease + _NOTICE
+
+    def message_info(self, info: Any) -> MessageInfo:
+        """What rclpy's dictionary says of a message; what it does not say is None, never 0."""
+        if not info:
+            return _NOTHING
+        number, gid = info.get("publication_sequence_number"), info.get("publisher_gid")
+        data = gid.get("data") if isinstance(gid, dict) else gid
+        return MessageInfo(
+            source=info.get("source_timestamp") or None,
+            number=None if number in (None, _UNSUPPORTED) or not self.numbers_messages else int(number),
+            publisher=bytes(data).hex() if data else None,
+        )
+
+    def limits(self) -> Iterator[str]:
+        """What it does not tell, and what follows from that, one sentence each."""
+        if self.participant is None:
+            yield (
+                f"processes: {self.identifier} does not tell which process an endpoint belongs to; where several "
+                "instances have one node name, the graph does not tell them apart"
+            )
+        if not self.acknowledges:
+            yield (
+                f"acknowledgements: {self.identifier} does not tell whether messages have arrived; whether an output's "
+                "last ones did before it was detached is unknown"
+            )
+        if not self.numbers_messages:
+            yield f"sequence numbers: {self.identifier} gives none; a report has no figure that needs them"
+
+
+_KNOWN: Final = (
+    RmwImplementation("rmw_fastrtps_cpp", True, _PARTICIPANT, True, True, True),
+    RmwImplementation("rmw_fastrtps_dynamic_cpp", True, _PARTICIPANT, True, True, True),
+    RmwImplementation("rmw_cyclonedds_cpp", participant=_PARTICIPANT, acknowledges=True, lease=10.0),
+    RmwImplementation("rmw_zenoh_cpp", numbers_messages=True, names_writers=True, lease=10.0),
+)
+
+
+def of_identifier(identifier: str) -> RmwImplementation:
+    """The implementation of that identifier; for any other, one that tells nothing."""
+    return next((each for each in _KNOWN if each.identifier == identifier), RmwImplementation(identifier))
+
+
+def of_this_process() -> RmwImplementation:
+    """The implementation that rclpy uses here. Imports rclpy, which loads it."""
+    from rclpy.utilities import get_rmw_implementation_identifier
+
+    return of_identifier(str(get_rmw_implementation_identifier()))

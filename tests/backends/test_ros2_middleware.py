@@ -1,0 +1,153 @@
+"""What an implementation of rmw can tell: the real Fast DDS, and others as their sources say that they answer."""
+
+from __future__ import annotations
+
+import hashlib
+from contextlib import ExitStack
+from random import Random
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from midstride.backends.ros2 import dds_profiles, middleware, names
+from midstride.backends.ros2.middleware import of_identifier
+from tests.backends.ros2_support import Bare, run
+from tests.backends.test_ros2_graph import ListedGraph
+
+FAST_DDS, CYCLONE_DDS, ZENOH, OTHER = map(
+    of_identifier, ("rmw_fastrtps_cpp", "rmw_cyclonedds_cpp", "rmw_zenoh_cpp", "rmw_of_tomorrow")
+)
+INFO = {"source_timestamp": 7, "publication_sequence_number": 3, "publisher_gid": {"data": bytes(range(24))}}
+
+
+def test_of_an_implementation_that_is_not_known_nothing_is_said() -> None:
+    info = SimpleNamespace(endpoint_gid=[1] * 16)
+    assert OTHER.process_of(info) is None
+    assert (OTHER.acknowledges, OTHER.names_writers, OTHER.message_info(INFO).number) == (False, False, None)
+    assert len(list(OTHER.limits())) == 3
+
+
+@pytest.mark.parametrize(
+    ("rmw", "unknown"),
+    [(FAST_DDS, []), (CYCLONE_DDS, ["sequence numbers"]), (ZENOH, ["processes", "acknowledgements"])],
+)
+def test_status_says_what_the_middleware_does_not_tell(rmw: middleware.RmwImplementation, unknown: list[str]) -> None:
+    settings = dds_profiles.choose({}, rmw.identifier, 3)
+    notes = settings.described({}, settings.warnings).notes
+    assert [note.partition(":")[0] for note in notes if not note.startswith("discovery")] == unknown
+    assert all(rmw.identifier in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("rmw", "number", "expected"),
+    [(FAST_DDS, 3, 3), (CYCLONE_DDS, 2**64 - 1, None), (ZENOH, 3, 3), (FAST_DDS, 2**64 - 1, None), (OTHER, 0, None)],
+)
+def test_a_number_that_is_not_one_is_unknown(
+    rmw: middleware.RmwImplementation, number: int, expected: int | None
+) -> None:
+    found = rmw.message_info({**INFO, "publication_sequence_number": number})
+    assert (found.source, found.number, found.publisher) == (7, expected, bytes(range(24)).hex())
+    assert rmw.message_info(None) == rmw.message_info({})
+
+
+@pytest.mark.ros2
+@pytest.mark.parametrize(("rmw", "expected"), [(FAST_DDS, True), (CYCLONE_DDS, True), (ZENOH, None), (OTHER, None)])
+def test_an_acknowledgement_that_nothing_checks_is_unknown(
+    rmw: middleware.RmwImplementation, expected: bool | None
+) -> None:
+    from midstride.backends.ros2.component.port_endpoints import RosPublisher
+
+    class Unchecked:
+        """Answers as rmw_zenoh does: at once that everything has arrived."""
+
+        topic_name = "/chatter"
+
+        def publish(self, message: Any) -> None: ...
+
+        def wait_for_all_acked(self, timeout: Any) -> bool:
+            return True
+
+    publisher = RosPublisher(Unchecked(), rmw.acknowledges, lambda _: None, lambda _: [])
+    assert run(publisher.acknowledged(1.0)) is expected
+
+
+def hashed(listed: ListedGraph) -> dict[bytes, int]:
+    """Give every endpoint a gid as rmw_zenoh does, and return the process that each has in truth."""
+    processes: dict[bytes, int] = {}
+    for infos in listed.infos.values():
+        for info in infos:
+            gid = hashlib.blake2b(bytes(info.endpoint_gid), digest_size=16).digest()
+            processes[gid] = info.endpoint_gid[0]
+            info.endpoint_gid = list(gid)
+    return processes
+
+
+@pytest.mark.ros2
+def test_where_processes_are_unknown_no_endpoint_is_shown_as_an_instance_that_it_may_not_be_of() -> None:
+    from midstride.backends.ros2.manager.graph import Graph
+
+    told_apart = left = foreign = 0
+    for seed in range(600):
+        listed = ListedGraph(Random(seed))
+        processes = hashed(listed)
+        graph = Graph(listed, ZENOH)
+        instances = {
+            processes[bytes(info.endpoint_gid)]: found
+            for info in listed.infos["/parameter_events", True]
+            if (found := names.controlled(f"/{info.node_name}")) is not None
+        }
+        for out in (True, False):
+            for topic in ("/a", "/b"):
+                ends = graph.endpoints()
+                shown = [name for name, on in (ends.publishers if out else ends.subscribers) if on == topic]
+                expected = []
+                for info in listed.infos[topic, out]:
+                    node, true = f"/{info.node_name}", instances.get(processes[bytes(info.endpoint_gid)])
+                    alone = listed.nodes.count((info.node_name, "/")) == 1
+                    instance = true.instance if true is not None and true.node == node and alone else node
+                    if not names.is_hidden(node):
+                        expected.append(instance)
+                        told_apart += instance != node
+                        left += true is not None and true.node == node and not alone
+                assert sorted(shown) == sorted(expected), seed
+        for node in ("/p", "/q"):
+            named = graph.of_name(node)
+            own = {instance for instance in instances.values() if instance.node == node}
+            others = listed.nodes.count((node[1:], "/")) > len(own)
+            assert named == {*own, *([None] if others else [])}, seed
+            foreign += others
+    assert told_apart > 100 and left > 100 and foreign > 20
+
+
+@pytest.mark.ros2
+def test_fast_dds_tells_processes_writers_and_numbers() -> None:
+    from std_msgs.msg import String
+
+    from midstride.backends.ros2.component.port_endpoints import for_rclpy
+
+    async def scenario() -> None:
+        rmw = middleware.of_this_process()
+        with ExitStack() as nodes:
+            watching, talker = nodes.enter_context(Bare("watching")), nodes.enter_context(Bare("talker"))
+            heard: list[Any] = []
+            watching.node.create_subscription(
+                String, "/chatter", for_rclpy(lambda _, info: heard.append(rmw.message_info(info))), 10
+            )
+            publisher = talker.node.create_publisher(String, "/chatter", 10)
+            await watching.until(lambda: publisher.get_subscription_count() == 1)
+            await watching.until(lambda: len(watching.node.get_publishers_info_by_topic("/chatter")) == 1)
+            for _ in range(3):
+                publisher.publish(String(data="word"))
+            await watching.until(lambda: len(heard) == 3)
+            assert [each.number for each in heard] == [1, 2, 3]
+            (end,) = watching.node.get_publishers_info_by_topic("/chatter")
+            assert {each.publisher[:32] for each in heard} == {bytes(end.endpoint_gid).hex()[:32]}
+            ends = watching.node.get_publishers_info_by_topic
+            talker.node.create_publisher(String, "/more", 10)
+            watching.node.create_publisher(String, "/more", 10)
+            await watching.until(lambda: {info.node_name for info in ends("/more")} == {"talker", "watching"})
+            by_node = {info.node_name: rmw.process_of(info) for info in ends("/more")}
+            assert rmw.process_of(end) == by_node["talker"] != by_node["watching"]
+
+    run(scenario())
