@@ -7,6 +7,7 @@ first module on, and one that has no rule fails. Imports for type checking alone
 from __future__ import annotations
 
 import ast
+import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -238,13 +239,53 @@ def test_every_kind_of_import_closes_a_cycle(source: str) -> None:
     assert cycles(module_graph(sources)) == [[one, two, three, one]]
 
 
-def test_no_two_public_classes_share_a_name() -> None:
+def public_types(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """The line and the name of each public class of a module, nested ones too, and of each public alias of a type."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            yield node.lineno, node.name
+    for statement in tree.body:
+        if isinstance(statement, ast.Assign):
+            targets = statement.targets
+        elif isinstance(statement, ast.AnnAssign):
+            targets = [statement.target]
+        else:
+            continue
+        for target in targets:  # in camel case, or one word; constants and type variables are in capitals
+            if isinstance(target, ast.Name) and re.fullmatch(r"[A-Z]\w*[a-z]\w*", target.id):
+                yield statement.lineno, target.id
+
+
+def test_no_two_public_types_share_a_name() -> None:
     homes: dict[str, list[str]] = {}
     for path, module, _ in modules():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                homes.setdefault(node.name, []).append(f"{module}:{node.lineno}")
+        for line, name in public_types(ast.parse(path.read_text(encoding="utf-8"))):
+            homes.setdefault(name, []).append(f"{module}:{line}")
     twins = {name: where for name, where in homes.items() if len(where) > 1}
+    assert not twins, "\n".join(f"{name}: {', '.join(where)}" for name, where in twins.items())
+
+
+def test_an_alias_of_a_type_counts_as_a_public_type() -> None:
+    source = (
+        "Kind = Literal['a']\nPart: TypeAlias = str\nLIMIT = 3\nT = TypeVar('T')\nclass Whole:\n    class Inner: ..."
+    )
+    assert [name for _, name in public_types(ast.parse(source))] == ["Whole", "Inner", "Kind", "Part"]
+
+
+# Each platform has modules for the same things; one change of a platform touches one of them.
+PLATFORMS = tuple(f"{PACKAGE}.backends.{name}." for name in ("simulator", "ros1", "ros2"))
+
+
+def test_no_two_modules_share_a_name() -> None:
+    homes: dict[str, list[str]] = {}
+    for _, module, is_package in modules():
+        if not is_package:
+            homes.setdefault(module.rpartition(".")[2], []).append(module)
+    twins = {
+        name: where
+        for name, where in homes.items()
+        if len(where) > 1 and not all(module.startswith(PLATFORMS) for module in where)
+    }
     assert not twins, "\n".join(f"{name}: {', '.join(where)}" for name, where in twins.items())
 
 

@@ -9,7 +9,7 @@ import pytest
 from midstride.capture.graph_draft import draft
 from midstride.capture.insertion import insert, without_remaps
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
-from midstride.capture.probe import Dependence, Verdict
+from midstride.capture.probe import Dependence, ProbeVerdict
 from midstride.capture.rates import measured
 from midstride.errors import SpecificationError
 from midstride.lang import format_text, load
@@ -316,12 +316,12 @@ def test_a_file_with_errors_is_refused() -> None:
         insert("system s\ncomponent {", "bad.stride", SimulatedGraph().observed())
 
 
-def probed(verdicts: dict[tuple[str, str], Verdict]) -> dict[tuple[str, str, str], Dependence]:
+def probed(verdicts: dict[tuple[str, str], ProbeVerdict]) -> dict[tuple[str, str, str], Dependence]:
     """Dependences of `/mixer`, by topics of an input and an output."""
     return {("/mixer", *topics): Dependence(verdict, f"seen {verdict}") for topics, verdict in verdicts.items()}
 
 
-def mixer(folder: Path, verdicts: dict[tuple[str, str], Verdict]) -> tuple[str, ComponentSpec]:
+def mixer(folder: Path, verdicts: dict[tuple[str, str], ProbeVerdict]) -> tuple[str, ComponentSpec]:
     """The draft of a node with two inputs and two outputs of which this was found, and its component."""
     graph = SimulatedGraph()
     for topic in ("/a", "/b"):
@@ -375,7 +375,7 @@ def test_without_a_finding_an_input_is_assumed_as_before(tmp_path: Path) -> None
 def test_a_component_depends_on_what_one_of_its_nodes_depends_on() -> None:
     graph, findings = SimulatedGraph(), {}
     text = 'system cameras\n\ncomponent Filter {\n  run "filter" gate preload\n}\n'
-    verdicts: dict[str, Verdict] = {"left": "independent", "right": "depends"}
+    verdicts: dict[str, ProbeVerdict] = {"left": "independent", "right": "depends"}
     for side, verdict in verdicts.items():
         graph.publisher("/camera", f"/{side}/image", STRING, SENSOR, rate=10.0)
         graph.subscription(f"/{side}/filter", f"/{side}/image", STRING, SENSOR)

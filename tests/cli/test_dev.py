@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 from msgspec import structs
 
-from midstride.cli.client import Document
 from midstride.cli.dev.contents import FileContents, saves
 from midstride.cli.dev.session import DevSession
 from midstride.cli.dev.watched_specification import WatchedSpecification
+from midstride.codec.form import Document
 from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import SpecificationError
 from midstride.runtime.records.status_forms import ProgramStatus

@@ -7,11 +7,12 @@ import time
 from collections.abc import Iterator
 from typing import cast
 
-from midstride.cli.client import Client, Document, Event
+from midstride.cli.client import Client, EventDocument
 from midstride.cli.follow import LAST_EVENTS, FollowedRequest
+from midstride.codec.form import Document
 
 
-def numbered(*events: tuple[str, str | None, str]) -> list[Event]:
+def numbered(*events: tuple[str, str | None, str]) -> list[EventDocument]:
     """Events as a manager numbers them, from kind, id and text."""
     return [
         {"n": n, "at": 0.0, "kind": kind, "words": words, **({"id": id} if kind in {"command", "waiting"} else {})}
@@ -22,11 +23,11 @@ def numbered(*events: tuple[str, str | None, str]) -> list[Event]:
 class ScriptedClient:
     """A client whose manager sends ``events``, and then the answer to the request."""
 
-    def __init__(self, events: list[Event]) -> None:
+    def __init__(self, events: list[EventDocument]) -> None:
         self._events = events
         self._sent = threading.Event()
 
-    def events(self, since: int) -> Iterator[Event]:
+    def events(self, since: int) -> Iterator[EventDocument]:
         yield from self._events[since:]
         self._sent.set()
 
@@ -81,7 +82,7 @@ def test_events_after_the_answer_are_shown() -> None:
     client = ScriptedClient(TWO_AT_ONCE)
     answered = threading.Event()
 
-    def late_events(since: int) -> Iterator[Event]:
+    def late_events(since: int) -> Iterator[EventDocument]:
         assert answered.wait(30)
         yield from TWO_AT_ONCE
 

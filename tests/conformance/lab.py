@@ -15,7 +15,7 @@ import msgspec
 
 from midstride.errors import BackendError, CallTimeout, CommandRefused, Unreachable
 from midstride.runtime.backend_protocol import Backend, Exited, Handle, Launch
-from midstride.wire.channel import Channel, Report
+from midstride.wire.channel import Channel, ComponentReport
 from midstride.wire.frames import Greeting, Registration, Reply, Request
 from tests.conformance.puppets import Description, command_of, sink
 
@@ -99,9 +99,9 @@ class Lab:
         channel = self._channels.get((instance, token))
         if channel is None or channel.closed.is_set():
             made: list[Channel] = []
-            early: list[Report] = []
+            early: list[ComponentReport] = []
 
-            def report(frame: Report) -> None:
+            def report(frame: ComponentReport) -> None:
                 if not made:
                     early.append(frame)
                 elif isinstance(frame, Registration):

@@ -20,7 +20,7 @@ from midstride.model.configuration import Configuration, Instance
 from midstride.model.contract import satisfies
 from midstride.model.rules import publishers_count
 from midstride.model.specification import Constraint, Keep, Limit, Order
-from midstride.plan.change import Attachment, Change
+from midstride.plan.change import Change, PortAttachment
 from midstride.plan.constraints import in_force
 
 NO_PORT = PortRef("", "")
@@ -197,8 +197,8 @@ class Choice:
     role: str
     instance: Instance
     leaving: str
-    attached: tuple[Attachment, ...]
-    detached: tuple[Attachment, ...]
+    attached: tuple[PortAttachment, ...]
+    detached: tuple[PortAttachment, ...]
     moved: str = ""
 
 
@@ -263,7 +263,7 @@ class Detoured:
                     return False
         return True
 
-    def _topics(self, instance: Instance) -> tuple[Attachment, ...]:
+    def _topics(self, instance: Instance) -> tuple[PortAttachment, ...]:
         return tuple(
             (PortRef(instance.name, port), self.change.identities.get(topic, topic))
             for port, topics in self.change.target.nodes[instance.role].attachments.items()

@@ -27,10 +27,10 @@ from midstride.plan.constraints import in_force
 _EPSILON: Final = 1e-6
 
 # "create" and "remove" with an instance, "attach" and "detach" with a port and a connector.
-Op: TypeAlias = tuple[str, str, PortRef | None, str]
-State: TypeAlias = frozenset[Op]
+StructuralOp: TypeAlias = tuple[str, str, PortRef | None, str]
+OpsDone: TypeAlias = frozenset[StructuralOp]
 
-_NOTHING: Final[State] = frozenset()
+_NOTHING: Final[OpsDone] = frozenset()
 _NO_REFS: Final[frozenset[FunctionalityRef]] = frozenset()
 
 
@@ -53,15 +53,15 @@ class Definition(Protocol):
         """Those of ``limits`` that are below their baselines."""
 
 
-def _create(name: str) -> Op:
+def _create(name: str) -> StructuralOp:
     return "create", name, None, ""
 
 
-def _remove(name: str) -> Op:
+def _remove(name: str) -> StructuralOp:
     return "remove", name, None, ""
 
 
-def _pair(kind: str, port: PortRef, connector: str) -> Op:
+def _pair(kind: str, port: PortRef, connector: str) -> StructuralOp:
     return kind, "", port, connector
 
 
@@ -106,7 +106,7 @@ class BoundSearch:
     ) -> None:
         self.change, self._definition, self._work = change, definition, work
         self._limits = tuple(definition.limits.items())
-        self._known: dict[State, _Found] = {}
+        self._known: dict[OpsDone, _Found] = {}
         own = {name for name in change.instances() if roles is None or change.role_of(name) in roles}
         self.creates = {_create(each.name): each for each in change.coming if each.name in own}
         self.removes = {_remove(name): name for name in change.leaving if name in own}
@@ -124,8 +124,8 @@ class BoundSearch:
         self._publishing = Counter(connector for port, connector in (*capped, *freed) if port.instance not in own)
         self._awaited = self._orders()
         self._served = {op: self._before_leaving(op) for op in (*self.removes, *self.detaches)}
-        self.first: State = frozenset()
-        self.goal: State = frozenset([*self.creates, *self.removes, *self.attaches])
+        self.first: OpsDone = frozenset()
+        self.goal: OpsDone = frozenset([*self.creates, *self.removes, *self.attaches])
         if not self._state(self.first).loss:
             scarce = self._scarce()
             self.first = frozenset(
@@ -135,9 +135,9 @@ class BoundSearch:
                 op for op, name in self.removes.items() if scarce.isdisjoint(change.component_of(name).resource_usage)
             }
 
-    def _orders(self) -> dict[str, State]:
+    def _orders(self) -> dict[str, OpsDone]:
         """By role, what the user's orders put before anything of it."""
-        change, found = self.change, dict[str, State]()
+        change, found = self.change, dict[str, OpsDone]()
         for order in in_force(change):
             if isinstance(order, Order) and order.first != order.then:
                 first = [op for op, each in self.creates.items() if each.role == order.first]
@@ -145,7 +145,7 @@ class BoundSearch:
                 found[order.then] = found.get(order.then, frozenset()) | frozenset(first)
         return found
 
-    def _before_leaving(self, op: Op) -> State:
+    def _before_leaving(self, op: StructuralOp) -> OpsDone:
         """What a stand-in does before it is removed or detached: it comes, and is attached there."""
         _, name, port, connector = op
         if port is not None:
@@ -172,7 +172,7 @@ class BoundSearch:
         held = configuration.held.get(resource, Fraction()) - self._held.get(resource, Fraction())
         return held + to_fraction(amount) - to_fraction(configuration.context.capacity(resource))
 
-    def _state(self, state: State) -> _Found:
+    def _state(self, state: OpsDone) -> _Found:
         """The largest structure in which exactly these differences are made."""
         if state not in self._known:
             change, configuration = self.change, self.change.start
@@ -200,7 +200,7 @@ class BoundSearch:
     def cheapest_below(self, limit: float) -> float | None:
         """The least disruption of a way to the goal; None if that is not below ``limit``. Raises SearchTooLarge."""
         start = self.first, (0.0,) * len(self._limits)
-        queue: list[tuple[float, int, tuple[State, tuple[float, ...]]]] = [(0.0, 0, start)]
+        queue: list[tuple[float, int, tuple[OpsDone, tuple[float, ...]]]] = [(0.0, 0, start)]
         costs, number = {start: 0.0}, count(1)
         while queue:
             cost, _, node = heapq.heappop(queue)
@@ -227,7 +227,7 @@ class BoundSearch:
     def _is_within(self, spent: tuple[float, ...]) -> bool:
         return all(so_far <= most + _EPSILON for so_far, (_, most) in zip(spent, self._limits, strict=True))
 
-    def _following(self, state: State) -> Iterator[tuple[State, float, float, Collection[FunctionalityRef]]]:
+    def _following(self, state: OpsDone) -> Iterator[tuple[OpsDone, float, float, Collection[FunctionalityRef]]]:
         """The states after one more difference, each with how long that takes, what is lost and limited meanwhile.
 
         What the constraints forbid is looked at while something is created or removed only: between the two, several

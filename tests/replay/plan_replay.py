@@ -27,7 +27,7 @@ _EPSILON: Final = 1e-6
 
 _NOT_CHECKED: Final = BoundCheck("not checked", "the plan does not hold")
 
-Levels = dict[FunctionalityRef, int]
+ModeLevels = dict[FunctionalityRef, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,9 +207,9 @@ class Ledger:
         self.roles: list[set[str]] = []
         self.broken: dict[str, None] = {}
 
-    def _now(self, configuration: Configuration) -> Levels:
+    def _now(self, configuration: Configuration) -> ModeLevels:
         """The level of every functionality that both ends have, literally as section 6 defines it."""
-        found: Levels = {}
+        found: ModeLevels = {}
         for counted in self.counted:
             role, name = counted.ref
             served = [
@@ -221,7 +221,7 @@ class Ledger:
             found[counted.ref] = min([counted.worst, *served])
         return found
 
-    def _below(self, ref: FunctionalityRef, levels: Levels) -> int:
+    def _below(self, ref: FunctionalityRef, levels: ModeLevels) -> int:
         return max(0, levels[ref] - self.baseline[ref])
 
     def _weight(self, ref: FunctionalityRef) -> float:

@@ -20,7 +20,7 @@ from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.restore.restoring import lacking
 from midstride.runtime.timeouts import within
 from midstride.runtime.workspace import Workspace
-from midstride.wire.channel import Report
+from midstride.wire.channel import ComponentReport
 from midstride.wire.commands import ModesCommand
 from midstride.wire.frames import StateChanged
 from midstride.wire.state import ComponentState, FieldSamples, FunctionalityState, LinkState, Measured
@@ -313,7 +313,7 @@ def test_a_degraded_mode_that_is_at_work_is_no_call_that_hangs(
     """Each report shows a call under way, of which only a long one may hang."""
     on_report = ComponentClient._on_report
 
-    def at_work(self: ComponentClient, instance: str, frame: Report) -> None:
+    def at_work(self: ComponentClient, instance: str, frame: ComponentReport) -> None:
         if isinstance(frame, StateChanged):
             views = {name: structs.replace(view, busy=busy) for name, view in frame.state.functionalities.items()}
             frame = StateChanged(state=structs.replace(frame.state, functionalities=views))

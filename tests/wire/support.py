@@ -13,7 +13,7 @@ from typing import Any
 
 from midstride.codec.component_form import NamedComponentForm, decode_component
 from midstride.errors import Unreachable
-from midstride.wire.command_server import CommandServer, Handler
+from midstride.wire.command_server import CommandServer, RequestHandler
 from midstride.wire.frames import PROTOCOL, Greeting, Hello, Registration, Reply, Request, StateChanged, encode
 from midstride.wire.state import ComponentState
 from tests.conformance import puppets
@@ -45,7 +45,7 @@ async def done(request: Request, _: str) -> Reply:
     return Reply(id=request.id, revision=1)
 
 
-def server(handler: Handler = done) -> CommandServer:
+def server(handler: RequestHandler = done) -> CommandServer:
     return CommandServer(GREETING, handler)
 
 

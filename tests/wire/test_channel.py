@@ -11,7 +11,7 @@ import pytest
 
 from midstride.backends.simulator.virtual_loop import run
 from midstride.errors import CallTimeout, ProtocolError, Unreachable
-from midstride.wire.channel import Channel, Report
+from midstride.wire.channel import Channel, ComponentReport
 from midstride.wire.commands import PingCommand
 from midstride.wire.frames import Hello, Reply, Request, decode_from_client, encode
 from midstride.wire.pipe import PipeNetwork
@@ -90,7 +90,7 @@ def test_reports_go_to_the_caller_and_the_end_is_reported_once() -> None:
         connection.close()
 
     async def client(network: PipeNetwork) -> None:
-        reports: list[Report] = []
+        reports: list[ComponentReport] = []
         ends: list[int] = []
         channel = await opened(network, report=reports.append, ended=lambda: ends.append(len(reports)))
         await channel.closed.wait()
@@ -142,7 +142,7 @@ def test_garbage_ends_the_connection_with_its_reason() -> None:
 
 
 def test_a_report_that_cannot_be_handled_ends_the_connection_and_is_logged() -> None:
-    def report(_: Report) -> None:
+    def report(_: ComponentReport) -> None:
         raise ZeroDivisionError("a bug")
 
     async def component(connection: Connection) -> None:
@@ -231,10 +231,10 @@ def test_closing_it_within_a_report_ends_the_reports() -> None:
 
     async def main() -> None:
         connection = BlockedConnection(*(encode(state(revision)) for revision in range(3)))
-        reports: list[Report] = []
+        reports: list[ComponentReport] = []
         ends: list[bool] = []
 
-        def report(frame: Report) -> None:
+        def report(frame: ComponentReport) -> None:
             reports.append(frame)
             channel.close()
 

@@ -9,8 +9,8 @@ import pytest
 
 from midstride.backends.simulator.virtual_loop import run
 from midstride.errors import Unreachable
-from midstride.wire.channel import Channel, Report
-from midstride.wire.command_server import HELLO_TIMEOUT, UNDER_WAY, CommandServer, Handler
+from midstride.wire.channel import Channel, ComponentReport
+from midstride.wire.command_server import HELLO_TIMEOUT, UNDER_WAY, CommandServer, RequestHandler
 from midstride.wire.commands import PingCommand
 from midstride.wire.frames import (
     Hello,
@@ -27,7 +27,7 @@ from .support import GREETING, HELLO, REGISTRATION, BlockedConnection, done, eve
 Main = Callable[[CommandServer, PipeNetwork], Awaitable[None]]
 
 
-def serving(main: Main, handler: Handler = done) -> None:
+def serving(main: Main, handler: RequestHandler = done) -> None:
     async def opened() -> None:
         network, commands = PipeNetwork(), server(handler)
         await commands.open(network)
@@ -39,13 +39,13 @@ def serving(main: Main, handler: Handler = done) -> None:
 class Client:
     """A client and what was reported to it."""
 
-    def __init__(self, channel: Channel, reports: list[Report]) -> None:
+    def __init__(self, channel: Channel, reports: list[ComponentReport]) -> None:
         self.channel = channel
         self.reports = reports
 
 
 async def connected(network: PipeNetwork, token: str = "secret") -> Client:
-    reports: list[Report] = []
+    reports: list[ComponentReport] = []
     channel = await Channel.open(network, "memory:talker", token, timeout=1.0, report=reports.append)
     await asyncio.sleep(0.01)
     return Client(channel, reports)

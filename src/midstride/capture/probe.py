@@ -28,7 +28,7 @@ _STEADY: Final = 3.0
 # With fewer messages held back, nothing was tried.
 FEWEST_HELD: Final = 3
 
-Verdict: TypeAlias = Literal["depends", "indirect", "independent", "undecided"]
+ProbeVerdict: TypeAlias = Literal["depends", "indirect", "independent", "undecided"]
 
 
 class ProbedPort(NamedTuple):
@@ -68,7 +68,7 @@ class ProbedGates(Protocol):
 class Dependence:
     """Whether an output depends on an input, and the evidence in words. ``more``: whether more rounds may decide it."""
 
-    verdict: Verdict
+    verdict: ProbeVerdict
     because: str
     more: bool = False
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
-from midstride.capture.probe import Dependence, Dependences, Verdict
+from midstride.capture.probe import Dependence, Dependences, ProbeVerdict
 from midstride.capture.rates import MeasuredRate, measured
 from midstride.lang.token_stream import RESERVED
 from midstride.model.contract import DEFAULT_QOS, QoS
@@ -17,7 +17,7 @@ from midstride.model.wording import counted
 FUNCTIONALITY: Final = "main"
 SHORT: Final = 70
 # From what asks for no assumption to what does.
-_VERDICTS: Final[tuple[Verdict, ...]] = ("independent", "indirect", "undecided", "depends")
+_VERDICTS: Final[tuple[ProbeVerdict, ...]] = ("independent", "indirect", "undecided", "depends")
 _NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_]+")
 
 

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import urlencode
 
 from midstride import errors
+from midstride.codec.form import Document
 
 if TYPE_CHECKING:
     from midstride.runtime.records.status_forms import ParametersReport, ProgramStatus, Service, Status, Why
 
 F = TypeVar("F")
-Document = dict[str, Any]
-Event = dict[str, Any]
+EventDocument = Document
 
 # Requests that only read are answered at once, or something is wrong (s).
 READ_TIMEOUT = 10.0
@@ -115,7 +115,7 @@ class Client:
             ParametersReport, "POST", "/parameters", {"node": node, "parameters": dict(values)}, timeout=None
         )
 
-    def events(self, since: int = 0) -> Iterator[Event]:
+    def events(self, since: int = 0) -> Iterator[EventDocument]:
         """The events after number ``since`` and each new one, until the manager closes the stream or exits."""
         connection = _UnixConnection(self._socket, None)
         try:

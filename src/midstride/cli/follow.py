@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from midstride.cli.client import Client, Document, Event
+from midstride.cli.client import Client, EventDocument
+from midstride.codec.form import Document
 from midstride.errors import MidstrideError
 
 # How long to wait, after the answer, for events still under way (s).
@@ -27,12 +28,12 @@ class FollowedRequest:
     since: int
     until: str
     id: str | None = None
-    _queue: queue.Queue[Event | None] = field(default_factory=queue.Queue)
+    _queue: queue.Queue[EventDocument | None] = field(default_factory=queue.Queue)
     _answer: Document | None = None
     _error: MidstrideError | None = None
     _in_command: bool = False
 
-    def __iter__(self) -> Iterator[Event]:
+    def __iter__(self) -> Iterator[EventDocument]:
         """Each event, until the answer and the event of kind ``until`` have come or no more events follow."""
         for target in (self._read_events, self._send):
             threading.Thread(target=target, daemon=True).start()
@@ -48,7 +49,7 @@ class FollowedRequest:
                 yield event
                 complete = complete or event["kind"] == self.until
 
-    def _belongs(self, event: Event) -> bool:
+    def _belongs(self, event: EventDocument) -> bool:
         """Whether an event is about this command. The manager runs one at a time, and each starts with an event."""
         if self.id is None:
             return True

@@ -11,7 +11,7 @@ from rich.live import Live
 from rich.text import Text
 
 from midstride.cli import render, render_status
-from midstride.cli.client import Client, Event
+from midstride.cli.client import Client, EventDocument
 from midstride.cli.follow import last_event_number
 from midstride.cli.output import console
 from midstride.errors import MidstrideError
@@ -29,7 +29,7 @@ def watch(client: Client, system: str, since: int | None = None) -> int:
     Of the events, those after number ``since``, by default those that come.
     """
     out = console()
-    shown: deque[Event] = deque(maxlen=EVENTS_SHOWN)
+    shown: deque[EventDocument] = deque(maxlen=EVENTS_SHOWN)
     try:
         since = last_event_number(client) if since is None else since
         if out.is_terminal:
@@ -51,7 +51,7 @@ def watch(client: Client, system: str, since: int | None = None) -> int:
     return 1
 
 
-def _live(client: Client, out: Console, shown: deque[Event], since: int) -> None:
+def _live(client: Client, out: Console, shown: deque[EventDocument], since: int) -> None:
     changed, over = threading.Event(), threading.Event()
 
     def read_events() -> None:

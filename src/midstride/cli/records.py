@@ -6,9 +6,9 @@ from contextlib import suppress
 
 import click
 
-from midstride.cli.client import READ_TIMEOUT, Client, Document
+from midstride.cli.client import READ_TIMEOUT, Client
 from midstride.cli.running_systems import answering, find_records
-from midstride.codec.form import encode
+from midstride.codec.form import Document, encode
 from midstride.errors import NoManager
 from midstride.runtime.workspace import Workspace
 

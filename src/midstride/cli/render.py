@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from collections.abc import Iterable
+from typing import Final
 
 from rich.console import Group, RenderableType
 from rich.markup import escape
@@ -12,10 +12,9 @@ from rich.table import Table
 from rich.text import Text
 
 from midstride.cli.console import PrintableTable
+from midstride.codec.form import Document
 from midstride.model import wording
 from midstride.model.instance_names import is_named_after
-
-Document = Mapping[str, Any]
 
 UNKNOWN: Final = "unknown"
 _COUNTS: Final = ("missed", "lost", "duplicates")

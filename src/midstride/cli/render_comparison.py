@@ -10,7 +10,8 @@ from typing import Final
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from midstride.cli.render import Document, planned_seconds, seconds, table
+from midstride.cli.render import planned_seconds, seconds, table
+from midstride.codec.form import Document
 
 # How many characters the longest plan takes.
 WIDTH: Final = 60

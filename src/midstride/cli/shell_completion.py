@@ -6,10 +6,10 @@ The shell waits while this runs and shows whatever it prints, so it gives up ear
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import click
 from click.shell_completion import (
@@ -23,13 +23,13 @@ from click.shell_completion import (
     split_arg_string,
 )
 
+from midstride.codec.form import Document
 from midstride.errors import MidstrideError
 
 VARIABLE: Final = "_MIDSTRIDE_COMPLETE"
 # How long a manager may take to answer (s); a person is waiting in the middle of a line.
 TIMEOUT: Final = 0.3
 
-Document = Mapping[str, Any]
 Complete = Callable[[click.Context, click.Parameter, str], list[str]]
 
 

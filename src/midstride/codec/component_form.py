@@ -21,12 +21,20 @@ import msgspec
 from immutables import Map
 from msgspec import UNSET, Meta, UnsetType
 
-from midstride.codec.contract_form import MessageType, PredicateForm, QoSForm, Rate, Where, predicate_keys, predicate_of
+from midstride.codec.contract_form import (
+    MessageType,
+    PredicateForm,
+    QoSForm,
+    Rate,
+    WhereForm,
+    predicate_keys,
+    predicate_of,
+)
 from midstride.codec.form import (
     LARGEST,
     Document,
     Form,
-    Name,
+    NonEmptyName,
     SecondsOrZero,
     Shape,
     ShapedForm,
@@ -38,7 +46,7 @@ from midstride.codec.form import (
     plain,
     stated,
 )
-from midstride.codec.parameter import ParameterForm, Value, values_form, values_of
+from midstride.codec.parameter import ParameterForm, ValueForm, values_form, values_of
 from midstride.codec.reading import decode
 from midstride.errors import SpecificationError
 from midstride.model.component import (
@@ -53,8 +61,8 @@ from midstride.model.component import (
 from midstride.model.contract import Predicate
 from midstride.model.name_checks import component_names
 
-InputNames: TypeAlias = Annotated[list[Name], field("a list of names of inputs", "its inputs")]
-OutputNames: TypeAlias = Annotated[list[Name], field("a list of names of outputs", "its outputs")]
+InputNames: TypeAlias = Annotated[list[NonEmptyName], field("a list of names of inputs", "its inputs")]
+OutputNames: TypeAlias = Annotated[list[NonEmptyName], field("a list of names of outputs", "its outputs")]
 
 
 class EndpointForm(Form, frozen=True):
@@ -82,11 +90,13 @@ class AssumptionForm(ShapedForm, frozen=True):
     shapes: ClassVar[tuple[Shape, ...]] = (Shape("an assumption of inputs", ("any_of",)),)
     otherwise: ClassVar[Shape] = Shape("a predicate", ("type",), ("rate", "qos", "where"))
 
-    any_of: Annotated[list[Name], field("names of inputs", "one of these inputs", min_length=1)] | UnsetType = UNSET
+    any_of: Annotated[list[NonEmptyName], field("names of inputs", "one of these inputs", min_length=1)] | UnsetType = (
+        UNSET
+    )
     type: MessageType | UnsetType = UNSET
     rate: Rate | UnsetType = UNSET
     qos: QoSForm | UnsetType = UNSET
-    where: Where | UnsetType = UNSET
+    where: WhereForm | UnsetType = UNSET
 
     @classmethod
     def of(cls, assumption: Assumption) -> AssumptionForm | str:
@@ -114,7 +124,9 @@ class ModeForm(Form, frozen=True):
 
     assumes: Annotated[list[AnyAssumption], field("a list of assumptions")] = []
     guarantees: Annotated[dict[str, PredicateForm], field("an object of guarantees", "by output")] = {}
-    parameters: Annotated[dict[str, Value], field("an object of values", "the parameters that are set on entry")] = {}
+    parameters: Annotated[
+        dict[str, ValueForm], field("an object of values", "the parameters that are set on entry")
+    ] = {}
 
     @classmethod
     def of(cls, mode: Mode, functionality: FunctionalitySpec) -> ModeForm:

@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import Annotated, ClassVar, TypeAlias
 
 from midstride.codec.component_form import NamedComponentForm
-from midstride.codec.form import Form, Name, field
-from midstride.codec.parameter import Value, values_form, values_of
+from midstride.codec.form import Form, NonEmptyName, field
+from midstride.codec.parameter import ValueForm, values_form, values_of
 from midstride.codec.reading import decode_form
 from midstride.codec.specification_form import SpecificationForm
 from midstride.errors import SpecificationError
@@ -29,10 +29,10 @@ class InstanceForm(Form, frozen=True):
 
     what: ClassVar[str] = "an instance"
 
-    name: Name
-    role: Name
+    name: NonEmptyName
+    role: NonEmptyName
     component: NamedComponentForm
-    parameters: dict[str, Value]
+    parameters: dict[str, ValueForm]
 
     @classmethod
     def of(cls, instance: Instance) -> InstanceForm:

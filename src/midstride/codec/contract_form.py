@@ -21,8 +21,8 @@ from midstride.codec.form import (
     TOKEN,
     FiniteNumber,
     Form,
-    Scalar,
-    Seconds,
+    PositiveSeconds,
+    ScalarForm,
     field,
     finite,
     given,
@@ -31,7 +31,7 @@ from midstride.codec.form import (
 from midstride.model.contract import (
     DEFAULT_QOS,
     Durability,
-    History,
+    HistoryPolicy,
     Interval,
     Liveliness,
     OneOf,
@@ -49,8 +49,8 @@ class ValuesForm(Form, frozen=True):
 
     what: ClassVar[str] = "a field constraint"
 
-    equal: Scalar | UnsetType = msgspec.field(default=UNSET, name="=")
-    one_of: Annotated[list[Scalar], field("a list of values")] | UnsetType = msgspec.field(default=UNSET, name="in")
+    equal: ScalarForm | UnsetType = msgspec.field(default=UNSET, name="=")
+    one_of: Annotated[list[ScalarForm], field("a list of values")] | UnsetType = msgspec.field(default=UNSET, name="in")
     at_least: Bound | UnsetType = msgspec.field(default=UNSET, name=">=")
     above: Bound | UnsetType = msgspec.field(default=UNSET, name=">")
     at_most: Bound | UnsetType = msgspec.field(default=UNSET, name="<=")
@@ -93,12 +93,12 @@ class QoSForm(Form, frozen=True):
 
     reliability: Reliability | UnsetType = UNSET
     durability: Durability | UnsetType = UNSET
-    deadline: Seconds | UnsetType = msgspec.field(default=UNSET, name="deadline_seconds")
+    deadline: PositiveSeconds | UnsetType = msgspec.field(default=UNSET, name="deadline_seconds")
     liveliness: Liveliness | UnsetType = UNSET
-    lease: Seconds | UnsetType = msgspec.field(default=UNSET, name="lease_seconds")
+    lease: PositiveSeconds | UnsetType = msgspec.field(default=UNSET, name="lease_seconds")
     depth: Annotated[int, field("a depth", ge=1)] | UnsetType = UNSET
-    history: History | UnsetType = UNSET
-    lifespan: Seconds | UnsetType = msgspec.field(default=UNSET, name="lifespan_seconds")
+    history: HistoryPolicy | UnsetType = UNSET
+    lifespan: PositiveSeconds | UnsetType = msgspec.field(default=UNSET, name="lifespan_seconds")
 
     @classmethod
     def of(cls, qos: QoS) -> QoSForm:
@@ -122,7 +122,7 @@ Rate: TypeAlias = Annotated[float, field("a rate in Hz", "in Hz, at least", gt=0
 FieldPath: TypeAlias = Annotated[
     str, field("the path of a field", help="write it as `header.frame_id`", pattern=rf"^[^\W\d]\w*(\.[^\W\d]\w*)*{END}")
 ]
-Where: TypeAlias = Annotated[
+WhereForm: TypeAlias = Annotated[
     dict[FieldPath, ValuesForm], field("an object of fields", "the values that fields may have, by dotted path")
 ]
 
@@ -135,7 +135,7 @@ class PredicateForm(Form, frozen=True):
     type: MessageType
     rate: Rate | UnsetType = UNSET
     qos: QoSForm | UnsetType = UNSET
-    where: Where | UnsetType = UNSET
+    where: WhereForm | UnsetType = UNSET
 
     @classmethod
     def of(cls, predicate: Predicate) -> PredicateForm:

@@ -15,9 +15,7 @@ from typing import Any, Final
 from msgspec import inspect
 
 from midstride.codec.form import Form, ShapedForm
-from midstride.model.diagnostics import Problem, suggestion
-
-Path = tuple[str, ...]
+from midstride.model.diagnostics import Problem, SubjectPath, suggestion
 
 
 class RepeatedKeys(dict[str, Any]):
@@ -47,7 +45,7 @@ class FaultFinder:
     def __init__(self) -> None:
         self.faults: list[Problem] = []
 
-    def read(self, value: Any, type_: inspect.Type, path: Path, what: str = "", help: str = "") -> Any:
+    def read(self, value: Any, type_: inspect.Type, path: SubjectPath, what: str = "", help: str = "") -> Any:
         """The value in the form of ``type_``, or a stand-in for it. ``what`` says in messages what it should be."""
         if isinstance(type_, inspect.Metadata):
             return self._described(value, type_, path, what, help)
@@ -71,14 +69,14 @@ class FaultFinder:
             return self._expected(value, type_, path, what or "true or false")
         return value
 
-    def _fault(self, code: str, path: Path, message: str, help: str = "") -> None:
+    def _fault(self, code: str, path: SubjectPath, message: str, help: str = "") -> None:
         self.faults.append(Problem(code, path, message, help))
 
-    def _expected(self, value: object, type_: inspect.Type, path: Path, what: str, help: str = "") -> Any:
+    def _expected(self, value: object, type_: inspect.Type, path: SubjectPath, what: str, help: str = "") -> Any:
         self._fault("E001", path, f"{what} is expected, this is {shown(value)}", help)
         return stand_in(type_)
 
-    def _described(self, value: Any, type_: inspect.Metadata, path: Path, what: str, help: str) -> Any:
+    def _described(self, value: Any, type_: inspect.Metadata, path: SubjectPath, what: str, help: str) -> Any:
         extra = type_.extra or {}
         before = len(self.faults)
         found = self.read(value, type_.type, path, extra.get("what") or what, extra.get("help") or help)
@@ -91,7 +89,7 @@ class FaultFinder:
 
     # -- objects and lists -------------------------------------------------------------------------------------
 
-    def _keys(self, value: dict[Any, Any], path: Path) -> dict[str, Any]:
+    def _keys(self, value: dict[Any, Any], path: SubjectPath) -> dict[str, Any]:
         """The entries whose keys are texts; keys that are none, or written twice, are faults."""
         for key in getattr(value, "repeated", ()):
             self._fault("E007", (*path, key), f"`{key}` is written twice", "JSON would keep the last one alone")
@@ -100,7 +98,7 @@ class FaultFinder:
                 self._fault("E001", path, f"the key {key!r} is not a text")
         return {key: entry for key, entry in value.items() if isinstance(key, str)}
 
-    def _struct(self, value: Any, type_: inspect.StructType, path: Path) -> Any:
+    def _struct(self, value: Any, type_: inspect.StructType, path: SubjectPath) -> Any:
         form = type_.cls
         what: str = getattr(form, "what", Form.what)
         fields = {field.encode_name: field for field in type_.fields}
@@ -132,7 +130,7 @@ class FaultFinder:
                 read[fields[key].name] = stand_in(fields[key].type)
         return form(**read)
 
-    def _entries(self, value: Any, type_: inspect.DictType, path: Path, what: str) -> Any:
+    def _entries(self, value: Any, type_: inspect.DictType, path: SubjectPath, what: str) -> Any:
         if not isinstance(value, dict):
             return self._expected(value, type_, path, what)
         found = {}
@@ -141,7 +139,7 @@ class FaultFinder:
             found[key] = self.read(entry, type_.value_type, (*path, key))
         return found
 
-    def _items(self, value: Any, type_: inspect.ListType, path: Path, what: str) -> Any:
+    def _items(self, value: Any, type_: inspect.ListType, path: SubjectPath, what: str) -> Any:
         if not isinstance(value, (list, tuple)):
             return self._expected(value, type_, path, what, "write [ … ]")
         if type_.min_length is not None and len(value) < type_.min_length:
@@ -149,7 +147,7 @@ class FaultFinder:
             return []
         return [self.read(item, type_.item_type, (*path, str(index))) for index, item in enumerate(value)]
 
-    def _tuple(self, value: Any, type_: inspect.TupleType, path: Path, what: str) -> Any:
+    def _tuple(self, value: Any, type_: inspect.TupleType, path: SubjectPath, what: str) -> Any:
         if not isinstance(value, (list, tuple)):
             return self._expected(value, type_, path, what, "write [ … ]")
         types = type_.item_types
@@ -161,7 +159,7 @@ class FaultFinder:
         found = [self.read(item, item_type, (*path, str(index))) for index, (item, item_type) in enumerate(items)]
         return tuple(found + [stand_in(missing) for missing in types[len(value) :]])
 
-    def _union(self, value: Any, type_: inspect.UnionType, path: Path, what: str, help: str) -> Any:
+    def _union(self, value: Any, type_: inspect.UnionType, path: SubjectPath, what: str, help: str) -> Any:
         matching = [member for member in type_.types if _may_be(value, _bare(member))]
         tagged = [member for member in matching if isinstance(bare := _bare(member), inspect.StructType) and bare.tag]
         if tagged:
@@ -175,7 +173,7 @@ class FaultFinder:
             return self._expected(value, type_, path, what or named, help)
         return self.read(value, matching[0], path, what, help)
 
-    def _tagged(self, value: dict[Any, Any], members: Sequence[inspect.Type], path: Path) -> Any:
+    def _tagged(self, value: dict[Any, Any], members: Sequence[inspect.Type], path: SubjectPath) -> Any:
         """One of several structs, distinguished by the value of a key."""
         by_tag = {str(bare.tag): bare for member in members if isinstance(bare := _bare(member), inspect.StructType)}
         first = next(iter(by_tag.values()))
@@ -196,7 +194,7 @@ class FaultFinder:
 
     # -- values ------------------------------------------------------------------------------------------------
 
-    def _text(self, value: Any, type_: inspect.StrType, path: Path, what: str, help: str) -> Any:
+    def _text(self, value: Any, type_: inspect.StrType, path: SubjectPath, what: str, help: str) -> Any:
         if not isinstance(value, str):
             return self._expected(value, type_, path, what, help)
         if type_.min_length and not value:
@@ -208,7 +206,7 @@ class FaultFinder:
             self._fault("E001", path, f"{what} of at most {type_.max_length} characters is expected")
         return value
 
-    def _word(self, value: Any, type_: inspect.LiteralType, path: Path) -> Any:
+    def _word(self, value: Any, type_: inspect.LiteralType, path: SubjectPath) -> Any:
         words = ", ".join(map(str, type_.values))
         if not isinstance(value, str):
             return self._expected(value, type_, path, f"one of {words}")
@@ -217,7 +215,7 @@ class FaultFinder:
             return type_.values[0]
         return value
 
-    def _number(self, value: Any, type_: inspect.IntType | inspect.FloatType, path: Path, what: str) -> Any:
+    def _number(self, value: Any, type_: inspect.IntType | inspect.FloatType, path: SubjectPath, what: str) -> Any:
         whole = isinstance(type_, inspect.IntType)
         what = what or "a number"
         if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):

@@ -59,11 +59,11 @@ class ShapedForm(Form, frozen=True):
             raise ValueError(f"{self.what} is expected")
 
 
-Check: TypeAlias = Callable[[Any], "str | None"]
+FormCheck: TypeAlias = Callable[[Any], "str | None"]
 
 
 def field(
-    what: str, description: str | None = None, *, help: str = "", check: Check | None = None, **constraints: Any
+    what: str, description: str | None = None, *, help: str = "", check: FormCheck | None = None, **constraints: Any
 ) -> Meta:
     """The constraints on a value, and the words for what it is, in a message that misses it and in the schema.
 
@@ -81,8 +81,8 @@ END = r"(?!\n)$"
 LARGEST = sys.float_info.max
 
 FiniteNumber: TypeAlias = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
-Scalar: TypeAlias = Annotated[bool | int | FiniteNumber | str, field("a text, a number or a boolean")]
-Seconds: TypeAlias = Annotated[float, field("a number of seconds", gt=0, le=LARGEST)]
+ScalarForm: TypeAlias = Annotated[bool | int | FiniteNumber | str, field("a text, a number or a boolean")]
+PositiveSeconds: TypeAlias = Annotated[float, field("a number of seconds", gt=0, le=LARGEST)]
 SecondsOrZero: TypeAlias = Annotated[float, field("a number of seconds", ge=0, le=LARGEST)]
 
 
@@ -129,7 +129,7 @@ def by_name(what: str, description: str, pattern: str = TOKEN) -> Meta:
     return field(what, description, extra_json_schema={"propertyNames": named(pattern)})
 
 
-Name: TypeAlias = Annotated[str, Meta(min_length=1)]
+NonEmptyName: TypeAlias = Annotated[str, Meta(min_length=1)]
 
 
 def encode(form: msgspec.Struct) -> Document:

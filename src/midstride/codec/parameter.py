@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, TypeAlias, cast
 
 from immutables import Map
 
-from midstride.codec.form import FiniteNumber, Form, Scalar, field, finite
+from midstride.codec.form import FiniteNumber, Form, ScalarForm, field, finite
 from midstride.model.component import ParameterSpec, ParameterValue
 
 _KINDS = {bool: "booleans", int: "integers", float: "reals", str: "texts"}
@@ -21,8 +21,8 @@ def _mixed(value: object) -> str | None:
 
 
 PlainValue: TypeAlias = bool | int | float | str | list[bool | int | float | str]
-Value: TypeAlias = Annotated[
-    bool | int | FiniteNumber | str | list[Scalar],
+ValueForm: TypeAlias = Annotated[
+    bool | int | FiniteNumber | str | list[ScalarForm],
     field(
         "a text, a number or a boolean",
         "the value of a parameter; a list is of one kind",
@@ -57,7 +57,7 @@ class ParameterForm(Form, frozen=True):
 
     what: ClassVar[str] = "a parameter"
 
-    value: Value
+    value: ValueForm
     changeable: bool = False
 
     @classmethod

@@ -30,8 +30,8 @@ from midstride.codec.form import (
     TOKEN,
     Document,
     Form,
-    Name,
-    Seconds,
+    NonEmptyName,
+    PositiveSeconds,
     SecondsOrZero,
     Shape,
     ShapedForm,
@@ -44,7 +44,7 @@ from midstride.codec.form import (
     plain,
     stated,
 )
-from midstride.codec.parameter import Value, values_form, values_of
+from midstride.codec.parameter import ValueForm, values_form, values_of
 from midstride.codec.reading import decode
 from midstride.model.component import Connector, EnvironmentGuarantee, FunctionalityRef, Resource
 from midstride.model.name_checks import specification_names
@@ -104,7 +104,7 @@ class RespawnForm(Form, frozen=True):
         | UnsetType
     ) = UNSET
     max_retries: Annotated[int, field("a number of restarts", "the most restarts in the window", ge=0)] = 5
-    window_seconds: Annotated[Seconds, Meta(description="the time in which restarts count")] = 60
+    window_seconds: Annotated[PositiveSeconds, Meta(description="the time in which restarts count")] = 60
     fallback: (
         Annotated[str, field("the name of a component", "what then replaces the node", min_length=1)] | UnsetType
     ) = UNSET
@@ -136,10 +136,12 @@ class NodeForm(Form, frozen=True):
 
     component: Annotated[str, field("the name of a component", min_length=1)]
     attachments: Annotated[
-        dict[str, Annotated[list[Name], field("a list of names of topics")]],
+        dict[str, Annotated[list[NonEmptyName], field("a list of names of topics")]],
         field("an object of attachments", "the topics of each port"),
     ] = {}
-    parameters: Annotated[dict[str, Value], field("an object of values", "its own values, over its component's")] = {}
+    parameters: Annotated[
+        dict[str, ValueForm], field("an object of values", "its own values, over its component's")
+    ] = {}
     respawn: RespawnForm | UnsetType = UNSET
 
     @classmethod
@@ -173,12 +175,12 @@ class ConstraintForm(ShapedForm, frozen=True):
         Shape("the constraint `order`", ("order", "before")),
     )
 
-    keep: Annotated[Name, field("a name")] | UnsetType = UNSET
-    at: Annotated[Name, field("a name")] | UnsetType = UNSET
-    limit: Annotated[Name, field("a name")] | UnsetType = UNSET
+    keep: Annotated[NonEmptyName, field("a name")] | UnsetType = UNSET
+    at: Annotated[NonEmptyName, field("a name")] | UnsetType = UNSET
+    limit: Annotated[NonEmptyName, field("a name")] | UnsetType = UNSET
     below_baseline_seconds: SecondsOrZero | UnsetType = UNSET
-    order: Annotated[Name, field("a name")] | UnsetType = UNSET
-    before: Annotated[Name, field("a name")] | UnsetType = UNSET
+    order: Annotated[NonEmptyName, field("a name")] | UnsetType = UNSET
+    before: Annotated[NonEmptyName, field("a name")] | UnsetType = UNSET
 
     @classmethod
     def of(cls, constraint: Constraint) -> ConstraintForm:

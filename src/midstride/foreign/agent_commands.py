@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Final
 
@@ -19,6 +19,7 @@ from midstride.node.control.attachments import SETTLE, not_matched
 from midstride.node.control.rate_watch import RateWatch
 from midstride.node.handover.baton import BatonStep
 from midstride.wire import commands, replies
+from midstride.wire.command_server import CommandHandler
 from midstride.wire.commands import Command
 from midstride.wire.program import Program
 from midstride.wire.state import WireValue
@@ -28,8 +29,6 @@ WATCH: Final = 0.05
 # An output with a rate hangs if it has been silent for so many periods, and at least so long (s).
 HANGS_PERIODS: Final = 10
 HANGS: Final = 1.0
-
-Handler = Callable[[Any], Awaitable[WireValue]]
 
 
 class ForeignCommands:
@@ -46,7 +45,7 @@ class ForeignCommands:
         self._node, self._cuts = node, cuts
         self._parameters, self._lifecycle = parameters, lifecycle
         self._report = report
-        self._handlers: dict[type[Command[Any]], Handler] = {
+        self._handlers: dict[type[Command[Any]], CommandHandler] = {
             commands.AttachCommand: self._attach,
             commands.DetachCommand: self._detach,
             commands.GateCommand: self._gate,

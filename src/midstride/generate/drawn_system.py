@@ -18,7 +18,7 @@ from midstride.model.specification import Specification
 # Systems with more nodes are drawn by namespace unless requested otherwise.
 READABLE: Final = 40
 
-Kind = Literal["node", "group", "environment"]
+DrawnKind = Literal["node", "group", "environment"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class Port:
 class Box:
     id: str
     title: str
-    kind: Kind = "node"
+    kind: DrawnKind = "node"
     inputs: tuple[Port, ...] = ()
     outputs: tuple[Port, ...] = ()
     lines: tuple[str, ...] = ()

@@ -18,7 +18,7 @@ from midstride.model.component import ComponentSpec
 from midstride.model.printable import on_one_line
 from midstride.model.specification import Specification
 
-Kind = Literal["component", "whole", "copy", "empty"]
+ProjectKind = Literal["component", "whole", "copy", "empty"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class GeneratedFile:
 
     path: PurePosixPath
     text: str
-    kind: Kind
+    kind: ProjectKind
     executable: bool = False
 
 

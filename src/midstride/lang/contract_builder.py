@@ -18,7 +18,7 @@ from midstride.model.contract import (
     NOTHING,
     Contract,
     Durability,
-    History,
+    HistoryPolicy,
     Interval,
     Liveliness,
     OneOf,
@@ -35,7 +35,7 @@ POLICY_WORDS: Final[Mapping[str, tuple[str, ...]]] = {
     "reliability": get_args(Reliability),
     "durability": get_args(Durability),
     "liveliness": get_args(Liveliness),
-    "history": get_args(History),
+    "history": get_args(HistoryPolicy),
 }
 _DURATIONS: Final = ("deadline", "lease", "lifespan")
 POLICIES: Final = (*POLICY_WORDS, *_DURATIONS, "depth")

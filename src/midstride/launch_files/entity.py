@@ -11,7 +11,7 @@ from midstride.lang.source import Source, Span
 from midstride.lang.yaml_tree import InvalidYaml, Tree, read_tree
 
 Plain: TypeAlias = "str | bool | int | float"
-Value: TypeAlias = "Plain | list[Plain]"
+EntityValue: TypeAlias = "Plain | list[Plain]"
 
 MAX_NESTING: Final = 64
 YAML_ENDINGS: Final = (".yaml", ".yml")
@@ -29,7 +29,7 @@ class Entity:
     tag: str
     span: Span
     typed: bool = False
-    attributes: dict[str, Value] = field(default_factory=dict)
+    attributes: dict[str, EntityValue] = field(default_factory=dict)
     children: list[Entity] = field(default_factory=list)
 
     def named(self, *tags: str) -> Iterator[Entity]:

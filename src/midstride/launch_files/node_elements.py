@@ -11,7 +11,7 @@ from typing import Any, Final
 from midstride.lang.source import Span
 from midstride.launch_files.allowed_files import ReadableFiles
 from midstride.launch_files.context import Context, ParameterFileName, Setting
-from midstride.launch_files.entity import Entity, Value
+from midstride.launch_files.entity import Entity, EntityValue
 from midstride.launch_files.expression import shortened
 from midstride.launch_files.findings import ImportFindings, UnknownValue
 from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedSystem
@@ -230,7 +230,7 @@ class NodeElements:
                 message = f"the attribute `{name}` of `{entity.tag}` is left out"
                 self.findings.add("unsupported", message, entity.span)
 
-    def required(self, entity: Entity, attribute: str) -> Value:
+    def required(self, entity: Entity, attribute: str) -> EntityValue:
         """Raises UnknownValue."""
         if attribute not in entity.attributes:
             raise UnknownValue(f"`{entity.tag}` has no `{attribute}`", "unsupported")

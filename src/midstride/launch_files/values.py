@@ -8,7 +8,7 @@ from typing import Final, TypeAlias
 
 from midstride.lang.source import Source
 from midstride.lang.yaml_tree import InvalidYaml, read_tree
-from midstride.launch_files.entity import Entity, Plain, Value
+from midstride.launch_files.entity import Entity, EntityValue, Plain
 from midstride.launch_files.findings import UnknownValue
 from midstride.model.component import ParameterValue
 
@@ -16,7 +16,7 @@ Substitute: TypeAlias = Callable[[str], str]
 _TYPES: Final[dict[str, type]] = {"str": str, "int": int, "float": float, "bool": bool}
 
 
-def plain(value: Value) -> str:
+def plain(value: EntityValue) -> str:
     """The value of an attribute as text, as it would be in XML."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 

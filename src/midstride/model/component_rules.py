@@ -13,9 +13,7 @@ from typing import Final
 
 from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode, ParameterValue
 from midstride.model.contract import OneOf, Predicate, QoS, explain, format_number
-from midstride.model.diagnostics import Problem
-
-Path = tuple[str, ...]
+from midstride.model.diagnostics import Problem, SubjectPath
 
 # The largest number that a specification may state, in base units and of either sign; parameters are ROS's to limit.
 MAX_NUMBER: Final = 1e18
@@ -24,7 +22,7 @@ _INT64: Final = 2**63
 
 
 def number_problems(
-    value: float | None, what: str, path: Path, *, zero: bool = False, most: float = MAX_NUMBER
+    value: float | None, what: str, path: SubjectPath, *, zero: bool = False, most: float = MAX_NUMBER
 ) -> Iterator[Problem]:
     """``value``, where stated, must be finite, positive (or zero, where that has a meaning) and at most ``most``."""
     if value is None:
@@ -37,14 +35,14 @@ def number_problems(
         yield Problem("E004", path, message, f"write at most {format_number(most)}")
 
 
-def value_problems(value: ParameterValue, path: Path) -> Iterator[Problem]:
+def value_problems(value: ParameterValue, path: SubjectPath) -> Iterator[Problem]:
     """The value of a parameter must be one that ROS has."""
     members = value if isinstance(value, (list, tuple)) else [value]
     if any(isinstance(member, int) and not -_INT64 <= member < _INT64 for member in members):
         yield Problem("E004", path, "integer parameters have at most 64 bits", "write a real number, such as 1e20")
 
 
-def predicate_problems(predicate: Predicate, path: Path) -> Iterator[Problem]:
+def predicate_problems(predicate: Predicate, path: SubjectPath) -> Iterator[Problem]:
     """A predicate needs meaningful numbers, and constraints on fields that some value meets."""
     yield from number_problems(predicate.rate, "a rate in Hz", (*path, "rate"))
     for name in ("deadline", "lease", "lifespan"):
@@ -64,7 +62,7 @@ def predicate_problems(predicate: Predicate, path: Path) -> Iterator[Problem]:
             yield Problem("E016", where, f"no value of field {field} meets all its constraints ({values})")
 
 
-def component_rules(component: ComponentSpec, path: Path) -> Iterator[Problem]:
+def component_rules(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
     """Ownership of outputs, M1, M2, M3, and the predicates and numbers of one component."""
     for name in component.input_order:
         yield from predicate_problems(component.inputs[name], (*path, "inputs", name))
@@ -84,7 +82,7 @@ def component_rules(component: ComponentSpec, path: Path) -> Iterator[Problem]:
         yield from _functionality_rules(functionality, (*path, "functionalities", functionality.name))
 
 
-def _tolerance(component: ComponentSpec, name: str, path: Path) -> Iterator[Problem]:
+def _tolerance(component: ComponentSpec, name: str, path: SubjectPath) -> Iterator[Problem]:
     missed, assumption = component.tolerates.get(name), component.inputs[name]
     yield from number_problems(missed, f"the number of missed messages that {name} tolerates", path, most=MAX_DEPTH)
     if missed is not None and assumption.type and assumption.rate is None and assumption.qos.deadline is None:
@@ -95,7 +93,7 @@ def _tolerance(component: ComponentSpec, name: str, path: Path) -> Iterator[Prob
         yield Problem("E004", (*path[:-1], "condition"), message, "add `where …`, or leave out `condition`")
 
 
-def _ownership(component: ComponentSpec, path: Path) -> Iterator[Problem]:
+def _ownership(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
     misspelt = any(name not in component.outputs for f in component for name in f.outputs)
     guaranteed = {name for f in component for mode in f.modes for name in mode.guarantees}
     for index, output in enumerate(component.outputs):
@@ -111,7 +109,7 @@ def _ownership(component: ComponentSpec, path: Path) -> Iterator[Problem]:
             yield Problem("E013", where, f"no functionality produces output {output}", help)
 
 
-def _functionality_rules(functionality: FunctionalitySpec, path: Path) -> Iterator[Problem]:
+def _functionality_rules(functionality: FunctionalitySpec, path: SubjectPath) -> Iterator[Problem]:
     name, modes = functionality.name, functionality.modes
     yield from number_problems(functionality.weight, f"the weight of {name}", (*path, "weight"), zero=True)
     if len(modes) < 2:
@@ -142,7 +140,7 @@ def _functionality_rules(functionality: FunctionalitySpec, path: Path) -> Iterat
             yield from _monotone(functionality, output, better, worse, split, path)
 
 
-def _one_endpoint(functionality: FunctionalitySpec, output: str, path: Path) -> Generator[Problem, None, bool]:
+def _one_endpoint(functionality: FunctionalitySpec, output: str, path: SubjectPath) -> Generator[Problem, None, bool]:
     """M3, reported for the first mode that disagrees. Returns whether there is one."""
     stated = [(mode, mode.guarantees[output]) for mode in functionality.modes if output in mode.guarantees]
     for mode, guarantee in stated[1:]:
@@ -169,7 +167,7 @@ def _in_words(qos: QoS) -> str:
 
 
 def _monotone(
-    functionality: FunctionalitySpec, output: str, better: Mode, worse: Mode, split: bool, path: Path
+    functionality: FunctionalitySpec, output: str, better: Mode, worse: Mode, split: bool, path: SubjectPath
 ) -> Iterator[Problem]:
     """M2 for two neighbours of the chain; for all pairs it follows, since ⊨ is transitive.
 

@@ -18,7 +18,7 @@ Scalar: TypeAlias = bool | int | float | str
 Reliability: TypeAlias = Literal["reliable", "best_effort"]
 Durability: TypeAlias = Literal["transient_local", "volatile"]
 Liveliness: TypeAlias = Literal["automatic", "manual_by_topic"]
-History: TypeAlias = Literal["keep_last", "keep_all"]
+HistoryPolicy: TypeAlias = Literal["keep_last", "keep_all"]
 
 
 def canonical_type(name: str) -> str:
@@ -50,7 +50,7 @@ class QoS:
     liveliness: Liveliness | None = None
     lease: float | None = None
     depth: int | None = None
-    history: History | None = None
+    history: HistoryPolicy | None = None
     lifespan: float | None = None
 
     def unmet_by(self, offered: QoS) -> list[str]:

@@ -14,6 +14,7 @@ from midstride.model.near_miss import did_you_mean, nearest
 from midstride.model.printable import on_one_line
 
 Severity: TypeAlias = Literal["error", "warning"]
+SubjectPath: TypeAlias = tuple[str, ...]  # by the keys of the JSON form, from the specification down
 
 
 # How many comparisons the search for near misses may take in all: 150 unknown among 1,000 known names, say.
@@ -22,10 +23,10 @@ _COMPARISONS: Final = 150_000
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One problem. ``subject`` is the path to it, by the keys of the JSON form, from the specification down."""
+    """One problem, and the path to its ``subject``."""
 
     code: str
-    subject: tuple[str, ...]
+    subject: SubjectPath
     message: str
     help: str = ""
     declared: tuple[str, ...] = field(default=(), compare=False, repr=False)  # E008: where the name would be declared

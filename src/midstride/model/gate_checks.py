@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from midstride.model.component import ComponentSpec, value_fits, value_kind
-from midstride.model.diagnostics import Problem
-from midstride.model.name_checks import Path
+from midstride.model.diagnostics import Problem, SubjectPath
 from midstride.model.specification import Node
 
 _CODE = "E027"
 
 
-def gate_problems(component: ComponentSpec, path: Path) -> Iterator[Problem]:
+def gate_problems(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
     """The problems of one component under ``path``."""
     name = component.name
     for port in component.topics:
@@ -50,7 +49,7 @@ def gate_problems(component: ComponentSpec, path: Path) -> Iterator[Problem]:
             yield Problem(_CODE, (*path, "parameters", parameter), message, "omit `changeable`")
 
 
-def _relayed(component: ComponentSpec, path: Path) -> Iterator[Problem]:
+def _relayed(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
     """A relay passes messages of a known type on or not."""
     for functionality in component:
         for output in functionality.outputs:
@@ -60,7 +59,7 @@ def _relayed(component: ComponentSpec, path: Path) -> Iterator[Problem]:
                 yield Problem(_CODE, (*path, "functionalities", functionality.name), message, help)
 
 
-def _mode_parameters(component: ComponentSpec, path: Path) -> Iterator[Problem]:
+def _mode_parameters(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
     """Those with parameters that modes set."""
     owners: dict[str, str] = {}
     for functionality in component:
@@ -84,7 +83,7 @@ def _mode_parameters(component: ComponentSpec, path: Path) -> Iterator[Problem]:
                     yield Problem(_CODE, where, f"{what}, which the modes of {owner} set as well", help)
 
 
-def gated_node_problems(component: ComponentSpec, node: Node, path: Path) -> Iterator[Problem]:
+def gated_node_problems(component: ComponentSpec, node: Node, path: SubjectPath) -> Iterator[Problem]:
     """The problems of one node of ``component`` under ``path``."""
     if component.gate is None:
         return

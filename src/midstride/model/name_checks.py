@@ -15,7 +15,7 @@ from functools import lru_cache
 from typing import Final
 
 from midstride.model.component import ROS_PARAMETERS, ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
-from midstride.model.diagnostics import Problem, unknown_name, with_suggestions
+from midstride.model.diagnostics import Problem, SubjectPath, unknown_name, with_suggestions
 from midstride.model.specification import TIMING, Keep, Node, Order, Specification
 
 _TOKEN: Final = r"[A-Za-z_][A-Za-z0-9_]*"
@@ -24,10 +24,8 @@ _ROLE: Final = re.compile(rf"{_TOKEN}(/{_TOKEN})*")
 _TOPIC: Final = re.compile(rf"(/{_TOKEN})+")
 _LONGEST: Final = 255  # what ROS 2 allows for a node name
 
-Path = tuple[str, ...]
 
-
-def _invalid_name(kind: str, name: str, path: Path, *, read: bool = False) -> Iterator[Problem]:
+def _invalid_name(kind: str, name: str, path: SubjectPath, *, read: bool = False) -> Iterator[Problem]:
     """``read``: an empty name could not be read, which has been reported already."""
     if (_NAME.fullmatch(name) is None or len(name) > _LONGEST) and not (read and not name):
         yield Problem("E006", path, f"`{name}` is not a valid {kind} name", _instead(name))
@@ -39,14 +37,14 @@ def _instead(name: str) -> str:
     return f"use letters, digits and underscores, and start with no digit: `{plain}`"
 
 
-def _twice(kind: str, names: Sequence[str], path: Path) -> Iterator[Problem]:
+def _twice(kind: str, names: Sequence[str], path: SubjectPath) -> Iterator[Problem]:
     for index, name in enumerate(names):
         if name and name in names[:index]:
             yield Problem("E007", (*path, str(index)), f"{kind} `{name}` is listed twice", "list it once")
 
 
 def _unknown(
-    kind: str, name: str, known: Collection[str], path: Path, declared: Path, of: str = ""
+    kind: str, name: str, known: Collection[str], path: SubjectPath, declared: SubjectPath, of: str = ""
 ) -> Iterator[Problem]:
     if name and name not in known:
         message = unknown_name(kind, name, of)
@@ -56,12 +54,12 @@ def _unknown(
 # -- components --------------------------------------------------------------------------------------
 
 
-def component_names(component: ComponentSpec, path: Path) -> list[Problem]:
+def component_names(component: ComponentSpec, path: SubjectPath) -> list[Problem]:
     """The problems with the names of one component under ``path``."""
     return with_suggestions(list(_component_names(component, path)))
 
 
-def _component_names(component: ComponentSpec, path: Path) -> Iterator[Problem]:
+def _component_names(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
     yield from _invalid_name("component", component.name, path, read=path == ())
     for name in component.input_order:
         yield from _invalid_name("port", name, (*path, "inputs", name))
@@ -94,7 +92,7 @@ def _repeated(names: Sequence[str]) -> list[str]:
 _words = lru_cache(maxsize=1024)(shlex.split)
 
 
-def _command(text: str, path: Path) -> Iterator[Problem]:
+def _command(text: str, path: SubjectPath) -> Iterator[Problem]:
     try:
         words = _words(text)
     except ValueError as error:
@@ -104,7 +102,7 @@ def _command(text: str, path: Path) -> Iterator[Problem]:
         yield Problem("E009", path, "the command is empty", "omit it if the component is started elsewhere")
 
 
-def _package(component: ComponentSpec, package: str, path: Path) -> Iterator[Problem]:
+def _package(component: ComponentSpec, package: str, path: SubjectPath) -> Iterator[Problem]:
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", package):
         yield Problem("E009", (*path, "package"), f"`{package}` is not a valid package name")
     if component.run is None:
@@ -114,7 +112,9 @@ def _package(component: ComponentSpec, package: str, path: Path) -> Iterator[Pro
         yield Problem("E009", (*path, "run"), message, "name the executable alone, or omit the package")
 
 
-def _functionality_names(component: ComponentSpec, functionality: FunctionalitySpec, path: Path) -> Iterator[Problem]:
+def _functionality_names(
+    component: ComponentSpec, functionality: FunctionalitySpec, path: SubjectPath
+) -> Iterator[Problem]:
     yield from _invalid_name("functionality", functionality.name, path)
     of = component.name or "the component"
     for kind, names, known, key in (
@@ -132,7 +132,7 @@ def _functionality_names(component: ComponentSpec, functionality: FunctionalityS
 
 
 def _mode_names(
-    component: ComponentSpec, functionality: FunctionalitySpec, mode: Mode, path: Path, reported: set[str]
+    component: ComponentSpec, functionality: FunctionalitySpec, mode: Mode, path: SubjectPath, reported: set[str]
 ) -> Iterator[Problem]:
     """The problems with the names of one mode. ``reported`` are ports reported for an earlier mode already."""
     yield from _invalid_name("mode", mode.name, path)
@@ -147,7 +147,12 @@ def _mode_names(
 
 
 def _associated(
-    kind: str, name: str, component: ComponentSpec, functionality: FunctionalitySpec, path: Path, reported: set[str]
+    kind: str,
+    name: str,
+    component: ComponentSpec,
+    functionality: FunctionalitySpec,
+    path: SubjectPath,
+    reported: set[str],
 ) -> Iterator[Problem]:
     """A mode may refer only to the ports of its own functionality."""
     key, verb = ("uses", "use") if kind == "input" else ("produces", "produce")
@@ -188,7 +193,7 @@ def _specification_names(specification: Specification) -> Iterator[Problem]:
     for name, component in sorted(specification.components.items()):
         yield from _component_names(component, ("components", name))
         for resource in sorted(component.resource_usage):
-            holder: Path = ("components", name, "holds", resource)
+            holder: SubjectPath = ("components", name, "holds", resource)
             yield from _unknown("resource", resource, specification.resources, holder, ("resources",))
     for role, node in sorted(specification.nodes.items()):
         yield from _node_names(specification, node, ("nodes", role))
@@ -198,12 +203,12 @@ def _specification_names(specification: Specification) -> Iterator[Problem]:
         yield from _unknown("kind of step", kind, TIMING, ("timing_seconds", kind), ())
 
 
-def node_names(specification: Specification, node: Node, path: Path) -> list[Problem]:
+def node_names(specification: Specification, node: Node, path: SubjectPath) -> list[Problem]:
     """The problems with the names of one node under ``path``."""
     return with_suggestions(list(_node_names(specification, node, path)))
 
 
-def _node_names(specification: Specification, node: Node, path: Path) -> Iterator[Problem]:
+def _node_names(specification: Specification, node: Node, path: SubjectPath) -> Iterator[Problem]:
     if not _ROLE.fullmatch(node.role) or len(node.role) > _LONGEST:
         help = "write names joined by `/`, as in `robot1/talker`, without one in front"
         yield Problem("E006", path, f"`{node.role}` is not a valid node name", help)
@@ -255,7 +260,7 @@ def _constraint_names(specification: Specification, index: int) -> Iterator[Prob
     component = None if node is None else specification.components.get(node.component)
     if component is None:
         return
-    declared: Path = ("components", component.name, "functionalities")
+    declared: SubjectPath = ("components", component.name, "functionalities")
     names = component.functionalities
     yield from _unknown("functionality", ref.functionality, names, where, declared, ref.instance)
     functionality = component.functionalities.get(ref.functionality)

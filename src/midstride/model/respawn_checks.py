@@ -10,13 +10,13 @@ from collections.abc import Iterator
 from midstride.model.component import ComponentSpec, PortRef
 from midstride.model.component_rules import number_problems
 from midstride.model.contract import format_number
-from midstride.model.diagnostics import Problem
-from midstride.model.name_checks import Path, missing_for_constraints
+from midstride.model.diagnostics import Problem, SubjectPath
+from midstride.model.name_checks import missing_for_constraints
 from midstride.model.rules import attachment_shortfall
 from midstride.model.specification import Node, Specification
 
 
-def respawn_problems(specification: Specification, node: Node, path: Path) -> Iterator[Problem]:
+def respawn_problems(specification: Specification, node: Node, path: SubjectPath) -> Iterator[Problem]:
     """The problems of the restart policy of ``node``, if it has one."""
     policy, component = node.respawn, specification.components.get(node.component)
     if policy is None:

@@ -25,9 +25,9 @@ from midstride.model.component_rules import component_rules, number_problems, pr
 from midstride.model.configuration import Configuration, to_fraction
 from midstride.model.contract import Contract, Predicate, explain, format_number, satisfies
 from midstride.model.diagnosis import Diagnosis
-from midstride.model.diagnostics import Problem
+from midstride.model.diagnostics import Problem, SubjectPath
 from midstride.model.gate_checks import gate_problems, gated_node_problems
-from midstride.model.name_checks import Path, component_names, node_names, specification_names
+from midstride.model.name_checks import component_names, node_names, specification_names
 from midstride.model.respawn_checks import respawn_problems
 from midstride.model.rules import attachment_shortfall, normal_guarantee
 from midstride.model.specification import Keep, Limit, Node, Order, Specification, structure
@@ -132,7 +132,7 @@ def _capacities(specification: Specification) -> Iterator[Problem]:
 # -- nodes ---------------------------------------------------------------------------------------------
 
 
-def _node_problems(specification: Specification, node: Node, path: Path) -> Iterator[Problem]:
+def _node_problems(specification: Specification, node: Node, path: SubjectPath) -> Iterator[Problem]:
     component = specification.components.get(node.component)
     if component is None:
         return
@@ -163,7 +163,7 @@ def _node_problems(specification: Specification, node: Node, path: Path) -> Iter
             yield Problem("E025", (*path, "parameters", name), f"parameter {name} of {component.name} takes {kinds}")
 
 
-def _unfit(component: ComponentSpec, port: PortRef, connector: Connector, path: Path) -> Iterator[Problem]:
+def _unfit(component: ComponentSpec, port: PortRef, connector: Connector, path: SubjectPath) -> Iterator[Problem]:
     """As for the action ``attach``: the normal mode of an output, or the assumption of an input, must fit the topic."""
     owner = component.find_owner(port.port)
     if port.port in component.inputs:

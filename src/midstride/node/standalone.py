@@ -12,10 +12,10 @@ from midstride.model.component import ComponentSpec, InputAlternatives
 FLAG: Final = "--standalone"
 _REMAPPING: Final = re.compile(r"(?P<port>(?!__)[A-Za-z_]\w*):=(?P<topic>[^\s:=]+)\Z")
 
-Attachments = Mapping[str, Sequence[str]]
+StandaloneTopics = Mapping[str, Sequence[str]]
 
 
-def remappings(arguments: Sequence[str], component: ComponentSpec) -> Attachments | None:
+def remappings(arguments: Sequence[str], component: ComponentSpec) -> StandaloneTopics | None:
     """What ``--standalone`` says: each port's topics; None where that is not given. Raises NodeError for a wrong port.
 
     The remappings are what follows the flag as ``port:=/topic``; every other argument is the author's or ROS's
@@ -36,7 +36,7 @@ def remappings(arguments: Sequence[str], component: ComponentSpec) -> Attachment
     return attachments
 
 
-def best_modes(component: ComponentSpec, attachments: Attachments) -> dict[str, str]:
+def best_modes(component: ComponentSpec, attachments: StandaloneTopics) -> dict[str, str]:
     """The best mode of each functionality, assuming that an attached topic meets its assumptions."""
     modes = {}
     for functionality in component:

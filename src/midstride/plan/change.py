@@ -19,7 +19,7 @@ from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import DEFAULT_SECONDS, Specification, handover_seconds
 from midstride.plan.estimate import Estimate
 
-Attachment = tuple[PortRef, str]
+PortAttachment = tuple[PortRef, str]
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -57,8 +57,8 @@ class Change:
     leaving: tuple[str, ...] = ()
     coming: tuple[Instance, ...] = ()
     replaced: Map[str, str] = field(default_factory=Map)
-    detached: tuple[Attachment, ...] = ()
-    attached: tuple[Attachment, ...] = ()
+    detached: tuple[PortAttachment, ...] = ()
+    attached: tuple[PortAttachment, ...] = ()
     parameters: tuple[tuple[str, Map[str, ParameterValue]], ...] = ()
     pending: tuple[FunctionalityRef, ...] = ()
     lowered: tuple[FunctionalityRef, ...] = ()
@@ -146,9 +146,9 @@ class Change:
                         found.setdefault(new, []).append(Swap(connector, port, successor))
         return {new: tuple(swaps) for new, swaps in found.items()}
 
-    def _outputs(self, attachments: Iterable[Attachment]) -> dict[str, list[Attachment]]:
+    def _outputs(self, attachments: Iterable[PortAttachment]) -> dict[str, list[PortAttachment]]:
         """Those of outputs, by instance."""
-        found: dict[str, list[Attachment]] = {}
+        found: dict[str, list[PortAttachment]] = {}
         for port, connector in attachments:
             if self.is_output(port):
                 found.setdefault(port.instance, []).append((port, connector))

@@ -21,7 +21,7 @@ from midstride.model.instance_names import fresh_name
 from midstride.model.name_checks import node_names
 from midstride.model.rules import Violation, cap_violation, capacity_violation, violations
 from midstride.model.specification import Specification
-from midstride.plan.change import Attachment, Change
+from midstride.plan.change import Change, PortAttachment
 from midstride.plan.estimate import Estimate
 from midstride.plan.request import PlanRequest
 
@@ -112,8 +112,8 @@ class ChangeBuilder:
         self.leaving: list[str] = []
         self.coming: dict[str, Instance] = {}
         self.replaced: dict[str, str] = {}
-        self.detached: list[Attachment] = []
-        self.attached: list[Attachment] = []
+        self.detached: list[PortAttachment] = []
+        self.attached: list[PortAttachment] = []
         self.parameters: list[tuple[str, Map[str, ParameterValue]]] = []
         self.renamed: list[Instance] = []
 
@@ -172,7 +172,7 @@ class ChangeBuilder:
         self.detached.extend(pair for pair in have if pair not in want)
         self.attached.extend(pair for pair in want if pair not in have)
 
-    def _wanted(self, role: str, instance: str) -> list[Attachment]:
+    def _wanted(self, role: str, instance: str) -> list[PortAttachment]:
         pairs = self.target.attachments_of(role, instance)
         return [(port, self.identities.get(connector, connector)) for port, connector in pairs]
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from typing import Annotated, ClassVar, Literal, TypeAlias, cast
 
 from midstride.codec.form import Form, field
-from midstride.codec.parameter import PlainValue, Value
+from midstride.codec.parameter import PlainValue, ValueForm
 from midstride.errors import PlanRefused
 from midstride.model.component import ROS_PARAMETERS, ComponentSpec, ParameterValue, value_fits, value_kind
 from midstride.model.specification import Specification
@@ -32,7 +32,7 @@ class RuntimeValue(Form, frozen=True, kw_only=True, omit_defaults=False, forbid_
 
     node: str
     parameter: str
-    value: Value
+    value: ValueForm
     fate: Fate
     words: Annotated[str, field("a text", "the same for people")]
 

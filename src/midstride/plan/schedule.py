@@ -23,7 +23,7 @@ from typing import Final
 from midstride.model.action import Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.specification import Order
-from midstride.plan.change import Attachment, Change
+from midstride.plan.change import Change, PortAttachment
 from midstride.plan.constraints import in_force
 from midstride.plan.disruption import DIGITS, LevelChange, Levels, follow
 from midstride.plan.step import Step
@@ -74,7 +74,7 @@ class _Marker:
                 self._inputs[connector].append(port)
         self._consumers: dict[str, list[FunctionalityRef]] = {}
 
-    def _roles_of_outputs(self, attachments: Iterable[Attachment]) -> set[str]:
+    def _roles_of_outputs(self, attachments: Iterable[PortAttachment]) -> set[str]:
         return {self.change.role_of(port.instance) for port, _ in attachments if self.change.is_output(port)}
 
     def of(self, step: Step) -> Iterator[Mark]:

@@ -14,7 +14,7 @@ from midstride.model.component import ComponentSpec, Connector, EnvironmentGuara
 from midstride.model.contract import format_number
 from midstride.model.specification import Node, Specification
 
-Kind = Literal["added", "removed", "changed", "renamed", "replaced", "rewired", "set"]
+DifferenceKind = Literal["added", "removed", "changed", "renamed", "replaced", "rewired", "set"]
 
 T = TypeVar("T")
 
@@ -23,7 +23,7 @@ class Difference(Form, frozen=True, omit_defaults=False):
     """One difference: of what (``topic /scan``), of which kind, and its details, a line each."""
 
     subject: str
-    kind: Kind
+    kind: DifferenceKind
     details: tuple[str, ...] = ()
 
     def __str__(self) -> str:
@@ -218,7 +218,7 @@ def _node(
     replaced = replaced or (bool(wiring) and was.gate is not None)  # its topics are fixed at its start
     policy = [] if before.respawn == after.respawn else [_became("respawn", before.respawn, after.respawn)]
     if details or wiring or policy:
-        kind: Kind = "replaced" if replaced or why is not None else "rewired" if wiring else "set"
+        kind: DifferenceKind = "replaced" if replaced or why is not None else "rewired" if wiring else "set"
         yield Difference(subject, kind if details or wiring else "changed", (*details, *wiring, *policy))
 
 

@@ -10,8 +10,8 @@ import msgspec
 from fastapi import HTTPException
 from fastapi import Request as HttpRequest
 
-from midstride.codec.form import Check, Form, Name, SecondsOrZero, field
-from midstride.codec.parameter import Value, values_of
+from midstride.codec.form import Form, FormCheck, NonEmptyName, SecondsOrZero, field
+from midstride.codec.parameter import ValueForm, values_of
 from midstride.codec.reading import decode, parse_json, under
 from midstride.errors import SpecificationError
 from midstride.model.component import ParameterValue
@@ -31,7 +31,7 @@ MOST_SEEDS: Final = 1_000
 LONGEST_REHEARSAL: Final = 120.0
 
 
-def _at_most(limit: float) -> Check:
+def _at_most(limit: float) -> FormCheck:
     """The check of a number that has an upper bound."""
     return lambda value: f"it is more than {limit:g}" if value > limit else None
 
@@ -64,8 +64,8 @@ class ParameterSetting(Form, frozen=True):
 
     what: ClassVar[str] = "a setting of parameters"
 
-    node: Name
-    parameters: Annotated[dict[str, Value], field("an object of values", min_length=1)]
+    node: NonEmptyName
+    parameters: Annotated[dict[str, ValueForm], field("an object of values", min_length=1)]
 
 
 class SubmittedText(Form, frozen=True, kw_only=True):

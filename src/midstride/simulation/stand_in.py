@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from immutables import Map
 
-from midstride.backends.simulator.cooperative_thread import Yielded
+from midstride.backends.simulator.cooperative_thread import ThreadYield
 from midstride.backends.simulator.simulated_process import SimulatedProcess
 from midstride.backends.simulator.simulated_program import ProcessOutput, SimulatedProgram
 from midstride.backends.simulator.virtual_clock import SimulatedClock
@@ -177,7 +177,7 @@ class StandIn(ThreadlessProcess):
         """Its outputs that are attached to ``topic``."""
         return [output.name for output in self._stand_in.outputs if output.link(topic) is not None]
 
-    def _run_thread(self, work: Callable[[], None] | None) -> Yielded:
+    def _run_thread(self, work: Callable[[], None] | None) -> ThreadYield:
         return self._thread.resume(work)  # its program does not touch the interpreter's state
 
     def _new_program(self, launch: Launch) -> SimulatedProgram:

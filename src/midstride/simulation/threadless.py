@@ -10,7 +10,7 @@ import contextvars
 from functools import partial
 from typing import Any
 
-from midstride.backends.simulator.cooperative_thread import CooperativeThread, Ended, Yielded
+from midstride.backends.simulator.cooperative_thread import CooperativeThread, Ended, ThreadYield
 from midstride.backends.simulator.simulated_process import SimulatedProcess
 
 
@@ -24,7 +24,7 @@ class _OnLoop(CooperativeThread):
     process: SimulatedProcess
     _begun = False
 
-    def resume(self, work: Any = None) -> Yielded:
+    def resume(self, work: Any = None) -> ThreadYield:
         if self.ended:
             return Ended(None)
         try:
@@ -40,7 +40,7 @@ class _OnLoop(CooperativeThread):
             return Ended(error)
         return self._unless_done()
 
-    def _unless_done(self) -> Yielded:
+    def _unless_done(self) -> ThreadYield:
         main = self.process.main
         if main is not None and main.done():
             self.ended = True
@@ -57,7 +57,7 @@ class _OnLoopOnceStarted(_OnLoop):
     blocks = False
     _call: CooperativeThread | None = None
 
-    def resume(self, work: Any = None) -> Yielded:
+    def resume(self, work: Any = None) -> ThreadYield:
         if not self._begun:
             yielded = CooperativeThread.resume(self, work)
             if isinstance(yielded, Ended) and isinstance(yielded.error, _Waits):

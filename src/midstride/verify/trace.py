@@ -19,7 +19,7 @@ from midstride.verify.alloy_text import BEST, VERDICT, StepName
 from midstride.verify.chain import chain
 from midstride.verify.export import Dump
 from midstride.verify.run import SolverOutcome
-from midstride.verify.verdict import Finding, Kind
+from midstride.verify.verdict import Finding, ViolationKind
 
 _FINDINGS = "Findings$0"
 _DISAGREE = "according to Alloy; Midstride's model finds no reason, so one of the two is wrong: please report this"
@@ -177,7 +177,13 @@ class _Tracer:
             yield Finding("attachment", number, where, "structure", because)
 
     def _lacking(
-        self, configuration: Configuration, ref: object, assumption: object, number: int | None, where: str, kind: Kind
+        self,
+        configuration: Configuration,
+        ref: object,
+        assumption: object,
+        number: int | None,
+        where: str,
+        kind: ViolationKind,
     ) -> Finding:
         assert isinstance(ref, FunctionalityRef)
         model: Assumption = assumption  # type: ignore[assignment]

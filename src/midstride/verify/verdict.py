@@ -21,7 +21,7 @@ class Answer(Enum):
         return self.value.upper()
 
 
-Kind = Literal[
+ViolationKind = Literal[
     "precondition", "effect", "assumption", "cap", "capacity", "attachment", "rule", "end", "name", "document"
 ]
 
@@ -42,7 +42,7 @@ class Finding(Form, frozen=True, omit_defaults=False):
     ``step`` counts from 1; None is the configuration at the start (or the only one), the declarations, or the end.
     """
 
-    kind: Kind
+    kind: ViolationKind
     step: int | None
     where: str
     subject: str

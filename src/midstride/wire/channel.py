@@ -19,7 +19,7 @@ from midstride.wire.transport import Connection, Transport
 
 R = TypeVar("R")
 T = TypeVar("T")
-Report = frames.Registration | frames.StateChanged
+ComponentReport = frames.Registration | frames.StateChanged
 
 
 @dataclass(eq=False)
@@ -32,7 +32,7 @@ class Channel:
 
     connection: Connection
     greeting: frames.Greeting
-    report: Callable[[Report], None]
+    report: Callable[[ComponentReport], None]
     ended: Callable[[], None]
 
     def __post_init__(self) -> None:
@@ -49,7 +49,7 @@ class Channel:
         token: str,
         *,
         timeout: float,
-        report: Callable[[Report], None] = lambda _: None,
+        report: Callable[[ComponentReport], None] = lambda _: None,
         ended: Callable[[], None] = lambda: None,
     ) -> Channel:
         """Connect, and exchange greetings within ``timeout`` seconds.

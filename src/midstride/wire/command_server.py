@@ -6,16 +6,19 @@ import asyncio
 import contextlib
 from collections import deque
 from collections.abc import Awaitable, Callable
-from typing import Final
+from typing import Any, Final
 
 from midstride.errors import CallTimeout, ProtocolError, Unreachable
 from midstride.wire import frames
 from midstride.wire.channel import in_time
 from midstride.wire.frames import Reply, Request
+from midstride.wire.state import WireValue
 from midstride.wire.transport import Connection, StopListening, Transport
 
 # The reply to a request of a client with this token.
-Handler = Callable[[Request, str], Awaitable[Reply]]
+RequestHandler = Callable[[Request, str], Awaitable[Reply]]
+# The result of one kind of command.
+CommandHandler = Callable[[Any], Awaitable[WireValue]]
 
 # How long a client may take to greet (s).
 HELLO_TIMEOUT: Final = 10.0
@@ -72,7 +75,7 @@ class _Client:
 class CommandServer:
     """Serves one component at its address. To be used on one event loop, which never runs user code."""
 
-    def __init__(self, greeting: frames.Greeting, handler: Handler) -> None:
+    def __init__(self, greeting: frames.Greeting, handler: RequestHandler) -> None:
         self._greeting = greeting
         self._handler = handler
         self._clients: list[_Client] = []

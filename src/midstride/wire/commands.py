@@ -43,13 +43,13 @@ from midstride.wire.state import ComponentState, GateState, WireValue
 R_co = TypeVar("R_co", covariant=True)
 
 Seconds: TypeAlias = Annotated[float, msgspec.Meta(ge=0)]
-Kind: TypeAlias = Literal["reading", "changing", "between"]
+CommandKind: TypeAlias = Literal["reading", "changing", "between"]
 
 
 class Command(WireValue, Generic[R_co], frozen=True, kw_only=True, tag_field="command"):
     """``timeout`` is how long the component may take (s); ``reply`` is the class of its reply."""
 
-    kind: ClassVar[Kind] = "changing"
+    kind: ClassVar[CommandKind] = "changing"
     reply: ClassVar[type[WireValue]]
     timeout: Seconds = 2.0
 

@@ -12,7 +12,7 @@ import msgspec
 
 from midstride.wire.state import WireValue
 
-Trigger: TypeAlias = Literal["rate", "message", "none"]
+TriggerKind: TypeAlias = Literal["rate", "message", "none"]
 CutOutcome: TypeAlias = Literal["waiting", "done", "resumed", "cancelled"]
 # On which clock a cut is agreed: that of time grids, or that of messages' times of publication. They differ where
 # ``/clock`` drives the ROS clock.
@@ -33,7 +33,7 @@ class Grid(WireValue, frozen=True, kw_only=True):
     ``reader_ids`` identifies those that the process has discovered, where the middleware does.
     """
 
-    trigger: Trigger
+    trigger: TriggerKind
     now: int
     clock: CutClock = "ros"
     speed: float = 1.0

@@ -8,7 +8,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from midstride.server.view.table import GONE_LIMIT, Part, ViewTable, encode_view
+from midstride.server.view.table import GONE_LIMIT, PartKey, ViewTable, encode_view
 from midstride.server.view.view_history import ViewRecording
 from tests.server.view.support import Document, patched
 
@@ -23,7 +23,7 @@ _UPDATES = st.lists(
 )
 
 
-def entry(part: Part, value: int | None) -> bytes | None:
+def entry(part: PartKey, value: int | None) -> bytes | None:
     if value is None:
         return None
     return json.dumps({"name": part[1], "value": value} if part[1] else value).encode()
@@ -35,7 +35,7 @@ def document(table: ViewTable) -> Document:
 
 
 @given(_UPDATES)
-def test_every_patch_leads_to_the_current_view(updates: list[dict[Part, Any]]) -> None:
+def test_every_patch_leads_to_the_current_view(updates: list[dict[PartKey, Any]]) -> None:
     table = ViewTable()
     views: dict[int, Document] = {}
     for step, update in enumerate(updates):
@@ -54,7 +54,7 @@ def test_every_patch_leads_to_the_current_view(updates: list[dict[Part, Any]]) -
 
 @given(_UPDATES, st.integers(1, 12))
 def test_earlier_views_are_as_they_were_and_the_recording_is_bounded(
-    updates: list[dict[Part, Any]], limit: int
+    updates: list[dict[PartKey, Any]], limit: int
 ) -> None:
     table, recording = ViewTable(), ViewRecording(limit)
     views: dict[float, Document] = {}

@@ -40,7 +40,7 @@ class Ended:
 
 
 # None: it waits for work, and has finished what it was given.
-Yielded: TypeAlias = Sleeps | Ended | None
+ThreadYield: TypeAlias = Sleeps | Ended | None
 
 
 # Its ``thread`` is the cooperative thread that the current thread is, if it is one.
@@ -57,14 +57,14 @@ class CooperativeThread:
         self._context = context
         self._go = threading.Semaphore(0)
         self._back = threading.Semaphore(0)
-        self._yielded: Yielded = None
+        self._yielded: ThreadYield = None
         self._work: Any = None
         self._killed = False
         self._thread: threading.Thread | None = None
 
     # -- on the loop -------------------------------------------------------------------------------
 
-    def resume(self, work: Any = None) -> Yielded:
+    def resume(self, work: Any = None) -> ThreadYield:
         """Run until the thread yields. Raises BackendError where it does not within ``COMPUTE_LIMIT``."""
         if self.ended:
             return Ended(None)
@@ -110,7 +110,7 @@ class CooperativeThread:
 
     # -- in the thread -----------------------------------------------------------------------------
 
-    def yield_to_loop(self, yielded: Yielded) -> Any:
+    def yield_to_loop(self, yielded: ThreadYield) -> Any:
         """Let the loop run; returns the work that it resumes this thread with."""
         if self._killed:
             raise Killed

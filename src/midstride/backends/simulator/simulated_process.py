@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
-from midstride.backends.simulator.cooperative_thread import CooperativeThread, Sleeps, Yielded
+from midstride.backends.simulator.cooperative_thread import CooperativeThread, Sleeps, ThreadYield
 from midstride.backends.simulator.simulated_program import ProcessOutput, SimulatedProgram
 from midstride.backends.simulator.virtual_clock import SimulatedClock
 from midstride.errors import BackendError
@@ -110,7 +110,7 @@ class SimulatedProcess:
         else:
             self.kill(self._program.status(yielded.error))
 
-    def _run_thread(self, work: Callable[[], None] | None) -> Yielded:
+    def _run_thread(self, work: Callable[[], None] | None) -> ThreadYield:
         with self._program.interpreter_state():
             return self._thread.resume(work)
 

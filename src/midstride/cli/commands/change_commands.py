@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from midstride.cli import change_options, shell_completion
-from midstride.cli.client import Client, Document
+from midstride.cli.client import Client
 from midstride.cli.output import console, is_interactive, json_option, print_json, wants_json
 from midstride.cli.running_systems import find, system_option
+from midstride.codec.form import Document
 from midstride.errors import PlanRefused
 
 if TYPE_CHECKING:  # completion must not wait for it

@@ -10,7 +10,7 @@ import click
 from rich.console import Console
 from rich.text import Text
 
-from midstride.cli.client import Client, Document
+from midstride.cli.client import Client
 from midstride.cli.commands.up import backend_option, bring_up, manager_arguments, missing_lines, platform_options
 from midstride.cli.dev.contents import saves
 from midstride.cli.dev.requested_changes import Changes, worst
@@ -21,6 +21,7 @@ from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.render import UNKNOWN, seconds, time_of_day
 from midstride.cli.shutdown import shut_down
 from midstride.cli.staying import ended_by_signals
+from midstride.codec.form import Document
 from midstride.errors import SpecificationError
 from midstride.runtime.workspace import Workspace
 

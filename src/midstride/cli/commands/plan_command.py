@@ -15,11 +15,12 @@ from rich.console import RenderableType
 
 from midstride.cli import render, render_comparison
 from midstride.cli.change_options import STRATEGIES, declared_parameters_option
-from midstride.cli.client import Client, Document
+from midstride.cli.client import Client
 from midstride.cli.input_files import load, write
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.planned_change import planned_change, planned_change_options
 from midstride.cli.running_systems import find, system_option
+from midstride.codec.form import Document
 from midstride.codec.specification_form import encode_specification
 from midstride.errors import MidstrideError
 from midstride.model.specification import Specification, initial

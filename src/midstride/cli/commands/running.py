@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from midstride.cli import shell_completion
-from midstride.cli.client import Client, Event
+from midstride.cli.client import Client, EventDocument
 from midstride.cli.follow import last_event_number
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.running_systems import find, not_running, system_option
@@ -109,7 +109,7 @@ def _since_option(function: Any) -> Any:
     return click.option("--since", type=Since(), metavar="N|TIME", help=summary)(function)
 
 
-def _after(since: float, events: Sequence[Event]) -> int:
+def _after(since: float, events: Sequence[EventDocument]) -> int:
     """The number of the last event that ``since`` leaves out."""
     if since >= 0:
         return int(since)
@@ -130,7 +130,7 @@ def log_command(since: float | None, all_: bool, follow: bool, system: str | Non
     `midstride logs NODE` shows what a component has written.
     """
     client, _ = find(system)
-    known: list[Event] = client.get("/log")
+    known: list[EventDocument] = client.get("/log")
     last = known[-1]["n"] if known else 0
     events = known if since is None else [event for event in known if event["n"] > _after(since, known)]
     if follow:

@@ -14,7 +14,7 @@ from pathlib import Path
 import click
 
 from midstride.backends import NAMES
-from midstride.cli.client import Client, Document
+from midstride.cli.client import Client
 from midstride.cli.follow import FollowedRequest
 from midstride.cli.input_files import load
 from midstride.cli.live_view import watch
@@ -23,6 +23,7 @@ from midstride.cli.progress import Progress
 from midstride.cli.render import lowered_line
 from midstride.cli.shutdown import wait_for_manager_exit
 from midstride.cli.staying import ended_by_signals, stay
+from midstride.codec.form import Document
 from midstride.codec.specification_form import encode_specification
 from midstride.errors import ManagerBusy, ManagerError
 from midstride.model.specification import Specification

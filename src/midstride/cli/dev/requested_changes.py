@@ -8,8 +8,9 @@ import uuid
 from collections.abc import Callable
 from typing import Any
 
-from midstride.cli.client import Client, Document
+from midstride.cli.client import Client
 from midstride.cli.follow import last_event_number
+from midstride.codec.form import Document
 from midstride.errors import MidstrideError
 
 

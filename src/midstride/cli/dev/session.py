@@ -19,9 +19,9 @@ from typing import Any, Final, Protocol
 
 from msgspec import structs
 
-from midstride.cli.client import Document
 from midstride.cli.dev.contents import Contents, FileContents, remove_compiled
 from midstride.cli.dev.watched_specification import WatchedSpecification
+from midstride.codec.form import Document
 from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import SpecificationError
 from midstride.runtime.records.status_forms import ProgramStatus

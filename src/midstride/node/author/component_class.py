@@ -18,7 +18,7 @@ from midstride.model.contract import Predicate, QoS
 from midstride.node.author import declared_contracts
 from midstride.node.author.author_clock import ComponentClock
 from midstride.node.author.declaration import DeclaredParts, declare
-from midstride.node.author.declared_contracts import Where
+from midstride.node.author.declared_contracts import FieldConditions
 from midstride.node.author.declared_parameters import Parameter, check_parameter
 from midstride.node.author.functionality import Functionality
 from midstride.node.author.modes import listed
@@ -64,7 +64,7 @@ class Component:
         type: type,
         rate: float | None = None,
         qos: QoS | int | None = None,
-        where: Where | None = None,
+        where: FieldConditions | None = None,
         tolerates: int | None = None,
         condition: bool = False,
     ) -> Input:

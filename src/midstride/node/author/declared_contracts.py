@@ -12,7 +12,7 @@ from midstride.errors import NodeError
 from midstride.model.contract import DEFAULT_QOS, Interval, OneOf, Predicate, QoS, ValueSet
 
 # What may be written for a set of values: the set itself, its members, or its only member.
-Where: TypeAlias = Mapping[str, Any]
+FieldConditions: TypeAlias = Mapping[str, Any]
 
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 _POLICIES: Final = {
@@ -49,7 +49,7 @@ class Guarantee:
 NO_PROMISE: Final = Guarantee(None, ())
 
 
-def guarantee(rate: float | None = None, where: Where | None = None) -> Guarantee:
+def guarantee(rate: float | None = None, where: FieldConditions | None = None) -> Guarantee:
     """What a mode guarantees for an output: ``guarantees={out: guarantee(rate=20, where={"width": 640})}``.
 
     ``rate`` is in Hz; ``where`` is written as for ``Component.create_input`` (docs/semantics.md section 1). Raises
@@ -138,7 +138,9 @@ def type_name(type_: type, where: str = "message type") -> str:
     )
 
 
-def field_constraints(where: Where | None, type_: type | None, context: str) -> tuple[tuple[str, ValueSet], ...]:
+def field_constraints(
+    where: FieldConditions | None, type_: type | None, context: str
+) -> tuple[tuple[str, ValueSet], ...]:
     """The constraints an author states, one set of values for each field's path."""
     if where is None:
         return ()

@@ -10,7 +10,7 @@ import asyncio
 import bisect
 import contextlib
 import threading
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, NamedTuple, TypeVar
@@ -28,11 +28,11 @@ from midstride.node.data.functionality_runner import CAUGHT, FunctionalityRunner
 from midstride.node.data.mode_switch import DataExecutor, Hold, ModeSwitch, within
 from midstride.node.handover.handover_commands import HandoverCommands
 from midstride.wire import commands, replies
+from midstride.wire.command_server import CommandHandler
 from midstride.wire.commands import Command
 from midstride.wire.state import THIS_HOST, ComponentState, WireValue
 
 T = TypeVar("T")
-Handler = Callable[[Any], Awaitable[WireValue]]
 
 # How long ending takes besides the author's `on_stop` (s): destroying endpoints and leaving the platform.
 SHUTDOWN_SECONDS: Final = 1.0
@@ -85,7 +85,7 @@ class CommandHandlers:
             self._attachments, self.host, self._data, self.changed, self.token, self._hooks, self._runners
         )
         self._fencing = Fencing(self._attachments, self.host, self._data, self._runners, self.changed)
-        self._handlers: dict[type[Command[Any]], Handler] = {
+        self._handlers: dict[type[Command[Any]], CommandHandler] = {
             commands.AttachCommand: self._attachments.attach,
             commands.DetachCommand: self._detach,
             commands.GateCommand: self._attachments.gate,

@@ -29,7 +29,7 @@ from midstride.node.data.functionality_runner import CAUGHT, FunctionalityRunner
 from midstride.node.diagnostic_status import diagnostics
 from midstride.node.legible import legible
 from midstride.node.loaded_program import ProgramFiles
-from midstride.node.standalone import FLAG, Attachments, best_modes
+from midstride.node.standalone import FLAG, StandaloneTopics, best_modes
 from midstride.wire import commands, frames, replies
 from midstride.wire.command_server import CommandServer
 from midstride.wire.commands import Command
@@ -59,7 +59,7 @@ class Agent:
     host: Host
     start_token: str
     pid: int
-    standalone: Attachments | None
+    standalone: StandaloneTopics | None
     program: ProgramFiles
     diagnostics: bool = True
 
@@ -161,7 +161,7 @@ class Agent:
             self.diagnostics = False
             self.host.logger.error(f"nothing is published on /diagnostics any more: {type(error).__name__}: {error}")
 
-    async def _run_alone(self, attachments: Attachments) -> None:
+    async def _run_alone(self, attachments: StandaloneTopics) -> None:
         for port, topics in attachments.items():
             for topic in topics:
                 await self._handlers.carry_out(commands.AttachCommand(port=port, topic=topic), None)

@@ -22,7 +22,7 @@ from typing import Literal, TypeAlias
 from midstride.model.component import PortRef
 from midstride.model.configuration import to_fraction
 from midstride.model.specification import Constraint, Order
-from midstride.plan.change import Attachment, Change
+from midstride.plan.change import Change, PortAttachment
 
 OpKind: TypeAlias = Literal["create", "remove", "attach", "detach"]
 
@@ -37,7 +37,7 @@ class Op:
     connector: str = ""
 
     @property
-    def attachment(self) -> Attachment:
+    def attachment(self) -> PortAttachment:
         assert self.port is not None
         return self.port, self.connector
 

@@ -14,7 +14,7 @@ from midstride.model.best import rebalanced
 from midstride.model.component import FunctionalityRef, InputAlternatives, Mode, PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.contract import satisfies
-from midstride.plan.change import Attachment, Change
+from midstride.plan.change import Change, PortAttachment
 from midstride.plan.core.conflict_core import Op, Part
 from midstride.plan.disruption import Counted, Levels
 
@@ -118,7 +118,7 @@ class PartLosses:
     def _compile(self) -> None:
         full, part = self.full, self.part
         # Tied attachments of outputs are numbered; -1 stands for one that is there as long as its instance.
-        self._attachments: dict[Attachment, int] = {}
+        self._attachments: dict[PortAttachment, int] = {}
         for bit, op in enumerate(part.ops):
             if op.port is not None:
                 self._attachments.setdefault(op.attachment, bit)  # a stand-in's is made and undone: one number

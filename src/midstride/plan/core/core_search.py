@@ -24,7 +24,7 @@ _BEAM: Final = 40
 # Up to this many exchanges that can be made in a state, every set of them is looked at as one hand-over.
 _JOINT: Final = 5
 
-Node: TypeAlias = tuple[int, tuple[float, ...]]
+SearchNode: TypeAlias = tuple[int, tuple[float, ...]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +189,7 @@ class PartSearch:
         """A way through the part, not always the cheapest: the most promising states with each number of actions."""
         layers: list[dict[int, tuple[float, int]]] = [{} for _ in range(len(self.part.ops) + 1)]
         layers[0][0] = (0.0, -1)
-        best, end, parents = inf, -1, dict[Node, Node | None]()
+        best, end, parents = inf, -1, dict[SearchNode, SearchNode | None]()
         for layer in layers:
             ranked = heapq.nsmallest(_BEAM, layer.items(), key=lambda item: item[1][0] + self.bounds.of(item[0]))
             for state, (cost, parent) in ranked:
@@ -206,9 +206,9 @@ class PartSearch:
 
     def run(self, stop: Callable[[], bool], known: PartResult) -> PartResult:
         """A*, until it is proved which way is the cheapest or ``stop`` says so. ``known`` is the best way known."""
-        start: Node = (0, (0.0,) * len(self.limits))
+        start: SearchNode = (0, (0.0,) * len(self.limits))
         costs = {start: 0.0}
-        parents: dict[Node, Node | None] = {start: None}
+        parents: dict[SearchNode, SearchNode | None] = {start: None}
         estimate = self.bounds.of(0)
         queue = [(estimate, 0, 0.0, start)]
         try:
@@ -254,7 +254,7 @@ class PartSearch:
         first = state if self.losses.loss(state) else self._ends.first(state, numbers, last)
         return first, last, finishing
 
-    def _moves(self, parents: Mapping[Node, Node | None], end: Node) -> tuple[int, ...]:
+    def _moves(self, parents: Mapping[SearchNode, SearchNode | None], end: SearchNode) -> tuple[int, ...]:
         found = _moves(parents, end)
         return found if self._ends is None else tuple(each for move in found for each in self._ends.split(move))
 
@@ -274,9 +274,9 @@ class PartSearch:
         return all(s <= most + _EPSILON for s, (_, most) in zip(spent, self.limits, strict=True))
 
 
-def _moves(parents: Mapping[Node, Node | None], end: Node) -> tuple[int, ...]:
+def _moves(parents: Mapping[SearchNode, SearchNode | None], end: SearchNode) -> tuple[int, ...]:
     found = []
-    node: Node | None = end
+    node: SearchNode | None = end
     while node is not None and (before := parents[node]) is not None:
         found.append(node[0] & ~before[0])
         node = before

@@ -16,7 +16,7 @@ from midstride.model.configuration import Configuration, Instance
 from midstride.model.instance_names import fresh_name
 from midstride.model.rules import attachment_shortfall
 from midstride.model.specification import Constraint
-from midstride.plan.change import Attachment, Change, Detour
+from midstride.plan.change import Change, Detour, PortAttachment
 from midstride.plan.core.conflict_core import full_topics, parts, scarce_resources
 from midstride.plan.core.core_losses import cone, fullest
 
@@ -92,11 +92,11 @@ def _fresh(change: Change, role: str) -> str:
     return fresh_name(role, known, change.start.instances)
 
 
-def _attachments(change: Change, pairs: Iterable[Attachment]) -> list[Attachment]:
+def _attachments(change: Change, pairs: Iterable[PortAttachment]) -> list[PortAttachment]:
     return [(port, change.identities.get(connector, connector)) for port, connector in pairs]
 
 
-def _without(pairs: Iterable[Attachment], instance: str) -> list[Attachment]:
+def _without(pairs: Iterable[PortAttachment], instance: str) -> list[PortAttachment]:
     return [pair for pair in pairs if pair[0].instance != instance]
 
 

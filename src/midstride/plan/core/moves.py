@@ -14,7 +14,7 @@ from typing import Final, Literal, TypeAlias
 
 from midstride.model.action import Swap
 from midstride.model.configuration import to_fraction
-from midstride.plan.change import Attachment
+from midstride.plan.change import PortAttachment
 from midstride.plan.core.search_state import OrderGate, SearchState
 
 # Sets of instances to remove for one that needs room are searched up to this size, among this many instances.
@@ -38,7 +38,7 @@ class Move:
     priority: int
     kind: MoveKind
     names: tuple[str, ...] = ()
-    attachments: tuple[Attachment, ...] = ()
+    attachments: tuple[PortAttachment, ...] = ()
     swaps: tuple[Swap, ...] = ()
 
 

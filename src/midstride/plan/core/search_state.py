@@ -21,7 +21,7 @@ from midstride.model.configuration import Instance, to_fraction
 from midstride.model.contract import satisfies
 from midstride.model.rules import publishers_count
 from midstride.model.specification import Order
-from midstride.plan.change import Attachment
+from midstride.plan.change import PortAttachment
 from midstride.plan.constraints import layers
 from midstride.plan.strategies.plan_builder import PlanBuilder
 
@@ -55,8 +55,8 @@ class SearchState:
     orders: tuple[Order, ...]
     creates: Mapping[str, Instance]
     removes: tuple[str, ...]
-    attaches: tuple[Attachment, ...]
-    detaches: tuple[Attachment, ...]
+    attaches: tuple[PortAttachment, ...]
+    detaches: tuple[PortAttachment, ...]
     swaps: Mapping[str, tuple[Swap, ...]]
     eager: bool = True
 
@@ -156,7 +156,7 @@ class SearchState:
         ]
         return self.attach(*ready) if ready else self
 
-    def attach(self, *attachments: Attachment) -> SearchState:
+    def attach(self, *attachments: PortAttachment) -> SearchState:
         return replace(
             self, builder=self.builder.attach(*attachments), attaches=_minus(self.attaches, set(attachments))
         )
@@ -231,7 +231,7 @@ class SearchState:
 
     # -- building blocks of the moves ------------------------------------------------------------------
 
-    def detach(self, attachments: Sequence[Attachment]) -> SearchState:
+    def detach(self, attachments: Sequence[PortAttachment]) -> SearchState:
         return replace(self, builder=self.builder.detach(attachments), detaches=_minus(self.detaches, set(attachments)))
 
     def exchange(self, *swaps: Swap) -> SearchState:
@@ -262,7 +262,7 @@ class SearchState:
         pending = {pair for pair in state.attaches if pair[0].instance == stand_in}
         return replace(state, attaches=_minus(state.attaches, pending), detaches=_minus(state.detaches, pending))
 
-    def remove(self, names: Sequence[str], detached: Sequence[Attachment]) -> SearchState:
+    def remove(self, names: Sequence[str], detached: Sequence[PortAttachment]) -> SearchState:
         """Make all of ``detached``, then remove ``names``."""
         state = self.detach(detached)
         return replace(state, builder=state.builder.remove(*names), removes=_minus(state.removes, set(names)))

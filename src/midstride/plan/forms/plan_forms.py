@@ -86,7 +86,7 @@ class BoundPartForm(PlanPart, frozen=True, kw_only=True):
 Certificate: TypeAlias = Annotated[
     list[BoundPartForm], field("a list of parts", "of the lower bound, which add up to it; absent where there is none")
 ]
-Measured: TypeAlias = Annotated[
+MeasuredSeconds: TypeAlias = Annotated[
     dict[str, tuple[FiniteNumber, FiniteNumber, FiniteNumber]],
     field(
         "a table of durations",
@@ -140,7 +140,7 @@ class PlanPreview(PlanCosts, frozen=True, kw_only=True):
     remarks: Remarks | UnsetType = UNSET
     detours: Detours | UnsetType = UNSET
     certificate: Certificate | UnsetType = UNSET
-    measured: Measured | UnsetType = UNSET
+    measured: MeasuredSeconds | UnsetType = UNSET
 
     @classmethod
     def of(cls, plan: Plan) -> PlanPreview:
@@ -162,7 +162,7 @@ class PlanForm(PlanCosts, frozen=True, kw_only=True):
     remarks: Remarks | UnsetType = UNSET
     detours: Detours | UnsetType = UNSET
     certificate: Certificate | UnsetType = UNSET
-    measured: Measured | UnsetType = UNSET
+    measured: MeasuredSeconds | UnsetType = UNSET
 
     @classmethod
     def of(cls, plan: Plan, preview: PlanPreview | None = None, **more: Any) -> PlanForm:

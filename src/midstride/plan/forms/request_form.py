@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from midstride.codec.component_form import NamedComponentForm
-from midstride.codec.form import Form, Name, field
+from midstride.codec.form import Form, NonEmptyName, field
 from midstride.codec.reading import decode, under
 from midstride.codec.specification_form import NodeForm, SpecificationForm
 from midstride.model.diagnostics import Problem
@@ -14,7 +14,7 @@ from midstride.model.name_checks import component_names, specification_names
 from midstride.plan.request import PlanRequest
 
 Strategy: TypeAlias = Literal["minimal", "paper", "quiesce", "stop"]
-Replacement: TypeAlias = Annotated[tuple[Name, Name], field("a replacement", "[node, component]")]
+ReplacementForm: TypeAlias = Annotated[tuple[NonEmptyName, NonEmptyName], field("a replacement", "[node, component]")]
 
 
 class NewNode(NodeForm, frozen=True, kw_only=True):
@@ -22,7 +22,7 @@ class NewNode(NodeForm, frozen=True, kw_only=True):
 
     what: ClassVar[str] = "a new node"
 
-    role: Name
+    role: NonEmptyName
 
 
 class ChangeRequest(Form, frozen=True):
@@ -30,10 +30,10 @@ class ChangeRequest(Form, frozen=True):
 
     what: ClassVar[str] = "a request"
 
-    replace: Annotated[list[Replacement], field("a list of replacements", "[node, component] pairs")] = []
-    restart: Annotated[list[Name], field("a list of nodes", "nodes to restart: each gets a new instance")] = []
+    replace: Annotated[list[ReplacementForm], field("a list of replacements", "[node, component] pairs")] = []
+    restart: Annotated[list[NonEmptyName], field("a list of nodes", "nodes to restart: each gets a new instance")] = []
     add: Annotated[list[NewNode], field("a list of new nodes", "nodes to add")] = []
-    remove: Annotated[list[Name], field("a list of nodes", "nodes to remove")] = []
+    remove: Annotated[list[NonEmptyName], field("a list of nodes", "nodes to remove")] = []
     to: SpecificationForm | None = None
     components: Annotated[
         list[NamedComponentForm], field("a list of components", "components that the specification does not have yet")

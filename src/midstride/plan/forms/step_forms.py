@@ -10,7 +10,7 @@ from immutables import Map
 from msgspec import UNSET, UnsetType
 
 from midstride.codec.form import FiniteNumber, Form, field
-from midstride.codec.parameter import Value, values_form, values_of
+from midstride.codec.parameter import ValueForm, values_form, values_of
 from midstride.errors import PlanRefused
 from midstride.model.action import (
     Action,
@@ -75,7 +75,7 @@ class CreateStep(StepForm, frozen=True, kw_only=True, tag="create"):
     instance: str
     role: str
     component: str
-    parameters: dict[str, Value] = {}
+    parameters: dict[str, ValueForm] = {}
     seconds: FiniteNumber
 
 
@@ -127,7 +127,7 @@ class SetStep(StepForm, frozen=True, tag="set"):
     """Parameters of a live instance are set in place."""
 
     instance: str
-    parameters: dict[str, Value]
+    parameters: dict[str, ValueForm]
     seconds: FiniteNumber
 
 

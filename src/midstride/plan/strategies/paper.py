@@ -24,7 +24,7 @@ from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import Evaluator
 from midstride.model.specification import Order
-from midstride.plan.change import Attachment, Change
+from midstride.plan.change import Change, PortAttachment
 from midstride.plan.constraints import breaches, conflict, in_force, layers, refusal
 from midstride.plan.disruption import Levels
 from midstride.plan.plan import Plan
@@ -62,7 +62,7 @@ def _take_away(plan: PlanBuilder, roles: set[str]) -> PlanBuilder:
     """Steps 1 and 2, for these roles."""
     change = plan.change
     leaving = {name for name in change.leaving if change.role_of(name) in roles}
-    detached: dict[str, list[Attachment]] = {name: [] for name in change.leaving if name in leaving}
+    detached: dict[str, list[PortAttachment]] = {name: [] for name in change.leaving if name in leaving}
     for port, connector in change.detached:
         if change.role_of(port.instance) in roles:
             detached.setdefault(port.instance, []).append((port, connector))
@@ -105,7 +105,7 @@ def _lower_to_last(plan: PlanBuilder, refs: Iterable[FunctionalityRef]) -> PlanB
 def _bring(plan: PlanBuilder, roles: set[str]) -> PlanBuilder:
     """Steps 3 to 6, for these roles."""
     change = plan.change
-    attached: dict[str, list[Attachment]] = {}
+    attached: dict[str, list[PortAttachment]] = {}
     for port, connector in change.attached:
         if change.role_of(port.instance) in roles:
             attached.setdefault(port.instance, []).append((port, connector))
@@ -117,7 +117,7 @@ def _bring(plan: PlanBuilder, roles: set[str]) -> PlanBuilder:
     return plan
 
 
-def _bring_instance(plan: PlanBuilder, instance: Instance, attachments: list[Attachment]) -> PlanBuilder:
+def _bring_instance(plan: PlanBuilder, instance: Instance, attachments: list[PortAttachment]) -> PlanBuilder:
     _check_possible(plan, Create(instance))
     inputs = [pair for pair in attachments if pair[0].port in instance.component.inputs]
     outputs = [pair for pair in attachments if instance.component.has_output(pair[0].port)]
@@ -129,7 +129,7 @@ def _bring_instance(plan: PlanBuilder, instance: Instance, attachments: list[Att
     return _attach_possible(plan, outputs).raise_touched()
 
 
-def _attach_possible(plan: PlanBuilder, attachments: Iterable[Attachment]) -> PlanBuilder:
+def _attach_possible(plan: PlanBuilder, attachments: Iterable[PortAttachment]) -> PlanBuilder:
     for port, connector in attachments:
         _check_possible(plan, Attach(port, connector))
         plan = plan.attach((port, connector))

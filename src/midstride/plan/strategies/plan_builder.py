@@ -15,7 +15,7 @@ from midstride.model.action import Action, Attach, Create, Detach, Handover, Rem
 from midstride.model.best import consumers_of, lowered, rebalanced
 from midstride.model.component import FunctionalityRef, ParameterValue
 from midstride.model.configuration import Configuration, Instance
-from midstride.plan.change import Attachment, Change
+from midstride.plan.change import Change, PortAttachment
 from midstride.plan.constraints import ConstraintMonitor
 from midstride.plan.disruption import DisruptionMeter, Levels
 from midstride.plan.step import Step, mode_changes
@@ -100,7 +100,7 @@ class PlanBuilder:
         created = self.do(*(Create(instance) for instance in instances))
         return created.touching(ref for instance in instances for ref in instance.functionality_refs())
 
-    def attach(self, *attachments: Attachment) -> PlanBuilder:
+    def attach(self, *attachments: PortAttachment) -> PlanBuilder:
         """Attach, outputs first; call :meth:`raise_touched` later, once for many.
 
         So inputs are next to each other, as outputs are: those of different components are attached at once.
@@ -114,7 +114,7 @@ class PlanBuilder:
         consumers = (ref for swap in swaps for ref in self.configuration.consumers(swap.connector))
         return self.do(Handover(tuple(swaps))).touching(consumers)
 
-    def detach(self, attachments: Iterable[Attachment]) -> PlanBuilder:
+    def detach(self, attachments: Iterable[PortAttachment]) -> PlanBuilder:
         """Degrade to ``best`` of what will remain without all of these, then detach them one by one."""
         raised, pairs = self.raise_touched(), list(attachments)
         remaining = raised.configuration

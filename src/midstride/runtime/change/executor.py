@@ -32,7 +32,7 @@ from midstride.runtime.running_system import RunningSystem
 log = logging.getLogger(__name__)
 
 # The actions that are done, each with the configuration that it was applied to.
-Done = list[tuple[Action, Configuration]]
+DoneActions = list[tuple[Action, Configuration]]
 
 
 @dataclass(slots=True)
@@ -43,7 +43,7 @@ class _Run:
     overlap: Overlap
     began: float  # steady s
     words: dict[int, str] = field(default_factory=dict)
-    done: Done = field(default_factory=list)
+    done: DoneActions = field(default_factory=list)
     times: dict[int, StepTime] = field(default_factory=dict)
     looked: int = 0  # how many numbers of steps have been looked up in ``overlap.starts``
 
@@ -191,7 +191,7 @@ class Executor:
         await self.change.step_done(self.system.configuration)
         run.times[index] = StepTime(index + 1, round(begun - run.began, 6), round(clock.steady() - begun, 6))
 
-    async def _step(self, action: Action, done: Done, *, held: bool, turn: CutTurn | None) -> None:
+    async def _step(self, action: Action, done: DoneActions, *, held: bool, turn: CutTurn | None) -> None:
         """Perform ``action`` and append it to ``done``; ``held``: its round holds the lock for commands.
 
         If cancelled, it first waits for the action to end, in bounded time, so that no step is left incomplete. Only a
@@ -264,7 +264,7 @@ class Executor:
                 self.store.write_instance(after.instances[instance], self.driver.launcher.handles.get(instance))
         return before
 
-    async def _roll_back(self, done: Done) -> list[str]:
+    async def _roll_back(self, done: DoneActions) -> list[str]:
         """Undo the actions in ``done``, last first. Returns what failed; the other actions are undone.
 
         Removals in a row are taken at once, and processes of creations in a row start side by side. An instance that
@@ -297,7 +297,7 @@ class Executor:
             self.driver.events.add("rolled_back", "every step has been undone")
         return problems
 
-    def _taken_over(self, done: Done) -> set[str]:
+    def _taken_over(self, done: DoneActions) -> set[str]:
         """The fenced instances and those that have taken over from them: a topic does not go back to one that hangs."""
         fenced = self.driver.fences.fenced
         swaps = [swap for action, _ in done if isinstance(action, Handover) for swap in action.swaps]

@@ -32,7 +32,7 @@ from midstride.wire.commands import (
     SeatPort,
     StateTransfer,
 )
-from midstride.wire.replies import CutClock, Grid, Seat, Trigger
+from midstride.wire.replies import CutClock, Grid, Seat, TriggerKind
 
 # The old side resumes if the new side has not reported its first write for this many periods,
 RESUME_PERIODS: Final = 10
@@ -60,7 +60,7 @@ class Cut:
     arbiter: ArbiterKind
     swaps: list[Swap] = field(default_factory=list)
     id: str = field(default_factory=lambda: uuid.uuid4().hex)
-    trigger: Trigger = "none"
+    trigger: TriggerKind = "none"
     clock: CutClock = "ros"
     epoch: int | None = None
     period: float | None = None
@@ -276,7 +276,7 @@ async def require_same_clock(client: ComponentClient, old: str, new: str) -> Non
         raise StepFailed(f"{old} cannot hand over: {state.waiting}")
 
 
-def written_once(configuration: Configuration, new: PortRef, trigger: Trigger) -> bool:
+def written_once(configuration: Configuration, new: PortRef, trigger: TriggerKind) -> bool:
     """Whether a message of an output may have been written only once, and then behind its gate."""
     relayed = configuration.component(new.instance).gate == "relay"
     return trigger == "none" or (relayed and not configuration.rate(new))

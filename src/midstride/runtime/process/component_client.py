@@ -23,7 +23,7 @@ from midstride.errors import (
     Unreachable,
 )
 from midstride.runtime.manager_clock import Clock
-from midstride.wire.channel import Channel, Report, result_of
+from midstride.wire.channel import Channel, ComponentReport, result_of
 from midstride.wire.commands import Command, ObserveCommand
 from midstride.wire.frames import Greeting, Registration, Reply
 from midstride.wire.state import ComponentState, Endpoint
@@ -145,7 +145,7 @@ class ComponentClient:
             self._channels[instance] = channel
             return channel
 
-    def _on_report(self, instance: str, frame: Report) -> None:
+    def _on_report(self, instance: str, frame: ComponentReport) -> None:
         if isinstance(frame, Registration):
             registration = self._registrations[instance]
             if not registration.done():

@@ -10,7 +10,7 @@ from typing import Annotated, Literal, TypeAlias
 from msgspec import Meta
 
 from midstride.codec.form import Report
-from midstride.codec.parameter import Value
+from midstride.codec.parameter import ValueForm
 
 Phase: TypeAlias = Literal["starting", "up", "failed", "down"]
 SilenceKind: TypeAlias = Literal["not_answering", "not_discovering", "not_publishing", "not_receiving"]
@@ -106,8 +106,8 @@ class ParameterStatus(Report, frozen=True):
     """A parameter of a component. Where it was set at run time, `declared` is the value that it was started with."""
 
     name: str
-    value: Value
-    declared: Value
+    value: ValueForm
+    declared: ValueForm
     set_at_run_time: bool
 
 

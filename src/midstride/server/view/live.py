@@ -26,7 +26,7 @@ from midstride.server.view.change_views import ChangeTracker
 from midstride.server.view.component_views import Baseline, EntryShape, component_view, port_views
 from midstride.server.view.fault_views import crash_views, silence_views
 from midstride.server.view.noticeable_changes import rates_as_shown, same_but_figures, same_report, same_values
-from midstride.server.view.table import Part, ViewTable, encode_view
+from midstride.server.view.table import PartKey, ViewTable, encode_view
 from midstride.server.view.timing import FIGURES, LOOK, SOON, TOGETHER, Alarm, Wakers, figures_interval
 from midstride.server.view.topics import changed_parts, topic_view
 from midstride.server.view.view_forms import VERSION, ComponentView, SilenceView, Timeline
@@ -193,8 +193,8 @@ class LiveView:
             self._revalued_at = steady
             self._dirty |= self._revalued
             self._revalued = set()
-        minor: set[Part] = set()
-        changes: dict[Part, bytes | None] = dict(self._built(now, due, minor))
+        minor: set[PartKey] = set()
+        changes: dict[PartKey, bytes | None] = dict(self._built(now, due, minor))
         changes.update(self._single())
         changed = self.table.update(changes, now)
         lasting = {part: json for part, json in changed.items() if part not in minor}
@@ -203,7 +203,7 @@ class LiveView:
         if changed:
             self._wakers.wake()
 
-    def _built(self, now: float, figures: bool, minor: set[Part]) -> Iterator[tuple[Part, bytes | None]]:
+    def _built(self, now: float, figures: bool, minor: set[PartKey]) -> Iterator[tuple[PartKey, bytes | None]]:
         """The entries that may have changed; ``minor`` are those of which nothing but figures has."""
         system = self._watched.system
         configuration, before = system.configuration, self._configuration
@@ -236,8 +236,8 @@ class LiveView:
         configuration: Configuration,
         baseline: Baseline,
         now: float,
-        minor: set[Part],
-    ) -> Iterator[tuple[Part, bytes | None]]:
+        minor: set[PartKey],
+    ) -> Iterator[tuple[PartKey, bytes | None]]:
         """The entries of ``names``; of those that are not ``dirty``, nothing but figures has changed."""
         client, steady = self._watched.client, self._watched.clock.steady()
         for name in sorted(names):
@@ -275,7 +275,7 @@ class LiveView:
                 (self._unsound.discard if sound else self._unsound.add)(name)
             yield part, to_json(view)
 
-    def _single(self) -> Iterator[tuple[Part, bytes]]:
+    def _single(self) -> Iterator[tuple[PartKey, bytes]]:
         """The parts that are one value."""
         watched, system = self._watched, self._watched.system
         if self._silences is None:

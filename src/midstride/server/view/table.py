@@ -15,7 +15,7 @@ import msgspec
 # The keyed lists of a view; any other part is one value, under the key "".
 Keyed: TypeAlias = Literal["components", "topics"]
 KEYED: Final[tuple[Keyed, ...]] = ("components", "topics")
-Part: TypeAlias = tuple[str, str]  # the field of the view, and the key in it
+PartKey: TypeAlias = tuple[str, str]  # the field of the view, and the key in it
 # For how many entries that are gone it is remembered when: a client that lacks more is sent the whole view.
 GONE_LIMIT: Final = 1_000
 
@@ -35,12 +35,12 @@ class ViewTable:
         self.n = 0
         self.at = 0.0
         # In the order of their changes, so that the latest can be found without looking at the others.
-        self._entries: dict[Part, Entry] = {}
+        self._entries: dict[PartKey, Entry] = {}
         self._gone = 0
         self._oldest = 0  # what was gone by then is not remembered
         self._patches: dict[int, bytes] = {}  # to the current state, by the number of the earlier one
 
-    def update(self, changes: Mapping[Part, bytes | None], at: float) -> dict[Part, bytes | None]:
+    def update(self, changes: Mapping[PartKey, bytes | None], at: float) -> dict[PartKey, bytes | None]:
         """Take in ``changes``; None for what is gone. Returns what of it differs: the new state, if anything does."""
         changed = {part: json for part, json in changes.items() if self.json(part) != json}
         if not changed:
@@ -59,12 +59,12 @@ class ViewTable:
         self._entries = {part: entry for part, entry in self._entries.items() if entry.json is not None}
         self._gone, self._oldest = 0, self.n
 
-    def json(self, part: Part) -> bytes | None:
+    def json(self, part: PartKey) -> bytes | None:
         """The part as it is; None where there is none."""
         entry = self._entries.get(part)
         return None if entry is None else entry.json
 
-    def parts(self) -> dict[Part, bytes]:
+    def parts(self) -> dict[PartKey, bytes]:
         """All that there is."""
         return {part: entry.json for part, entry in self._entries.items() if entry.json is not None}
 
@@ -82,8 +82,8 @@ class ViewTable:
             self._patches[n] = encode_patch(self.n, self.at, self._changed_after(n))
         return self._patches[n]
 
-    def _changed_after(self, n: int) -> dict[Part, bytes | None]:
-        found: dict[Part, bytes | None] = {}
+    def _changed_after(self, n: int) -> dict[PartKey, bytes | None]:
+        found: dict[PartKey, bytes | None] = {}
         for part in reversed(self._entries):
             entry = self._entries[part]
             if entry.n <= n:
@@ -92,7 +92,7 @@ class ViewTable:
         return found
 
 
-def encode_view(version: int, manager: str, n: int, at: float, parts: Mapping[Part, bytes]) -> bytes:
+def encode_view(version: int, manager: str, n: int, at: float, parts: Mapping[PartKey, bytes]) -> bytes:
     """The whole view as JSON. ``parts`` has all of its other fields."""
     fields: list[tuple[str, bytes]] = [("version", b"%d" % version), ("manager", msgspec.json.encode(manager))]
     fields += _head(n, at)
@@ -103,7 +103,7 @@ def encode_view(version: int, manager: str, n: int, at: float, parts: Mapping[Pa
     return _object(fields)
 
 
-def encode_patch(n: int, at: float, changed: Mapping[Part, bytes | None]) -> bytes:
+def encode_patch(n: int, at: float, changed: Mapping[PartKey, bytes | None]) -> bytes:
     """The patch that leads to state ``n`` as JSON."""
     fields = _head(n, at)
     fields += [(field, json or b"null") for (field, _), json in sorted(changed.items()) if field not in KEYED]

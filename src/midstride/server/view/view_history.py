@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 from msgspec import structs
 
 from midstride.runtime.records.mode_recorder import ModeInterval, in_order, mode_level
-from midstride.server.view.table import Part
+from midstride.server.view.table import PartKey
 from midstride.server.view.view_forms import ComponentView, FunctionalityView
 
 # How many changed entries of views are kept, and how many modes that were left. An entry has 1 kB or so.
@@ -24,7 +24,7 @@ INTERVALS: Final = 20_000
 class _Record(NamedTuple):
     n: int
     at: float
-    part: Part
+    part: PartKey
     json: bytes | None
 
 
@@ -34,7 +34,7 @@ class PastView:
 
     n: int
     at: float
-    parts: Mapping[Part, bytes]
+    parts: Mapping[PartKey, bytes]
 
 
 class ViewRecording:
@@ -43,7 +43,7 @@ class ViewRecording:
     def __init__(self, limit: int = ENTRIES) -> None:
         self._limit = limit
         self._first = PastView(0, 0.0, {})
-        self._base: dict[Part, bytes] = {}
+        self._base: dict[PartKey, bytes] = {}
         self._records: deque[_Record] = deque()
 
     @property
@@ -53,7 +53,7 @@ class ViewRecording:
             return self._first.at
         return self._records[0].at if self._records else None
 
-    def record(self, n: int, at: float, changed: Mapping[Part, bytes | None]) -> None:
+    def record(self, n: int, at: float, changed: Mapping[PartKey, bytes | None]) -> None:
         """The view has become state ``n`` at this time, by these differences."""
         self._records.extend(_Record(n, at, part, json) for part, json in changed.items())
         while len(self._records) > self._limit:
@@ -79,7 +79,7 @@ class ViewRecording:
         return PastView(n, since, parts)
 
 
-def _apply(parts: dict[Part, bytes], record: _Record) -> None:
+def _apply(parts: dict[PartKey, bytes], record: _Record) -> None:
     if record.json is None:
         parts.pop(record.part, None)
     else:

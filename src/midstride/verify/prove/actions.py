@@ -66,10 +66,10 @@ def detach(t: Theory, s: State, p: Term, k: Term, tag: str = "after") -> ActionF
     return ActionFormula({ATTACHED: s.attached(p, k), STAYS: t.all_satisfied(after)}, after)
 
 
-Group = Callable[[Term], Term]
+ActionGroup = Callable[[Term], Term]
 
 
-def change_modes(t: Theory, s: State, group: Group, to: Callable[[Term], Term], kind: str) -> ActionFormula:
+def change_modes(t: Theory, s: State, group: ActionGroup, to: Callable[[Term], Term], kind: str) -> ActionFormula:
     """``degrade`` or ``upgrade``: F is live, and each new mode is strictly worse or strictly better."""
     after = s.in_modes(lambda f: if_(group(f), to(f), s.mode(f)))
     better = kind == "upgrade"

@@ -83,7 +83,7 @@ class Proof:
         }
 
 
-def prove(names: Sequence[solvers.Name] = solvers.NAMES, seconds: float = SECONDS) -> Iterator[Proof]:
+def prove(names: Sequence[solvers.SolverName] = solvers.NAMES, seconds: float = SECONDS) -> Iterator[Proof]:
     """The proof of each goal, as it is found. A missing solver makes every goal UNKNOWN, with that reason.
 
     ``seconds`` is the time limit of one query. Weakened goals are checked by the first solver that is installed.
@@ -92,12 +92,12 @@ def prove(names: Sequence[solvers.Name] = solvers.NAMES, seconds: float = SECOND
         yield prove_goal(goal, names, seconds)
 
 
-def prove_goal(goal: Goal, names: Sequence[solvers.Name] = solvers.NAMES, seconds: float = SECONDS) -> Proof:
+def prove_goal(goal: Goal, names: Sequence[solvers.SolverName] = solvers.NAMES, seconds: float = SECONDS) -> Proof:
     """The proof of one goal, as :func:`prove` gives it. HOLDS only if every solver finds so."""
     took: dict[str, float] = {}
     answers: list[Answer] = []
     because: list[str] = []
-    installed: list[solvers.Name] = []
+    installed: list[solvers.SolverName] = []
     for name in names:
         started = time.perf_counter()
         try:
@@ -150,9 +150,11 @@ def script(goal: Goal, part: str, dropped: tuple[str, ...] = ()) -> str:
     return t.script(premises(t, case, dropped) | {f"NOT: {part}": not_(case.conclusion[part])})
 
 
-def _proved(goal: Goal, name: solvers.Name, seconds: float, dropped: tuple[str, ...] = ()) -> tuple[Answer, str | None]:
+def _proved(
+    goal: Goal, name: solvers.SolverName, seconds: float, dropped: tuple[str, ...] = ()
+) -> tuple[Answer, str | None]:
     for part in goal.build(Theory()).conclusion:
-        answer: solvers.Answer = "unknown"
+        answer: solvers.SolverAnswer = "unknown"
         for strategy in solvers.STRATEGIES[name]:
             session = solvers.open_session(name, seconds, strategy)
             solvers.send(session, script(goal, part, dropped))
@@ -166,7 +168,7 @@ def _proved(goal: Goal, name: solvers.Name, seconds: float, dropped: tuple[str, 
     return Answer.HOLDS, None
 
 
-def _weakened(goal: Goal, dropped: tuple[str, ...], needed: bool, name: solvers.Name, seconds: float) -> Weakened:
+def _weakened(goal: Goal, dropped: tuple[str, ...], needed: bool, name: solvers.SolverName, seconds: float) -> Weakened:
     if not needed:
         answer, _ = _proved(goal, name, seconds, dropped)
         if answer is Answer.HOLDS:
@@ -175,7 +177,9 @@ def _weakened(goal: Goal, dropped: tuple[str, ...], needed: bool, name: solvers.
     return Weakened(dropped, needed, Answer.UNKNOWN if text is None else Answer.VIOLATED, text)
 
 
-def _model(goal: Goal, name: solvers.Name, dropped: tuple[str, ...], seconds: float, *, violated: bool) -> str | None:
+def _model(
+    goal: Goal, name: solvers.SolverName, dropped: tuple[str, ...], seconds: float, *, violated: bool
+) -> str | None:
     """The text of a small model of the premises (``violated``: in which the conclusion is false), or None."""
     for sizes in SIZES:
         t = Theory(sizes)

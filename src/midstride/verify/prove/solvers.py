@@ -9,11 +9,11 @@ from typing import Any, Final, Literal, Protocol
 
 from midstride.errors import SolverMissing, VerificationError
 
-Name = Literal["z3", "cvc5"]
-Answer = Literal["sat", "unsat", "unknown"]
-NAMES: Final[tuple[Name, ...]] = ("z3", "cvc5")
+SolverName = Literal["z3", "cvc5"]
+SolverAnswer = Literal["sat", "unsat", "unknown"]
+NAMES: Final[tuple[SolverName, ...]] = ("z3", "cvc5")
 _DECIDED: Final[tuple[Literal["sat", "unsat"], ...]] = ("sat", "unsat")
-_PACKAGE: Final[dict[Name, str]] = {"z3": "z3-solver", "cvc5": "cvc5"}
+_PACKAGE: Final[dict[SolverName, str]] = {"z3": "z3-solver", "cvc5": "cvc5"}
 
 
 class Session(Protocol):
@@ -55,23 +55,23 @@ class _Cvc5:
 
 
 # Ways to instantiate quantifiers, tried in order: one may decide what another leaves open.
-STRATEGIES: Final[dict[Name, tuple[str, ...]]] = {"z3": ("",), "cvc5": ("enum-inst-interleave", "enum-inst")}
-_SESSIONS: Final[dict[Name, Callable[[float, str], Session]]] = {"z3": _Z3, "cvc5": _Cvc5}
+STRATEGIES: Final[dict[SolverName, tuple[str, ...]]] = {"z3": ("",), "cvc5": ("enum-inst-interleave", "enum-inst")}
+_SESSIONS: Final[dict[SolverName, Callable[[float, str], Session]]] = {"z3": _Z3, "cvc5": _Cvc5}
 
 
-def _imported(name: Name) -> Any:
+def _imported(name: SolverName) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError:
         raise SolverMissing(f"the solver {name} is not installed: pip install {_PACKAGE[name]}") from None
 
 
-def open_session(name: Name, seconds: float, strategy: str | None = None) -> Session:
+def open_session(name: SolverName, seconds: float, strategy: str | None = None) -> Session:
     """A session in which no answer takes longer than ``seconds``. Raises SolverMissing."""
     return _SESSIONS[name](seconds, strategy or STRATEGIES[name][0])
 
 
-def version_of(name: Name) -> str | None:
+def version_of(name: SolverName) -> str | None:
     """The version installed, or None."""
     try:
         return version(_PACKAGE[name])
@@ -85,7 +85,7 @@ def send(session: Session, text: str) -> None:
         raise VerificationError(f"a solver rejects its input: {answer[:500]}")
 
 
-def check_sat(session: Session) -> Answer:
+def check_sat(session: Session) -> SolverAnswer:
     """Whether the assertions can all be true. Raises VerificationError where the solver reports an error."""
     text = session.execute("(check-sat)\n").strip()
     for answer in _DECIDED:
