@@ -39,7 +39,7 @@ NAVIGATION = {
 }
 
 # Pages that are listed by another one, below which they are.
-BELOW = {"docs/decisions/README": "docs/decisions/[!R]*"}
+BELOW = {"docs/decisions/README": "docs/decisions/[!R]*", "docs/semantics": "docs/protocols/*"}
 
 CREATED_BY = {"AnyOf": "any_of", "Approximate": "approximate", "Guarantee": "guarantee", "Interval": "between"}
 
@@ -123,6 +123,7 @@ def hide_constructor(app: Sphinx, what: str, name: str, *rest: object) -> tuple[
 
 def link_to_semantics(app: Sphinx, what: str, name: str, subject: object, options: object, lines: list[str]) -> None:
     text = re.sub(r"docs/semantics\.md\s+(section \d)", r":doc:`semantics, \1 </docs/semantics>`", "\n".join(lines))
+    text = re.sub(r"docs/protocols/(\w+)\.md", r":doc:`\1 </docs/protocols/\1>`", text)
     lines[:] = text.split("\n")
 
 

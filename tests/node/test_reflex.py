@@ -1,4 +1,4 @@
-"""The local reflex without a manager: what breaks an assumption, and what must not (docs/semantics.md section 7)."""
+"""The local reflex without a manager: what breaks an assumption, and what must not (docs/protocols/reflex.md)."""
 
 from __future__ import annotations
 

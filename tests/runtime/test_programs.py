@@ -1,4 +1,4 @@
-"""Fingerprints: which files a program has, as it read them, and which have changed since (semantics.md section 7)."""
+"""Fingerprints: which files a program has, as it read them, and which have changed (docs/protocols/programs.md)."""
 
 from __future__ import annotations
 

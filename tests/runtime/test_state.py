@@ -1,4 +1,4 @@
-"""State travels where a role is replaced, and nowhere else (semantics.md section 7)."""
+"""State travels where a role is replaced, and nowhere else (docs/protocols/state.md)."""
 
 from __future__ import annotations
 

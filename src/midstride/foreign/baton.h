@@ -3,9 +3,9 @@
  * One file for each system. The manager creates it and fills in nodes and ports; each node maps it. page.py has the same
  * layout; midstride_layout() lets a test compare the two. Every field that both sides write is atomic.
  *
- * The baton is one word, so that each step of the protocol is one compare-and-swap. docs/semantics.md section 7, *Nodes
- * without Midstride's API*, has the protocol in words. The functions baton_* are pure: they say what a step makes of the
- * word. tests/foreign/test_baton_model.py explores every order of these steps.
+ * The baton is one word, so that each step of the protocol is one compare-and-swap. docs/protocols/baton.md has the
+ * protocol in words. The functions baton_* are pure: they say what a step makes of the word.
+ * tests/foreign/test_baton_model.py explores every order of these steps.
  */
 #ifndef MIDSTRIDE_BATON_H
 #define MIDSTRIDE_BATON_H

@@ -1,6 +1,6 @@
 """The hand-over of a node without Midstride's API: by a baton, which each side asks for and lays down itself.
 
-docs/semantics.md section 7, *Nodes without Midstride's API*, has the protocol; ``baton.h`` has its steps.
+docs/protocols/baton.md has the protocol; ``baton.h`` has its steps.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 So the executor, the hand-over and the reconciler need not know what kind of node they talk to. What it changes is in
 shared memory and in a file, so if the manager ends the node goes on, and the next manager's agent continues
-(docs/semantics.md section 7).
+(docs/protocols/foreign.md).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The reflex of a node without Midstride's API: its agent degrades what relies on a publisher that has fallen silent.
 
-docs/semantics.md section 7, *Nodes without Midstride's API*. Publishers are judged by when they wrote last, which the
+docs/protocols/foreign.md. Publishers are judged by when they wrote last, which the
 page shows of those with a preloaded library, and others report: the node itself may be too busy to take messages.
 """
 

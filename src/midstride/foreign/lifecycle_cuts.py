@@ -1,7 +1,7 @@
 """The hand-over between two lifecycle nodes without a gate: the old one is deactivated, then the new one is activated.
 
 In this order there are never two publishers, and the topic is silent for the time that both transitions take
-(docs/semantics.md section 7, *Lifecycle nodes*).
+(docs/protocols/foreign.md).
 """
 
 from __future__ import annotations

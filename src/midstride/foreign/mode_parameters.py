@@ -1,4 +1,4 @@
-"""Modes as sets of parameters, for programs that do not use Midstride's API (docs/semantics.md section 7)."""
+"""Modes as sets of parameters, for programs that do not use Midstride's API (docs/protocols/modes.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The restart policy of a node: `respawn` and what belongs to it (docs/semantics.md section 7)."""
+"""The restart policy of a node: `respawn` and what belongs to it (docs/protocols/faults.md)."""
 
 from __future__ import annotations
 

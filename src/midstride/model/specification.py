@@ -40,7 +40,7 @@ DEFAULT_SECONDS: Final[Mapping[str, float]] = Map(
         "set": 0.01,
     }
 )
-# What a hand-over takes its time for (s), where the file does not say (docs/semantics.md section 7).
+# What a hand-over takes its time for (s), where the file does not say (docs/protocols/probation.md).
 HANDOVER_SECONDS: Final[Mapping[str, float]] = Map({"probation": 0.0, "probation_timeout": 5.0, "watch_after": 0.0})
 TIMING: Final = (*DEFAULT_SECONDS, *HANDOVER_SECONDS)
 

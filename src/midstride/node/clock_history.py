@@ -2,7 +2,7 @@
 
 A simulation may run slower or faster than real time, stand still, or start again. What is measured is measured on its
 clock; a time-out, which must end even if that clock does not move, is on the steady clock and is stretched by the
-speed found here (docs/semantics.md section 7).
+speed found here (docs/protocols/clocks.md).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The impact of each node on the others: which functionalities degrade, and how far, if it is removed or crashes.
 
-Both lead to the same modes: ``best`` of what remains (docs/semantics.md section 7). Only the way there differs.
+Both lead to the same modes: ``best`` of what remains (docs/protocols/faults.md). Only the way there differs.
 """
 
 from __future__ import annotations

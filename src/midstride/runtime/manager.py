@@ -4,7 +4,7 @@ It joins the platform, brings the system up or recovers a running one, and runs 
 Its three parts share its knowledge of the system (:mod:`.running_system`): the change session carries out changes
 (:mod:`.change.change_session`), the reconciler handles unexpected events (:mod:`.change.reconciler`), and the state
 store keeps what the next manager needs (:mod:`.records.state_store`). The robot does not depend on the manager:
-components keep running without it, and the next manager finds them again (docs/semantics.md section 7).
+components keep running without it, and the next manager finds them again (docs/protocols/recovery.md).
 """
 
 from __future__ import annotations
@@ -378,7 +378,7 @@ class Manager:
         its plan may differ. With ``verify``, Alloy verifies the plan first, and the change is refused unless the plan
         holds; the live configuration is verified after each step, and the step fails unless it is valid. If ``brief``,
         the next command does not wait until this one has been measured over 20 periods. An old component that hangs is
-        fenced after ``wait`` seconds (docs/semantics.md section 7, *Mode changes*). The events `waiting` and `command`
+        fenced after ``wait`` seconds (docs/protocols/fence.md). The events `waiting` and `command`
         contain ``id``, so that a client can distinguish its own from others. The specification of ``request`` was read
         from ``file``. ``by`` says in the history who asked.
         """

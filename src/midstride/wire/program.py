@@ -1,4 +1,4 @@
-"""The fingerprint of a program: its files, each as it was when the program read it (docs/semantics.md section 7).
+"""The fingerprint of a program: its files, each as it was when the program read it (docs/protocols/programs.md).
 
 A process has read its files some time between its start and the moment it lists them. A file that was modified in
 between may have been read before or after, so its content counts as unknown: it differs from any other.

@@ -1,6 +1,6 @@
 """The publishers of a component: rospy's, with numbers and source times where a subscriber requests them.
 
-A message of ROS 1 carries no number and no time of publication, and Midstride needs both (docs/semantics.md section 7).
+A message of ROS 1 carries neither a number nor a time of publication; docs/protocols/measurement.md needs both.
 But connections begin with headers (:mod:`.connection_headers`): where a subscriber requests it, each message on that
 connection is followed by a trailer, beyond the message's own length. Every other subscriber gets exactly what rospy
 would send. The header names each publisher by a new identity, which distinguishes two of one name, one after the other.

@@ -77,10 +77,10 @@ class Component:
         - ``where`` constrains fields: ``{"width": at_least(640), "encoding": {"rgb8", "bgr8"}}``. A value is a set of
           values, a single value, ``at_least(…)``, ``at_most(…)`` or ``between(…, …)``.
         - ``tolerates`` is how many messages in succession may be missed before a mode that assumes this input is left
-          (docs/semantics.md section 7, Local reflex); None: 10, and silence of at least 5 s. It needs a rate. What the
-          specification states takes precedence.
+          (docs/protocols/reflex.md); None: 10, and silence of at least 5 s. It needs a rate. What the specification
+          states takes precedence.
         - ``condition``: the last message alone decides, by ``where``, whether what it assumes holds: a mode that
-          assumes it is left at once, and restored at once (docs/semantics.md section 7, Conditions).
+          assumes it is left at once, and restored at once (docs/protocols/reflex.md).
 
         Raises NodeError.
         """
@@ -163,7 +163,7 @@ class Component:
 
         ``node`` is rclpy's node on ROS 2, the module ``rospy`` on ROS 1 (where a process is one node), and None in the
         simulator. ``fn`` runs on the thread of the modes. What it creates is active from then on; the specification
-        declares it with ``allows`` (docs/semantics.md section 7). If ``fn`` raises, the component does not start.
+        declares it with ``allows`` (docs/protocols/state.md). If ``fn`` raises, the component does not start.
         """
         self._parts.callbacks.setup = self._callback("on_setup", fn)
         return fn
@@ -172,8 +172,8 @@ class Component:
         """``fn() -> bytes``: the state for a replacement of this component.
 
         Called once, after the last write of this component and before the first of its replacement: no call of a mode
-        comes in between. If it raises, the hand-over is rolled back, and this component continues (docs/semantics.md
-        section 7, State).
+        comes in between. If it raises, the hand-over is rolled back, and this component continues
+        (docs/protocols/state.md).
         """
         self._parts.callbacks.export_state = self._callback("on_export_state", fn)
         return fn
@@ -222,7 +222,7 @@ class Component:
         False behind the gate: before this component takes over from another, and after another has taken over from it.
         Ask it on the data thread before you act otherwise than by an output, as with a device or a service. A component
         without outputs has no gate, and is live while an input is attached; where its state moves, its modes are only
-        called while it is the one that works (docs/semantics.md section 7, State).
+        called while it is the one that works (docs/protocols/state.md).
         """
         outputs = self._parts.outputs.values()
         if not outputs:

@@ -1,7 +1,7 @@
 """When the messages of one attachment came or went, and what follows from it: rate, age and jitter.
 
 All of it is on the node's ROS clock, so it is also right where a simulation runs slower than real time
-(docs/semantics.md section 7). The data path appends one time per message; everything else is computed on demand.
+(docs/protocols/measurement.md). The data path appends one time per message; everything else is computed on demand.
 """
 
 from __future__ import annotations

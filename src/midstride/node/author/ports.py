@@ -305,7 +305,7 @@ class Output(_Port[OutputLink]):
         """Publish ``message`` on every topic that the output is attached to.
 
         While the output is attached to no topic, or its gate is closed (before and after a hand-over), the message is
-        counted and not published (docs/semantics.md section 7). Raises NodeError if it is not of the output's type.
+        counted and not published (docs/protocols/probation.md). Raises NodeError if it is not of the output's type.
         """
         if message.__class__ is not self.type and not isinstance(message, self.type):
             self.wrong_type = f"output {self.name} takes {type_name(self.type)}, not {type(message).__name__}"
@@ -354,7 +354,7 @@ class Input(_Port[InputLink]):
 
     ``rate`` (Hz) is what it relies on, and ``tolerates`` how many missed messages in succession it tolerates; None if
     nothing is stated. ``condition``: its last message decides whether what it assumes holds. The manager attaches it
-    with those of the specification (docs/semantics.md section 7, Local reflex).
+    with those of the specification (docs/protocols/reflex.md).
     """
 
     def __init__(

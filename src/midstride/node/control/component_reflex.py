@@ -1,6 +1,6 @@
 """The local reflex: a functionality whose assumption breaks, or whose call hangs, degrades by itself.
 
-It needs neither the manager nor the network (docs/semantics.md section 7, *Local reflex*; the rule is in
+It needs neither the manager nor the network (docs/protocols/reflex.md; the rule is in
 :mod:`.shortfall`). The control thread counts what has arrived and what was written, so a call that never returns does
 not disable it. The mode itself changes on the data thread, between two calls; where a call of user code prevents that,
 the state shows the worse mode at once, and the change follows when the call returns.

@@ -1,6 +1,6 @@
 """Fencing: a component whose user code does not return is kept from publishing. Control thread.
 
-The stated exception to docs/semantics.md section 7, *Mode changes*: "never inside a call". All other commands that
+The stated exception to docs/protocols/modes.md: "never inside a call". All other commands that
 change an attachment wait for the data thread.
 """
 

@@ -1,4 +1,4 @@
-"""Whether an output keeps the rate that it promises (docs/semantics.md section 7, Probation and Watch after).
+"""Whether an output keeps the rate that it promises (docs/protocols/probation.md).
 
 The rate is that over a sliding window, and no pause may be long: neither a burst before a stall nor one after it makes
 up for the stall. What counts as kept leaves room for jitter, and what counts as broken leaves more: between the two

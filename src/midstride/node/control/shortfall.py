@@ -1,6 +1,6 @@
 """What a stream of messages lacks of its promised rate: the rule that tells jitter from breakage.
 
-docs/semantics.md section 7, *Local reflex*. Silence breaks a stream after a stated number of periods. A stream that is
+docs/protocols/reflex.md. Silence breaks a stream after a stated number of periods. A stream that is
 merely slow has more time, since a busy machine may be the cause: of a share of the promised messages, what is missing
 adds up, each message reduces it, and nothing is saved up. So a stream that keeps this share never breaks.
 """

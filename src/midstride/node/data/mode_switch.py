@@ -1,6 +1,6 @@
 """Changes on the data thread that happen exactly once, between two calls of user code, or not at all.
 
-docs/semantics.md section 7, *Mode changes*: a change is acknowledged once no call of the old mode runs; one that is
+docs/protocols/modes.md: a change is acknowledged once no call of the old mode runs; one that is
 not possible within its time-out is withdrawn, and must not happen later.
 """
 

@@ -1,6 +1,6 @@
 """The side of a component in a hand-over with a node without Midstride's API: the baton decides what passes its gates.
 
-docs/semantics.md section 7, *Between such a node and a component*. There is no agreed slot. The policy runs on the data
+docs/protocols/baton.md. There is no agreed slot. The policy runs on the data
 thread, write by write; the task runs on the control thread, and needs no manager.
 """
 

@@ -1,6 +1,6 @@
 """The two sides of an agreed cut: which write passes which gate, and when a side has finished.
 
-docs/semantics.md section 7, *The cut is agreed, not chased*. Both publishers know one moment T. A write belongs to the
+docs/protocols/cut.md. Both publishers know one moment T. A write belongs to the
 slot of the time grid whose call made it, or to the newest message that it answers, or else to the moment it is made.
 The old side passes what belongs before T (of messages: up to T), the new side the rest. So neither clocks nor
 scheduling decide, and every write passes exactly one gate. A call so late that it accounts for several slots belongs

@@ -1,6 +1,6 @@
 """The state of a component at a cut: exported after the old one's last write, imported before the new one's first.
 
-docs/semantics.md section 7, *State*. From T on, both components hold back calls of the author's functions: the old one
+docs/protocols/state.md. From T on, both components hold back calls of the author's functions: the old one
 those that belong to the new side, until it knows that they are not its own after all; the new one those that belong to
 it, until the state has arrived. A functionality without an output in a cut, which only receives, goes on at the old
 side until the export; the new one holds all its messages back, and drops those that the old one has received. The new

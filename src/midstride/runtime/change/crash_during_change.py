@@ -3,7 +3,7 @@
 The model follows at the end of the change, so that its steps and their roll-back find what they were planned for; until
 then, the functionalities concerned are in lower modes than in the model. The instances that the change creates, removes
 or swaps are the change's: it completes or is rolled back, and what is then missing is reconciled
-(docs/semantics.md section 7).
+(docs/protocols/faults.md).
 """
 
 from __future__ import annotations

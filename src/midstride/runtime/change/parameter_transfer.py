@@ -1,7 +1,7 @@
 """Carries the parameter values that were set at run time from an instance to the one that replaces it.
 
 A new instance is started with them, and its own callbacks must then accept them. The two are compared again right
-before the cut and when the old one ends: any ROS tool may set a parameter meanwhile (docs/semantics.md section 7).
+before the cut and when the old one ends: any ROS tool may set a parameter meanwhile (docs/protocols/state.md).
 """
 
 from __future__ import annotations

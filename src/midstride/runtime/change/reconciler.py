@@ -2,7 +2,7 @@
 
 A crash is an unplanned removal; a component degrades on its own when its code raises. The model is updated to the
 actual state; then exactly the functionalities that are lower in `best` of the remaining system are degraded. Upgrades
-are left to plans (docs/semantics.md section 7).
+are left to plans (docs/protocols/faults.md).
 """
 
 from __future__ import annotations

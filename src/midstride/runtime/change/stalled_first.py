@@ -1,7 +1,7 @@
 """Which nodes a change replaces before all others: those whose middleware stands still.
 
 One that discovers no new endpoints would not hear a new publisher, and not be heard by a new subscriber. So it is
-replaced before anything that it exchanges messages with (docs/semantics.md section 7, *Silence*).
+replaced before anything that it exchanges messages with (docs/protocols/faults.md).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The cut of a hand-over: the moment from which the new publisher publishes instead of the old one.
 
-It is a slot of the old publisher's time grid, agreed in advance (docs/semantics.md section 7). Before that, both sides
+It is a slot of the old publisher's time grid, agreed in advance (docs/protocols/cut.md). Before that, both sides
 must follow the same clock, and the subscribers must have found the new publisher.
 """
 

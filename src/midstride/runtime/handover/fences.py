@@ -1,6 +1,6 @@
 """Fencing: an old component that hangs, or is slower than the time-outs, is replaced all the same.
 
-The exception to "never inside a call" of docs/semantics.md section 7: its outputs are closed from its control thread,
+The exception to "never inside a call" of docs/protocols/modes.md: its outputs are closed from its control thread,
 whatever its user code is doing; where that thread does not answer either, its process is killed. One that is stopped
 (SIGSTOP) could be continued at any time, and must not be heard then.
 """

@@ -1,7 +1,7 @@
 """The hand-over on live components: both publishers exist at once, and switch at an agreed moment, the *cut*.
 
 The new publisher is behind a closed gate until both sides know the cut, a future slot of the old publisher's time grid
-(docs/semantics.md section 7). The old side is sent the cut first, and resumes publishing unless the new side reports
+(docs/protocols/cut.md). The old side is sent the cut first, and resumes publishing unless the new side reports
 its first message: if the manager exits at any point, the topic is silent for at most ``RESUME_PERIODS`` periods
 (:mod:`.agreed_cut`).
 """

@@ -1,7 +1,7 @@
 """The new publishers of a hand-over, until they may publish: attached behind a closed gate, found, and on probation.
 
 They must find the subscribers of the model and, as far as possible, the readers outside it that the old publishers
-have. Behind the gate they must write (docs/semantics.md section 7).
+have. Behind the gate they must write (docs/protocols/probation.md).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Probation and watch-after by measured rates: what a new publisher must show before the cut, and keep after it.
 
-docs/semantics.md section 7. Both are off unless the specification states a duration (``timing``), but for the probation
+docs/protocols/probation.md. Both are off unless the specification states a duration (``timing``), but for the probation
 of programs without Midstride's API: these keep their rates themselves, and may be other than what is declared.
 """
 

@@ -1,4 +1,4 @@
-"""State that moves although no topic is handed over: between components without outputs (docs/semantics.md section 7).
+"""State that moves although no topic is handed over: between components without outputs (docs/protocols/state.md).
 
 Such a replacement is muted when it is upgraded: the old component still makes every call. Before the first step that
 takes anything from the old one, its state moves at a cut without outputs, and from then on the new one makes the calls.

@@ -1,6 +1,6 @@
 """The manager's part in moving state at a cut: what moves, the bulk beforehand, and what became of it.
 
-The transfer itself is between the two components (node/handover/state_transfer.py, docs/semantics.md section 7).
+The transfer itself is between the two components (node/handover/state_transfer.py, docs/protocols/state.md).
 """
 
 from __future__ import annotations

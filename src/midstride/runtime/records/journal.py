@@ -4,7 +4,7 @@
 happened, and stays. From it the next manager knows which change was interrupted and where it led, people know what was
 changed, when, and what it cost (`midstride history`), and the planner knows how long steps take. It also holds the
 manager's lease: a manager whose lease another one has taken begins no further step. What runs is not taken from the
-journal, but from the components (docs/semantics.md section 7).
+journal, but from the components (docs/protocols/journal.md).
 """
 
 from __future__ import annotations

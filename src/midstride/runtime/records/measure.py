@@ -1,6 +1,6 @@
 """What a subscriber received while a publisher was replaced: gap, missed, lost, duplicates.
 
-The figures are defined in docs/semantics.md section 7. The functions are pure. A row is a received message: time of
+The figures are defined in docs/protocols/measurement.md. The functions are pure. A row is a received message: time of
 receipt (steady clock of the subscriber, ns), source time (ns), sequence number and identity of the publisher. Where the
 middleware does not provide one of these it is None, and so is every figure that needs it.
 """

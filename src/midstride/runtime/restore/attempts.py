@@ -1,4 +1,4 @@
-"""How often something has been tried again, which a policy limits (docs/semantics.md section 7, *Restart policies*)."""
+"""How often something has been tried again, which a policy limits (docs/protocols/faults.md)."""
 
 from __future__ import annotations
 

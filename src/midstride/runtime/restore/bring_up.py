@@ -1,6 +1,6 @@
 """Bringing a system up: finds what an earlier manager left, finishes or rolls back its change, and restores the rest.
 
-Each of these is an ordinary plan (docs/semantics.md section 7); what still runs is found by :mod:`.recovery`.
+Each of these is an ordinary plan (docs/protocols/recovery.md); what still runs is found by :mod:`.recovery`.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The state store has the earlier manager's model; the components report the actual state, which takes precedence. A
 second instance of a role, left by a manager that was killed during a change, is terminated. What is left of that change
-is a difference to the specification, which the manager removes by an ordinary plan (docs/semantics.md section 7).
+is a difference to the specification, which the manager removes by an ordinary plan (docs/protocols/recovery.md).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A restart is an ordinary plan, carried out as a command in its turn: it waits for the command in progress, and a user's
 command waits for it. A command that has restored or removed the node, or changed its policy, cancels the delay
-(docs/semantics.md section 7).
+(docs/protocols/faults.md).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Restores what the local reflex has degraded, once what it relies on is back.
 
-docs/semantics.md section 7, *Restoring after a reflex*. A component degrades a functionality whose assumption breaks;
+docs/protocols/reflex.md. A component degrades a functionality whose assumption breaks;
 to raise it again is up to the manager. It does so by an ordinary plan, as a command in its turn, once the input has
 kept what the assumption states for some time: the longer, the more often the functionality has fallen lately.
 """

@@ -1,7 +1,7 @@
 """The parameter values that were set while components ran, as the components report them.
 
 The values of an instance are known as long as it runs, those of a role also after its instance has crashed and, from
-the state store, to the next manager (docs/semantics.md section 7).
+the state store, to the next manager (docs/protocols/state.md).
 """
 
 from __future__ import annotations

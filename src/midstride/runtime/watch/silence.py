@@ -2,7 +2,7 @@
 
 Components report the counts of their ports twice a second, and the monitor compares the reports over time. What it
 finds are faults of the running system: they are part of the status, of the events, and of the outcome of a change
-during which they began (docs/semantics.md section 7).
+during which they began (docs/protocols/faults.md).
 """
 
 from __future__ import annotations

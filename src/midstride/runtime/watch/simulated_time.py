@@ -2,7 +2,7 @@
 
 Receipts carry the steady clock of the subscriber and the publication's time on the system's clock. Where ``/clock``
 drives a subscriber, its slots, rates and gaps are of the ROS clock, so both times are converted, along the moments at
-which the subscriber saw that clock move (docs/semantics.md section 7).
+which the subscriber saw that clock move (docs/protocols/clocks.md).
 """
 
 from __future__ import annotations
