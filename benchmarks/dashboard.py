@@ -157,6 +157,7 @@ class Manager:
     def __init__(self, nodes: int) -> None:
         from midstride.codec.specification_form import decode_specification
         from midstride.model.specification import initial
+        from midstride.runtime.command_queue import CommandQueue
         from midstride.runtime.manager_clock import SystemClock
         from midstride.runtime.process.component_client import ComponentClient
         from midstride.runtime.records.events import EventLog
@@ -171,7 +172,9 @@ class Manager:
         none = cast(Any, SimpleNamespace(handles={}, ending=(), status=lambda _: None))
         monitor = SilenceMonitor(client, clock, self.events, (), ())
         system = RunningSystem(self.specification, initial(self.specification))
-        self.watched = WatchedSystem(system, client, monitor, none, none, none, self.events, clock, lambda: None)
+        self.watched = WatchedSystem(
+            system, client, monitor, none, none, none, self.events, clock, CommandQueue(clock, self.events)
+        )
         self._report = UpReport
 
     async def up(self) -> Any:

@@ -125,18 +125,16 @@ def test_a_new_publisher_that_is_stopped_costs_a_bounded_time_and_the_old_one_go
         async with managed(tmp_path / "system", swap_specification()) as (manager, _):
             recorder = Recorder(tmp_path)
             await asyncio.to_thread(recorder.wait_until_it_hears)
-            record = manager.events.on_event
 
             def stop_the_new_one(event: Event) -> None:
-                record(event)
                 moments.setdefault(event.kind, time.monotonic())
                 if event.kind == "step" and getattr(event.step, "action", None) == "handover":
                     moments["stopped"] = time.monotonic()
                     os.kill(pids(manager)["source_2"], signal.SIGSTOP)
 
-            manager.events.on_event = stop_the_new_one
+            manager.events.listeners.append(stop_the_new_one)
             outcome = await manager.change(REPLACE, wait=WAIT)
-            manager.events.on_event = record
+            manager.events.listeners.remove(stop_the_new_one)
             assert outcome.outcome == "rolled_back", outcome.because
             assert outcome.because is not None and "source_2 did not answer" in outcome.because
             assert pids(manager).keys() == {"source", "sink"} and (await manager.status()).valid

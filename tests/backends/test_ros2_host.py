@@ -302,7 +302,7 @@ def test_what_is_set_at_run_time_is_in_the_state_at_once_and_a_replacement_start
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             states: list[Any] = []
-            r.client.on_event = states.append
+            r.client.listeners.append(states.append)
             given = {"gain": 3.0, "label": "given"}
             await r.start("tuned", TUNED, parameters=given, set_parameters={"gain": 4.0})
             with Bare() as bare:
@@ -367,7 +367,7 @@ def test_parameters_of_the_node_itself_are_in_the_state_and_a_replacement_starts
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             states: list[Any] = []
-            r.client.on_event = states.append
+            r.client.listeners.append(states.append)
             await r.start("tuned", text, set_parameters={"speed": 0.7, "frames": [], "use_sim_time": False})
             state = await r.client.observe("tuned")
             node = {"speed": 0.7, "frames": ["base"], "inner": 2}

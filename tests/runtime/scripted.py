@@ -36,6 +36,7 @@ from midstride.runtime.change.parameter_transfer import ParameterTransfer
 from midstride.runtime.change.reconciler import Reconciler
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.change_observer import ChangeObserver
+from midstride.runtime.command_queue import CommandQueue
 from midstride.runtime.handover.fences import DEFAULT_WAIT
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.process.component_client import ComponentClient, LatestState
@@ -150,7 +151,8 @@ class ScriptedClient(ComponentClient):
     def report(self, state: ComponentState) -> None:
         """The component reports ``state`` by itself."""
         self.states[state.instance] = state
-        self.on_event(state)
+        for listener in self.listeners:
+            listener(state)
 
     def register(self, instance: Instance, *, token: str = TOKEN, **options: Any) -> None:
         """The component of ``instance`` is up, and has said what it is."""
@@ -431,12 +433,11 @@ class Bench:
 
 @dataclass
 class ReconcilingBench(Bench):
-    """A bench with a reconciler, whose turn and busyness the test decides on."""
+    """A bench with a reconciler, and commands that the test decides on."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.turn = asyncio.Lock()
-        self.busy = False
+        self.commands = CommandQueue(self.clock, self.events)
         self.monitor = SilenceMonitor(self.client, self.clock, self.events, self.launcher.ending, self.system.crashed)
         self.reconciler = Reconciler(
             self.system,
@@ -445,12 +446,20 @@ class ReconcilingBench(Bench):
             self.launcher,
             self.events,
             self.store,
-            lambda: self.turn,
-            lambda: self.busy,
+            self.commands,
         )
-        self.client.on_event = self.reconciler.on_component_event
+        self.client.listeners.append(self.reconciler.on_component_event)
         for live in self.configuration.instances.values():
             self.store.write_instance(live, self.launcher.handles.get(live.name))
+
+    @property
+    def busy(self) -> bool:
+        """Whether a command is in progress."""
+        return self.commands.current is not None
+
+    @busy.setter
+    def busy(self, busy: bool) -> None:
+        self.commands.current = "a command of the test" if busy else None
 
     def exits(self, event: Exited) -> None:
         """The process of a component ends."""

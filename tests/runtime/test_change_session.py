@@ -77,6 +77,7 @@ class SessionBench(ReconcilingBench):
             self.launcher,
             self.backend,
             self.journal,
+            self.commands,
         )
         target = self.specification.with_node(changed(self.specification.nodes["talker"], component="NewTalker"))
         self.startable(target.instance("talker", "talker_2"), self.specification.instance("talker"))
@@ -305,7 +306,7 @@ def test_a_change_that_is_cancelled_leaves_what_was_and_no_recording(request_: P
             await changing
         assert s.system.configuration == initial(TALKER) and s.system.specification == TALKER
         assert s.client.of(RecordCommand)[-1] == RecordCommand(inputs=["in"], on=False)
-        assert not s.session.measuring
+        assert not s.commands.is_measuring
 
     session(tmp_path, body)
 
@@ -316,7 +317,7 @@ def test_a_change_that_is_cancelled_leaves_what_was_and_no_recording(request_: P
 def test_what_crashes_or_degrades_meanwhile_is_in_the_report(tmp_path: Path) -> None:
     async def body(s: SessionBench) -> None:
         def measured(_: RecordsCommand) -> Exception:
-            assert s.session.measuring
+            assert s.commands.is_measuring
             s.client.report(reported(s.system.configuration.instances["talker_2"], modes={"talk": "degraded"}))
             s.exits(Exited("listener", -9))
             return TIMEOUT
@@ -331,7 +332,7 @@ def test_what_crashes_or_degrades_meanwhile_is_in_the_report(tmp_path: Path) -> 
         )
         [swap] = outcome.swaps
         assert (swap.gap, swap.missed, swap.lost, swap.duplicates) == (None, None, None, None)
-        assert not s.session.measuring
+        assert not s.commands.is_measuring
         assert list(s.system.configuration.instances) == ["talker_2"]
 
     session(tmp_path, body)

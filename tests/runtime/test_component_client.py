@@ -131,7 +131,7 @@ class Control:
         self.clock.follow(asyncio.get_running_loop())
         self.network = CountedNetwork()
         self.events: list[ComponentEvent] = []
-        self.client = ComponentClient(self.network, self.clock, TOKEN, self.events.append)
+        self.client = ComponentClient(self.network, self.clock, TOKEN, listeners=[self.events.append])
         self.component = Component()
 
     async def start(self, component: Component | None = None) -> None:

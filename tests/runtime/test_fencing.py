@@ -302,11 +302,10 @@ def test_all_that_is_tried_in_a_step_without_a_fence_takes_as_long_as_asked_for(
         fenced: list[float] = []
 
         def on_event(event: Event) -> None:
-            record(event)
             if event.kind == "fenced":
                 fenced.append(simulator.clock.steady())
 
-        record, manager.events.on_event = manager.events.on_event, on_event
+        manager.events.listeners.append(on_event)
         simulator.armed = True
         outcome = await manager.change(PlanRequest(restart=(name,), strategy="paper"), wait=wait)
         assert outcome.outcome == "done", outcome.because

@@ -288,7 +288,7 @@ def test_a_better_mode_that_lacks_its_support_is_left_again(tmp_path: Path) -> N
 def test_during_a_command_nothing_is_changed_beside_it(tmp_path: Path) -> None:
     async def body(r: ReconcilingBench) -> None:
         r.busy = True
-        async with r.reconciler.around():
+        async with r.reconciler.command("a test"):
             r.exits(TALKER_EXITED)
             r.degrades("listener")
             await moment()
@@ -304,7 +304,7 @@ def test_a_command_begins_with_what_has_happened(tmp_path: Path) -> None:
     async def body(r: ReconcilingBench) -> None:
         r.busy = True
         r.exits(TALKER_EXITED)
-        async with r.reconciler.around():
+        async with r.reconciler.command("a test"):
             assert "talker" not in r.system.configuration.instances
 
     reconciling(talking(), tmp_path, body)
@@ -317,7 +317,7 @@ def test_a_command_may_expect_what_has_been_reported_unless_the_model_lacks_it(t
         r.busy = True
         for name in ("talker", "listener"):
             r.client.report(reported(r.configuration.instances[name], talking()))
-        async with r.reconciler.around():
+        async with r.reconciler.command("a test"):
             assert r.client.accepted == ["listener", "talker"]
         r.client.accepted.clear()
         r.degrades("talker")
@@ -330,7 +330,7 @@ def test_a_command_may_expect_what_has_been_reported_unless_the_model_lacks_it(t
 def test_a_command_that_fails_is_followed_by_what_has_happened_meanwhile(tmp_path: Path) -> None:
     async def body(r: ReconcilingBench) -> None:
         async def command() -> None:
-            async with r.reconciler.around():
+            async with r.reconciler.command("a test"):
                 r.exits(TALKER_EXITED)
                 raise ValueError("no such thing")
 
@@ -345,7 +345,7 @@ def test_a_command_that_fails_is_followed_by_what_has_happened_meanwhile(tmp_pat
 
 def test_the_reconciler_waits_for_its_turn(tmp_path: Path) -> None:
     async def body(r: ReconcilingBench) -> None:
-        async with r.turn:
+        async with r.commands.lock:
             r.exits(TALKER_EXITED)
             await moment()
             assert r.system.revision == 0
@@ -397,7 +397,7 @@ def test_an_error_while_it_works_alone_is_reported_and_the_next_crash_is_handled
 
 def test_closing_ends_what_is_under_way(tmp_path: Path) -> None:
     async def body(r: ReconcilingBench) -> None:
-        async with r.turn:
+        async with r.commands.lock:
             r.exits(TALKER_EXITED)
             await moment()
             await r.reconciler.close()

@@ -12,6 +12,7 @@ from typing import Any, cast
 from midstride.codec.specification_form import decode_specification
 from midstride.model.specification import Specification, initial
 from midstride.plan.request import PlanRequest
+from midstride.runtime.command_queue import CommandQueue
 from midstride.runtime.manager import Manager
 from midstride.runtime.manager_clock import SystemClock
 from midstride.runtime.process.component_client import ComponentClient
@@ -31,7 +32,7 @@ def watched_system(specification: Specification, events: EventLog) -> WatchedSys
     nothing = SimpleNamespace(handles={}, ending=(), status=lambda _: None)
     monitor = SilenceMonitor(client, clock, events, (), ())
     parts = cast(Any, nothing)
-    return WatchedSystem(system, client, monitor, parts, parts, parts, events, clock, lambda: None)
+    return WatchedSystem(system, client, monitor, parts, parts, parts, events, clock, CommandQueue(clock, events))
 
 
 class ScriptedManager:

@@ -10,13 +10,11 @@ components keep running without it, and the next manager finds them again (docs/
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import secrets
 from collections.abc import AsyncIterator, Mapping
-from contextlib import AbstractAsyncContextManager
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from midstride.codec.configuration_form import ConfigurationForm
 from midstride.errors import BackendError, ManagerError, MidstrideError
@@ -30,9 +28,10 @@ from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.change.change_session import ChangeSession
 from midstride.runtime.change.reconciler import Reconciler
 from midstride.runtime.change.runtime_verification import Verifier
+from midstride.runtime.command_queue import CommandQueue
 from midstride.runtime.handover.fences import DEFAULT_WAIT
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
-from midstride.runtime.process.component_client import ComponentClient, ComponentEvent
+from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.process.launcher import Launcher
 from midstride.runtime.records.change_history import History, SpecificationVersion
 from midstride.runtime.records.change_report import ChangeReport
@@ -41,7 +40,7 @@ from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.journal import Journal
 from midstride.runtime.records.reports import Event, LiveConfiguration, Outcome, UpReport
 from midstride.runtime.records.state_store import StateStore
-from midstride.runtime.records.status_forms import ParametersReport, ProgramStatus, RunningCommand, Status, Why
+from midstride.runtime.records.status_forms import ParametersReport, ProgramStatus, Status, Why
 from midstride.runtime.restore.bring_up import BringUp
 from midstride.runtime.restore.respawner import Respawner
 from midstride.runtime.restore.restoring import Restorer
@@ -75,112 +74,56 @@ class Manager:
     ) -> None:
         """``file`` is the one that ``specification`` was read from, and ``directory`` where programs are started."""
         named = None if file is None else str(file)
-        self.system = RunningSystem(specification, Configuration(context=specification.context), named)
-        self._backend = backend
-        self._workspace = workspace
-        self._lock = asyncio.Lock()
-        self._current: str | None = None  # the command in progress
-        self._waiting = 0  # how many commands wait for it
-        self._since = 0.0  # when it started (steady s)
-        self._options = options
-        self._spares = options.spares
-        self._journal = Journal(workspace.journal, backend.name, disk)
-        self.events = EventLog(self._journal.note)
-        self._store = StateStore(workspace.state, lambda words: self.events.add("note", words), disk)
-        self._client = ComponentClient(
-            backend.transport,
-            backend.clock,
-            secrets.token_hex(16),
-            on_event=self._on_component_event,
-            superseded=lambda: self._journal.superseded or self._store.superseded,
+        self.system = system = RunningSystem(specification, Configuration(context=specification.context), named)
+        self._backend, self._workspace, self._options, self._spares = backend, workspace, options, options.spares
+        # What the parts have in common: records, commands, and the way to components.
+        clock, self.events = backend.clock, (events := EventLog())
+        self._journal = journal = Journal(workspace.journal, backend.name, disk)
+        self._store = store = StateStore(workspace.state, partial(events.add, "note"), disk)
+        self._commands = commands = CommandQueue(clock, events)
+        self._client = client = ComponentClient(
+            backend.transport, clock, secrets.token_hex(16), lambda: journal.superseded or store.superseded
         )
-        self._launcher = Launcher(backend, self._client, directory, options)
-        self._programs = Programs(self._client, directory)
-        self._watch = DiscoveryWatch(
-            backend,
-            self._client,
-            self.events,
-            instances=lambda: self.configuration.instances.keys(),
-            busy=lambda: self._current is not None,
+        self._launcher = launcher = Launcher(backend, client, directory, options)
+        # What is known of components.
+        self._programs = Programs(client, directory)
+        self._watch = DiscoveryWatch(backend, client, events, system, commands)
+        self._monitor = monitor = SilenceMonitor(
+            client, clock, events, launcher.ending, system.crashed, self._watch.stopped
         )
-        self._monitor = SilenceMonitor(
-            self._client,
-            backend.clock,
-            self.events,
-            self._launcher.ending,
-            self.system.crashed,
-            self._watch.stopped,
-        )
-        self._respawner = Respawner(
-            self.system,
-            backend.clock,
-            self.events,
-            turn=self._command,
-            change=partial(self._recover, by="the restart policy"),
-        )
-        self._restorer = Restorer(
-            self.system,
-            self._client,
-            backend.clock,
-            self.events,
-            turn=self._command,
-            change=partial(self._recover, by=None),
-            enabled=not options.keep_degraded,
-        )
-        self._reconciler = Reconciler(
-            self.system,
-            self._client,
-            self._monitor,
-            self._launcher,
-            self.events,
-            self._store,
-            lock=self._reconciler_lock,
-            busy=self._is_busy,
-            on_reconciled=self._on_reconciled,
-            on_degraded=self._restorer.degraded,
-        )
-        self._session = ChangeSession(
-            self.system,
-            self._client,
-            self._monitor,
-            backend.clock,
-            self.events,
-            self._store,
-            self._reconciler,
+        # What changes the system, each part by the one before it.
+        self._reconciler = reconciler = Reconciler(system, client, monitor, launcher, events, store, commands)
+        self._session = session = ChangeSession(
+            system,
+            client,
+            monitor,
+            clock,
+            events,
+            store,
+            reconciler,
             verifier or Verifier(),
-            self._launcher,
+            launcher,
             backend,
-            self._journal,
+            journal,
+            commands,
         )
+        self._respawner = Respawner(system, clock, events, reconciler, session)
+        self._restorer = Restorer(system, client, clock, events, reconciler, session, not options.keep_degraded)
         self.watched = WatchedSystem(
-            self.system,
-            self._client,
-            self._monitor,
-            self._launcher,
-            self._respawner,
-            self._restorer,
-            self.events,
-            backend.clock,
-            running=lambda: self._current,
+            system, client, monitor, launcher, self._respawner, self._restorer, events, clock, commands
         )
+        # What each of them learns of the others.
+        events.listeners.append(journal.note)
+        commands.listeners += [self._watch.look_soon, self._keep_spares]
+        reconciler.observers += [self._respawner, self._restorer]
+        client.listeners += [
+            part.on_component_event for part in (launcher, self._programs, reconciler, self._restorer, self.watched)
+        ]
 
-    async def _recover(self, request: PlanRequest, by: str | None) -> Outcome:
-        return await self._session.change(request, brief=True, by=by)
-
-    def _on_reconciled(self) -> None:
-        self._respawner.update()
-        self._restorer.update()
-
-    def _on_component_event(self, event: ComponentEvent) -> None:
-        if isinstance(event, ComponentState):
-            self._backend.reported(event)
-            self._programs.on_report(event)
-        if self._session.modes is not None:
-            self._session.modes.on_component_event(event)
-        self._reconciler.on_component_event(event)
-        if isinstance(event, ComponentState):
-            self._restorer.on_report(event)
-        self.watched.on_report(event)
+    def _keep_spares(self) -> None:
+        """A command has ended. Where another one waits, spare processes would compete with it for the processor."""
+        if self._commands.is_last:
+            self._backend.keep_spares(self._spares, self._client.token)
 
     @property
     def specification(self) -> Specification:
@@ -210,7 +153,7 @@ class Manager:
             self.system.file, self.system.changed_since = saved.file, saved.changed_since
         await self._backend.open(self._reconciler.on_exit)
         self._watch.start()
-        async with self._command(f"up {self.specification.name}"):
+        async with self._reconciler.command(f"up {self.specification.name}"):
             interrupted = await self._journal.take_over()
             if self._journal.damaged is not None:
                 self.events.add("note", self._journal.damaged)
@@ -245,12 +188,12 @@ class Manager:
             self._launcher,
             self._reconciler,
             self._session,
+            self._restorer,
             self._store,
             self.events,
             self._options,
             backend=self._backend.name,
             workspace=self._workspace.name,
-            improved=self._restorer.improved,
         )
 
     async def close(self) -> None:
@@ -269,7 +212,7 @@ class Manager:
         """Terminate every component and delete the saved state. Raises ManagerError naming those that still run."""
         self._restorer.stop()
         self._respawner.stop()  # also a restart in progress: it is rolled back
-        async with self._command("down"):
+        async with self._reconciler.command("down"):
             self._spares = 0
             names = sorted({*self._launcher.handles, *self.configuration.instances})
             ended = await asyncio.gather(*(self._end(name) for name in names))
@@ -300,16 +243,12 @@ class Manager:
     async def status(self) -> Status:
         """The live components and their modes, with reasons, as they report them; silent ones are marked."""
         programs = await self._programs.status(self.configuration)
-        running = None
-        if self._current is not None:
-            running = RunningCommand(self._current, round(self._backend.clock.steady() - self._since, 3))
         refused = [self._store.unwritten, self._journal.unwritten, self._backend.unwritten()]
         unwritten = "; ".join(filter(None, refused)) or None
         return status.status(
             self.watched,
             self._backend,
             programs,
-            running,
             unwritten=unwritten,
             damaged=self._journal.damaged,
             spares=self._spares,
@@ -331,7 +270,7 @@ class Manager:
 
     async def why(self, functionality: str) -> Why:
         """Why a functionality is in the mode it is in. Raises PlanRefused for an unknown one."""
-        return Explainer(self.watched, self._current if self._is_busy() else None).why(functionality)
+        return Explainer(self.watched).why(functionality)
 
     async def plan(self, request: PlanRequest) -> Plan:
         """The plan for ``request`` from the current configuration. Raises PlanRefused."""
@@ -382,7 +321,7 @@ class Manager:
         contain ``id``, so that a client can distinguish its own from others. The specification of ``request`` was read
         from ``file``. ``by`` says in the history who asked.
         """
-        async with self._command(request.describe(), id):
+        async with self._reconciler.command(request.describe(), id):
             outcome = await self._session.change(
                 request, expected=expected, verify=verify, brief=brief, by=by, wait=wait
             )
@@ -398,7 +337,7 @@ class Manager:
         for one that does not run, CommandRefused with the component's reason.
         """
         words = ", ".join(f"{name} = {value!r}" for name, value in values.items())
-        async with self._command(f"param set {node} {words}"):
+        async with self._reconciler.command(f"param set {node} {words}"):
             try:
                 instance = self.system.live_instance(node)
                 await self._client.change(instance, SetParametersCommand(parameters=dict(values), declared={}))
@@ -411,44 +350,3 @@ class Manager:
             self.system.values.report(state)
             self._reconciler.save_values()
             return ParametersReport(instance, [each for each in status.parameters(state) if each.name in values])
-
-    @contextlib.asynccontextmanager
-    async def _command(self, words: str, id: str | None = None) -> AsyncIterator[None]:
-        """Run one command at a time, in order of arrival; an event says which command another one waits for."""
-        if self._current is not None:
-            self.events.add("waiting", f"`{words}` waits for `{self._current}`", command=words, id=id)
-        async with self._turn():
-            self._current, self._since = words, self._backend.clock.steady()
-            self.events.add("command", words, id=id)
-            try:
-                async with self._reconciler.around():
-                    yield
-            finally:
-                self._current = None
-                self._watch.look_soon()
-                if not self._waiting:  # or they would compete with the next one for the processor
-                    self._backend.keep_spares(self._spares, self._client.token)
-
-    @contextlib.asynccontextmanager
-    async def _turn(self) -> AsyncIterator[None]:
-        """Hold the lock; the session knows whether a command waits for it."""
-        self._waiting += 1
-        if self._current is not None:
-            self._session.another_waits.set()
-        try:
-            await self._lock.acquire()
-        finally:
-            self._waiting -= 1
-            if not self._waiting:
-                self._session.another_waits.clear()
-        try:
-            yield
-        finally:
-            self._lock.release()
-
-    def _is_busy(self) -> bool:
-        """Whether a command is changing the system. One that only measures does not prevent reconciling."""
-        return self._current is not None and not self._session.measuring
-
-    def _reconciler_lock(self) -> AbstractAsyncContextManager[Any]:
-        return contextlib.nullcontext() if self._session.measuring else self._lock

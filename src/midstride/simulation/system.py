@@ -66,13 +66,7 @@ class System:
         declared = self.specification if saved is None else saved.specification
         self.manager = manager = Manager(declared, life.backend, WORKSPACE, WORKSPACE.path, disk=self.disk)
         self.lives.append(life)
-        record = manager.events.on_event
-
-        def on_event(event: Event) -> None:
-            record(event)
-            self.on_event(life, event)
-
-        manager.events.on_event = on_event
+        manager.events.listeners.append(lambda event: self.on_event(life, event))
         return manager
 
     def saved(self) -> SavedState | None:

@@ -10,7 +10,7 @@ import asyncio
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Final, cast
 
 from msgspec import UNSET, UnsetType, structs
@@ -42,6 +42,7 @@ from midstride.runtime.change.reconciler import Reconciler
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.change.runtime_verification import StepVerifier, Verifier
 from midstride.runtime.change.stalled_first import with_stalled_first
+from midstride.runtime.command_queue import CommandQueue
 from midstride.runtime.handover.arbiter_choice import require_arbiters
 from midstride.runtime.handover.fences import DEFAULT_WAIT
 from midstride.runtime.manager_clock import Clock
@@ -89,11 +90,7 @@ class _Steps:
 
 @dataclass
 class ChangeSession:
-    """Carries out one change at a time; the caller holds the manager's lock.
-
-    ``measuring`` is true once all steps are done and only the measurement is left. ``another_waits`` is set while the
-    next command waits.
-    """
+    """Carries out one change at a time, of the command in progress."""
 
     system: RunningSystem
     client: ComponentClient
@@ -106,9 +103,7 @@ class ChangeSession:
     launcher: Launcher
     backend: Backend
     journal: Journal
-    measuring: bool = False
-    another_waits: asyncio.Event = field(default_factory=asyncio.Event)
-    modes: ModeRecorder | None = None  # of the change in progress
+    commands: CommandQueue
     _measured_until: int = 0
 
     async def plan(self, request: PlanRequest) -> tuple[Plan, Specification]:
@@ -195,7 +190,8 @@ class ChangeSession:
         before = None if is_new else system.specification
         new = NewChange(command, by, before, target, len(plan.steps), preview)
         entry = await self.journal.begin(new, required=required)
-        recording = Recording(self.client, self.clock, self.another_waits if brief else None, self._measured_until)
+        hurried = self.commands.another_waits if brief else None
+        recording = Recording(self.client, self.clock, hurried, self._measured_until)
         transfer = ParameterTransfer(self.client, system.values, plan.change, plan.parameters, keep)
         change = RunningChange(
             plan, target, preview, entry, recording, transfer, wait, system.configuration, {**system.missing}, verdict
@@ -216,11 +212,12 @@ class ChangeSession:
     async def _recorded(self, change: RunningChange) -> Outcome:
         """What comes of ``change``; with its timeline also in the journal."""
         since, before = time.time(), self.events.last
-        modes = self._record_modes(change)
+        modes = self._mode_recorder(change)
+        self.client.listeners.append(modes.on_component_event)
         try:
             outcome = await self._carry_out(change)
         finally:
-            self.modes = None
+            self.client.listeners.remove(modes.on_component_event)
             await change.recording.stop(self.system.configuration.instances)
         roles = {role for step in change.plan.steps for role in step.roles}
         timeline = ChangeTimeline(
@@ -233,9 +230,9 @@ class ChangeSession:
             await change.entry.recorded(outcome, timeline)
         return outcome
 
-    def _record_modes(self, change: RunningChange) -> ModeRecorder:
+    def _mode_recorder(self, change: RunningChange) -> ModeRecorder:
         created = [action.instance for action in change.actions if isinstance(action, Create)]
-        self.modes = recorder = ModeRecorder(self.system.configuration, created, time.time)
+        recorder = ModeRecorder(self.system.configuration, created, time.time)
         now, steady = time.time(), self.clock.steady()
         for name in self.system.configuration.instances:
             if (latest := self.client.latest(name)) is not None:
@@ -343,14 +340,13 @@ class ChangeSession:
         if recording.recorded:
             self.events.add("measuring", "watching the subscribers for 20 periods more")
         done = taken.outcome == "done"
-        self.measuring = True
         try:
-            swaps = await recording.finish(driver.last_numbers, resumed=not done, hung=driver.fences.fenced)
-            if done:
-                await recording.wait(taken.ended + self._first_calls(driver.change.actions) - self.clock.steady())
-            return swaps
+            with self.commands.measuring():
+                swaps = await recording.finish(driver.last_numbers, resumed=not done, hung=driver.fences.fenced)
+                if done:
+                    await recording.wait(taken.ended + self._first_calls(driver.change.actions) - self.clock.steady())
+                return swaps
         finally:
-            self.measuring = False
             hurried = recording.hurried is not None and recording.hurried.is_set()
             self._measured_until = int(self.clock.steady() * 1e9) if hurried else 0
 

@@ -10,8 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator, Callable, Container, Coroutine, Iterable, Iterator, Mapping
-from contextlib import AbstractAsyncContextManager
+from collections.abc import AsyncIterator, Container, Coroutine, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -22,6 +21,7 @@ from midstride.model.configuration import Configuration
 from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.mode_changes import lower_modes
 from midstride.runtime.change.running_change import RunningChange
+from midstride.runtime.command_queue import CommandQueue
 from midstride.runtime.process.component_client import ComponentClient, ComponentEvent, Disconnected
 from midstride.runtime.process.launcher import Launcher
 from midstride.runtime.records.events import EventLog
@@ -45,14 +45,25 @@ REFUSED_INTERVAL: Final = 1.0
 _LOST_BEFORE: Final = "its input was lost before it could be degraded"
 
 
+class ReconciliationObserver:
+    """Follows the reconciler. Each method does nothing unless overridden."""
+
+    __slots__ = ()
+
+    def degraded(self, ref: FunctionalityRef, index: int) -> None:
+        """``ref`` has entered that mode, which no command of this manager has asked for."""
+
+    def reconciled(self) -> None:
+        """The model is up to date after a command, or after what has happened without one."""
+
+
 @dataclass
 class Reconciler:
     """Handles the events of a back end and of components.
 
-    While a command is in progress (``busy``), the command reconciles at its start and its end; otherwise the reconciler
-    does so in the background, holding ``lock``. ``on_reconciled`` is called when the model is up to date, with no
-    command in progress; ``on_degraded`` for each functionality that has degraded unexpectedly, with its mode.
-    ``degraded`` are those that did so since the last change began.
+    While a command is changing the system, the command reconciles at its start and its end; otherwise the reconciler
+    does so in the background, between commands. ``degraded`` are the functionalities that have degraded unexpectedly
+    since the last change began.
     """
 
     system: RunningSystem
@@ -61,10 +72,8 @@ class Reconciler:
     launcher: Launcher
     events: EventLog
     store: StateStore
-    lock: Callable[[], AbstractAsyncContextManager[Any]]
-    busy: Callable[[], bool]
-    on_reconciled: Callable[[], None] = lambda: None
-    on_degraded: Callable[[FunctionalityRef, int], None] = lambda ref, index: None
+    commands: CommandQueue
+    observers: list[ReconciliationObserver] = field(default_factory=list)
     degraded: set[FunctionalityRef] = field(default_factory=set)
     pending: dict[FunctionalityRef, MidstrideError | None] = field(default_factory=dict)  # could not be degraded yet
     _change: RunningChange | None = None  # while its steps are carried out
@@ -141,24 +150,29 @@ class Reconciler:
         self.events.add("exited", f"{event.instance} exited unexpectedly{status}", log=event.log_tail)
         if event.instance in self.system.configuration.instances and self._change is not None:
             self._change.moved(self.system.configuration, (event.instance,))
-        if self.busy() and self._change is not None:
+        if self.commands.is_changing and self._change is not None:
             self._in_background(self._change.crashed())
         else:
             self._reconcile_soon()
 
     @contextlib.asynccontextmanager
-    async def around(self) -> AsyncIterator[None]:
-        """Reconcile before and after a command."""
-        try:
-            await self.reconcile()
-            self._accept_reported()
-            yield
-            await self.reconcile()
-        finally:
-            # Something happened after that, or the command failed.
-            if self.system.crashed or own_degradations(self.system.configuration, self.client, ()):
-                self._start_reconciling()
-            self.on_reconciled()
+    async def command(self, words: str, id: str | None = None) -> AsyncIterator[None]:
+        """Run one command in its turn, and reconcile before and after it."""
+        async with self.commands.turn(words, id):
+            try:
+                await self.reconcile()
+                self._accept_reported()
+                yield
+                await self.reconcile()
+            finally:
+                # Something happened after that, or the command failed.
+                if self.system.crashed or own_degradations(self.system.configuration, self.client, ()):
+                    self._start_reconciling()
+                self._tell_observers()
+
+    def _tell_observers(self) -> None:
+        for observer in self.observers:
+            observer.reconciled()
 
     def _accept_reported(self) -> None:
         """Expect the revisions that components have reported, except of those that report what the model lacks.
@@ -173,7 +187,7 @@ class Reconciler:
             self.client.accept(name)
 
     def _reconcile_soon(self) -> None:
-        if not self.busy():
+        if not self.commands.is_changing:
             self._start_reconciling()
 
     def _start_reconciling(self) -> None:
@@ -185,10 +199,10 @@ class Reconciler:
         task.add_done_callback(self._tasks.discard)
 
     async def _reconcile_in_background(self) -> None:
-        async with self.lock():
+        async with self.commands.between():
             try:
                 await self.reconcile()
-                self.on_reconciled()
+                self._tell_observers()
             except Exception as error:  # nothing awaits this task, so errors are logged here
                 log.exception("reconciling failed")
                 self.events.add("note", f"reconciling failed: internal error: {error!r}")
@@ -228,7 +242,8 @@ class Reconciler:
                 if ref not in self.pending:  # else a command that timed out has been carried out after all
                     words += " unexpectedly"
                     self.degraded.add(ref)
-                    self.on_degraded(ref, index)
+                    for observer in self.observers:
+                        observer.degraded(ref, index)
                 self.events.add("degraded", words, functionality=str(ref))
                 because.append(words)
             after, to_lower = respond(configuration, crashed, degraded, [*self.pending, *touched])

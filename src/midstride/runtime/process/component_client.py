@@ -74,16 +74,16 @@ class LatestState:
 class ComponentClient:
     """Sends commands to components, each change with the revision that the component is expected to be at.
 
-    A component refuses a change at any other revision. It recognizes its manager by ``token``. ``on_event`` is called
-    for each reported state and each disconnection. Once another manager has taken over, as ``superseded`` says, nothing
-    is changed or undone any more. Not thread-safe: use it on one event loop.
+    A component refuses a change at any other revision. It recognizes its manager by ``token``. Each listener is called
+    with every reported state and every disconnection. Once another manager has taken over, as ``superseded`` says,
+    nothing is changed or undone any more. Not thread-safe: use it on one event loop.
     """
 
     transport: Transport
     clock: Clock
     token: str
-    on_event: Callable[[ComponentEvent], None] = lambda _: None
     superseded: Callable[[], bool] = lambda: False
+    listeners: list[Callable[[ComponentEvent], object]] = field(default_factory=list)
     _revisions: dict[str, int] = field(default_factory=dict)
     _channels: dict[str, Channel] = field(default_factory=dict)
     _connecting: dict[str, asyncio.Lock] = field(default_factory=dict)
@@ -152,7 +152,11 @@ class ComponentClient:
                 registration.set_result(frame)
             return
         self._latest[instance] = LatestState(frame.state, self.clock.steady())
-        self.on_event(frame.state)
+        self._tell_listeners(frame.state)
+
+    def _tell_listeners(self, event: ComponentEvent) -> None:
+        for listener in self.listeners:
+            listener(event)
 
     def _on_closed(self, instance: str, channel: Channel) -> None:
         if self._channels.get(instance) is channel:
@@ -183,7 +187,7 @@ class ComponentClient:
                 self._lost.add(instance)
             if exited or not reported:
                 reported = True
-                self.on_event(Disconnected(instance, exited))
+                self._tell_listeners(Disconnected(instance, exited))
 
     def latest(self, instance: str) -> LatestState | None:
         """The state that the component last reported, while it is connected."""
@@ -209,7 +213,7 @@ class ComponentClient:
         return latest is not None and self.clock.steady() - latest.at >= STOPPED
 
     def disconnect(self, instance: str) -> None:
-        """Close the connection: the component was released or has exited. ``on_event`` is not called."""
+        """Close the connection: the component was released or has exited. The listeners are not called."""
         if reopening := self._reopening.pop(instance, None):
             reopening.cancel()
         self._reopened_at.pop(instance, None)

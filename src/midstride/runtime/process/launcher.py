@@ -26,7 +26,7 @@ from midstride.model.component import GATES, Gate
 from midstride.model.configuration import Instance
 from midstride.runtime.backend_protocol import RELAY_SUFFIX, Backend, Exited, Handle, Launch
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
-from midstride.runtime.process.component_client import STOPPED, ComponentClient
+from midstride.runtime.process.component_client import STOPPED, ComponentClient, ComponentEvent
 from midstride.runtime.process.registration import mismatches, unexpected_endpoints
 from midstride.runtime.timeouts import within
 from midstride.wire.commands import ReleaseCommand, WelcomeCommand
@@ -74,6 +74,11 @@ class Launcher:
         waiting = self._exits.get(event.instance)
         if waiting is not None and not waiting.done():
             waiting.set_result(event)
+
+    def on_component_event(self, event: ComponentEvent) -> None:
+        """A component has reported its state, or it has disconnected."""
+        if isinstance(event, ComponentState):
+            self._backend.reported(event)
 
     def disconnected(self, name: str) -> None:
         """The connection of a component that was started by hand has closed."""

@@ -13,10 +13,9 @@ from midstride.runtime.records.reports import Event
 
 
 class EventLog:
-    """The latest events of one manager. ``on_event`` is called with each, and so are ``listeners``."""
+    """The latest events of one manager; each listener is called with every one."""
 
-    def __init__(self, on_event: Callable[[Event], object] = lambda _: None) -> None:
-        self.on_event = on_event
+    def __init__(self) -> None:
         self.listeners: list[Callable[[Event], object]] = []
         self._events: deque[Event] = deque(maxlen=10_000)
         self._count = 0
@@ -27,7 +26,6 @@ class EventLog:
         self._count += 1
         event = Event(n=self._count, at=time.time(), kind=kind, words=words, **details)
         self._events.append(event)
-        self.on_event(event)
         for listener in self.listeners:
             listener(event)
         for waker in self._wakers:

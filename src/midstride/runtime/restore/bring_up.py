@@ -6,11 +6,10 @@ Each of these is an ordinary plan (docs/protocols/recovery.md); what still runs 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from midstride.errors import CommandRefused, ManagerError, PlanRefused, StepFailed
-from midstride.model.component import FunctionalityRef
 from midstride.model.specification import Specification
 from midstride.plan.change_builder import change_between
 from midstride.plan.runtime_values import of_change
@@ -25,27 +24,25 @@ from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.journal_records import Interrupted
 from midstride.runtime.records.state_store import SavedState, StateStore
 from midstride.runtime.restore.recovery import recover
+from midstride.runtime.restore.restoring import Restorer
 from midstride.runtime.running_system import RunningSystem
 
 
 @dataclass(frozen=True, slots=True)
 class BringUp:
-    """One ``up`` of the system ``workspace`` on the platform ``backend``.
-
-    ``improved``: the better modes of functionalities that are supported by what is measured.
-    """
+    """One ``up`` of the system ``workspace`` on the platform ``backend``."""
 
     system: RunningSystem
     client: ComponentClient
     launcher: Launcher
     reconciler: Reconciler
     session: ChangeSession
+    restorer: Restorer
     store: StateStore
     events: EventLog
     options: SystemOptions
     backend: str
     workspace: str
-    improved: Callable[[Collection[FunctionalityRef]], dict[FunctionalityRef, int]]
 
     async def restore_missing(self, absent: set[str], *, is_new: bool) -> dict[str, str]:
         """Bring up what does not run, without the roles ``absent``; returns why each of the others could not be.
@@ -104,7 +101,7 @@ class BringUp:
         parameters = of_change(change, self.system.values.by_role(self.system.configuration))
         if specification == running and not (change.instances() or change.parameters or change.renamed):
             # Nothing but modes differs: what the local reflex has degraded waits until its input is back.
-            plan = restore(self.system.configuration, running, self.improved(change.pending), {})
+            plan = restore(self.system.configuration, running, self.restorer.improved(change.pending), {})
             change = plan.change
         else:
             plan = replace(await asyncio.to_thread(planner("minimal"), change), parameters=parameters)

@@ -9,17 +9,16 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable
-from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 
 from midstride.model.respawn import RespawnPolicy
 from midstride.model.wording import counted
 from midstride.plan.request import PlanRequest
 from midstride.runtime.backend_protocol import Exited
+from midstride.runtime.change.change_session import ChangeSession
+from midstride.runtime.change.reconciler import Reconciler, ReconciliationObserver
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.records.events import EventLog
-from midstride.runtime.records.reports import Outcome
 from midstride.runtime.records.status_forms import RespawnStatus
 from midstride.runtime.restore.attempts import Attempts
 from midstride.runtime.running_system import RunningSystem
@@ -44,14 +43,14 @@ class _Record:
 
 
 @dataclass(slots=True)
-class Respawner:
-    """Restarts crashed nodes. ``turn(words)`` waits until a command may run; ``change`` carries one out in its turn."""
+class Respawner(ReconciliationObserver):
+    """Restarts crashed nodes by ``session``, each as a command in its turn."""
 
     system: RunningSystem
     clock: Clock
     events: EventLog
-    turn: Callable[[str], AbstractAsyncContextManager[None]]
-    change: Callable[[PlanRequest], Awaitable[Outcome]]
+    reconciler: Reconciler
+    session: ChangeSession
     _records: dict[str, _Record] = field(default_factory=dict)  # by role
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
     _stopped: bool = False
@@ -66,7 +65,7 @@ class Respawner:
         self.stop()
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
-    def update(self) -> None:
+    def reconciled(self) -> None:
         """The model is up to date after a crash or a command: decide on new crashes, and cancel what is obsolete."""
         if self._stopped:
             return
@@ -165,9 +164,9 @@ class Respawner:
         failed = None
         await self.clock.sleep(delay)
         try:
-            async with self.turn(words):
+            async with self.reconciler.command(words):
                 record.carrying_out, record.due = True, None
-                outcome = await self.change(request)
+                outcome = await self.session.change(request, brief=True, by="the restart policy")
                 failed = None if outcome.outcome == "done" else f"{words} failed: {outcome.because}"
         except Exception as error:  # nothing awaits this task, so errors are logged here
             log.exception("%s failed", words)
@@ -180,4 +179,4 @@ class Respawner:
                 self._leave(role, record, failed)
             else:
                 self._on_crash(role, record, policy, failed)
-        self.update()
+        self.reconciled()

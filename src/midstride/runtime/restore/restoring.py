@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable, Collection, Iterable, Iterator
-from contextlib import AbstractAsyncContextManager
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -22,10 +21,11 @@ from midstride.model.respawn import RespawnPolicy
 from midstride.model.rules import Evaluator
 from midstride.model.wording import counted
 from midstride.plan.request import PlanRequest
+from midstride.runtime.change.change_session import ChangeSession
+from midstride.runtime.change.reconciler import Reconciler, ReconciliationObserver
 from midstride.runtime.manager_clock import Clock
-from midstride.runtime.process.component_client import SILENCE, ComponentClient
+from midstride.runtime.process.component_client import SILENCE, ComponentClient, ComponentEvent, Disconnected
 from midstride.runtime.records.events import EventLog
-from midstride.runtime.records.reports import Outcome
 from midstride.runtime.restore.attempts import Attempts
 from midstride.runtime.running_system import RunningSystem
 from midstride.wire.state import ComponentState, FunctionalityState, LinkState
@@ -67,8 +67,8 @@ class _Record:
 
 
 @dataclass(slots=True)
-class Restorer:
-    """Restores functionalities. ``turn(words)`` waits until a command may run; ``change`` carries one out in its turn.
+class Restorer(ReconciliationObserver):
+    """Restores functionalities by ``session``, as commands in their turn.
 
     ``enabled``: False where only commands are to restore them.
     """
@@ -77,8 +77,8 @@ class Restorer:
     client: ComponentClient
     clock: Clock
     events: EventLog
-    turn: Callable[[str], AbstractAsyncContextManager[None]]
-    change: Callable[[PlanRequest], Awaitable[Outcome]]
+    reconciler: Reconciler
+    session: ChangeSession
     enabled: bool = True
     _records: dict[FunctionalityRef, _Record] = field(default_factory=dict)
     # What has degraded by an exception or by another client's command, and to which mode: a command restores these.
@@ -105,7 +105,7 @@ class Restorer:
         if latest is None or not latest.state.functionalities[ref.functionality].reflex:
             self._held[ref] = index
 
-    def update(self) -> None:
+    def reconciled(self) -> None:
         """A command has ended, or the model follows what has happened: forget what has been restored or removed."""
         modes, self._running = self.system.configuration.modes, True
         self._held = {ref: index for ref, index in self._held.items() if modes.get(ref, -1) >= index}
@@ -120,12 +120,12 @@ class Restorer:
             if ref not in modes or lasts or raised:
                 del self._records[ref]
 
-    def on_report(self, state: ComponentState) -> None:
-        """A component has reported its state."""
-        if not self.enabled or not self._running:
+    def on_component_event(self, event: ComponentEvent) -> None:
+        """A component has reported its state, or it has disconnected."""
+        if isinstance(event, Disconnected) or not self.enabled or not self._running:
             return
-        for name, view in state.functionalities.items():
-            ref = FunctionalityRef(state.instance, name)
+        for name, view in event.functionalities.items():
+            ref = FunctionalityRef(event.instance, name)
             if ref not in self._carrying and self._is_fallen(ref):
                 self._look(ref, view)
 
@@ -174,7 +174,7 @@ class Restorer:
     async def _restore(self, refs: list[FunctionalityRef]) -> None:
         words, failed = f"restore {', '.join(map(str, refs))}", ""
         try:
-            async with self.turn(words):
+            async with self.reconciler.command(words):
                 self._carrying = self.improved([ref for ref in refs if self._is_fallen(ref)])
                 records = {
                     ref: record for ref, record in self._records.items() if ref in self._carrying and record.fallen
@@ -189,7 +189,8 @@ class Restorer:
                     attempt = "(a condition)" if record.conditional else f"({record.number} of {POLICY.limit})"
                     self.events.add("restore", f"what {ref} relies on is back: it is restored {attempt}")
                 try:
-                    outcome = await self.change(PlanRequest(restore=tuple(sorted(self._carrying.items()))))
+                    request = PlanRequest(restore=tuple(sorted(self._carrying.items())))
+                    outcome = await self.session.change(request, brief=True)
                     failed = "" if outcome.outcome == "done" else f": {words} failed: {outcome.because}"
                 except Exception as error:  # nothing awaits this task, so errors are logged here
                     log.exception("%s failed", words)

@@ -14,11 +14,10 @@ from typing import Final
 
 from midstride.errors import BackendError
 from midstride.model.configuration import Configuration, Instance
-from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.process.component_client import ComponentClient, ComponentEvent, Disconnected
 from midstride.runtime.records.status_forms import ProgramStatus
 from midstride.wire.commands import ProgramCommand
 from midstride.wire.program import FileFingerprint, Program, files_named
-from midstride.wire.state import ComponentState
 
 # How long to wait for the answers of components that are being asked (s).
 PATIENCE: Final = 1.0
@@ -56,8 +55,10 @@ class Programs:
     _known: dict[str, _Known] = field(default_factory=dict)
     _asking: dict[str, asyncio.Task[None]] = field(default_factory=dict)
 
-    def on_report(self, state: ComponentState) -> None:
-        """A component has reported its state."""
+    def on_component_event(self, state: ComponentEvent) -> None:
+        """A component has reported its state, or it has disconnected."""
+        if isinstance(state, Disconnected):
+            return
         known = self._known.get(state.instance)
         if known is None or known.uuid != state.uuid:
             known = self._known[state.instance] = _Known(state.uuid, 0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from midstride.runtime.command_queue import CommandQueue
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.process.component_client import ComponentClient, ComponentEvent
 from midstride.runtime.process.launcher import Launcher
@@ -19,8 +20,7 @@ from midstride.runtime.watch.silence import SilenceMonitor
 class WatchedSystem:
     """The parts of a manager that know something of the running system; to be read only.
 
-    ``running`` is the command in progress. ``on_report`` is called after the manager has taken in what a component has
-    reported, or that it has disconnected.
+    ``on_report`` is called after the manager has taken in what a component has reported, or that it has disconnected.
     """
 
     system: RunningSystem
@@ -31,5 +31,9 @@ class WatchedSystem:
     restorer: Restorer
     events: EventLog
     clock: Clock
-    running: Callable[[], str | None]
+    commands: CommandQueue
     on_report: Callable[[ComponentEvent], object] = lambda _: None
+
+    def on_component_event(self, event: ComponentEvent) -> None:
+        """The manager has taken in ``event``."""
+        self.on_report(event)

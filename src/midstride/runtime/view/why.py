@@ -17,10 +17,9 @@ from midstride.runtime.view.watched_system import WatchedSystem
 
 @dataclass(frozen=True, slots=True)
 class Explainer:
-    """Answers ``midstride why``. ``changing`` is the command that is changing the system."""
+    """Answers ``midstride why``."""
 
     watched: WatchedSystem
-    changing: str | None
 
     @property
     def system(self) -> RunningSystem:
@@ -80,8 +79,8 @@ class Explainer:
         """What to do so that ``ref`` gets back into its normal mode: for each root cause, the nearest first."""
         if not self.system.configuration.modes[ref]:
             return []
-        if self.changing is not None:
-            return [f"wait for `{self.changing}`, which is being carried out"]
+        if (commands := self.watched.commands).is_changing:
+            return [f"wait for `{commands.current}`, which is being carried out"]
         found: dict[str, None] = {}
         waiting, seen = deque([ref]), {ref}
         while waiting:

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Final
 
 from midstride.errors import BackendError, MidstrideError
 from midstride.runtime.backend_protocol import Backend
+from midstride.runtime.command_queue import CommandQueue
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.records.events import EventLog
+from midstride.runtime.running_system import RunningSystem
 from midstride.wire.commands import DiscoverCommand
 
 log = logging.getLogger(__name__)
@@ -30,17 +32,17 @@ PATIENCE: Final = (5.0, 3.0)
 
 @dataclass
 class DiscoveryWatch:
-    """``instances`` names those that run; ``busy`` says whether a command is being carried out.
+    """``stopped`` has the instances that have stopped discovering, and since when that is known (steady s).
 
-    ``stopped`` has the instances that have stopped discovering, and since when that is known (steady s). One that has
-    never discovered an endpoint of this manager is not among them: it may be out of its reach.
+    One that has never discovered an endpoint of this manager is not among them: it may be out of its reach. Nothing is
+    probed while a command runs.
     """
 
     backend: Backend
     client: ComponentClient
     events: EventLog
-    instances: Callable[[], Collection[str]]
-    busy: Callable[[], bool]
+    system: RunningSystem
+    commands: CommandQueue
     stopped: dict[str, float] = field(default_factory=dict)
     _discovering: set[str] = field(default_factory=set)
     _due: asyncio.Event = field(default_factory=asyncio.Event)
@@ -69,7 +71,7 @@ class DiscoveryWatch:
                 waiting.cancel()
             self._due.clear()
             await self.backend.clock.sleep(SOON)
-            if not self.busy():
+            if self.commands.current is None:
                 await self._look_again()
 
     async def _look_again(self) -> None:
@@ -86,7 +88,7 @@ class DiscoveryWatch:
 
     async def look(self) -> None:
         """Probe every instance. What is known of one that does not answer stays."""
-        names = set(self.instances())
+        names = set(self.system.configuration.instances)
         self._discovering &= names
         for name in self.stopped.keys() - names:
             del self.stopped[name]
@@ -98,7 +100,7 @@ class DiscoveryWatch:
             for name in shown & self.stopped.keys():
                 del self.stopped[name]
             suspects = {name for name, shows in found.items() if shows is False and name in self._discovering}
-            if not suspects or self.busy():
+            if not suspects or self.commands.current is not None:
                 return
         self._judge(suspects)
 

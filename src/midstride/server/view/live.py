@@ -286,7 +286,7 @@ class LiveView:
             "backend": self.backend,
             "phase": self.lifecycle.phase,
             "revision": system.revision,
-            "running": watched.running(),
+            "running": watched.commands.current,
             "valid": not (self._violations or silences or self._unsound),
             "violations": self._violations,
             "crashed": crash_views(watched),
