@@ -105,9 +105,9 @@ def _component(
         inputs={_port(topic): NEED for topic in reads},
         outputs=tuple(map(_port, writes)),
         functionalities=(work,),
-        holds=holds,
+        resource_usage=holds,
         run=f"python3 {name.lower()}.py",
-        takes=seconds,
+        startup_seconds=seconds,
     )
 
 

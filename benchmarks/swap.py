@@ -78,15 +78,15 @@ def specification(platform: Platform) -> Specification:
     )
     listen = FunctionalitySpec("listen", (Mode("normal", (InputAlternatives(("in",)),)), Mode("degraded")), ("in",))
     sources = [
-        ComponentSpec.of(name, outputs=("out",), functionalities=(talk,), run=f"{run} source", takes=1.0)
+        ComponentSpec.of(name, outputs=("out",), functionalities=(talk,), run=f"{run} source", startup_seconds=1.0)
         for name in ("Source", "OtherSource")
     ]
     # Two names of one program: a swap there and back is a swap all the same.
     sources[1] = ComponentSpec.of(
-        "OtherSource", outputs=("out",), functionalities=(talk,), run=f"{run} source other", takes=1.0
+        "OtherSource", outputs=("out",), functionalities=(talk,), run=f"{run} source other", startup_seconds=1.0
     )
     sink = ComponentSpec.of(
-        "Sink", inputs={"in": Predicate(text, 50)}, functionalities=(listen,), run=f"{run} sink", takes=1.0
+        "Sink", inputs={"in": Predicate(text, 50)}, functionalities=(listen,), run=f"{run} sink", startup_seconds=1.0
     )
     return Specification(
         "swap_benchmark",

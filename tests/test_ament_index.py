@@ -66,7 +66,9 @@ def warnings(path: Path) -> list[str]:
     return [f"{each.position}: {each.message}" for each in load(path).diagnostics if each.code == "W161"]
 
 
-def test_it_is_read_written_and_looked_up_by_check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_package_of_a_program_is_read_written_and_looked_up_by_check(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "s.stride"
     path.write_text(TEXT, encoding="utf-8")
     monkeypatch.setenv("AMENT_PREFIX_PATH", planted(tmp_path / "prefix", "demo_nodes"))

@@ -24,7 +24,7 @@ FOLDER = ROOT / "examples" / "patrol"
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
 
-def test_it_never_drives_blind_while_drivers_are_replaced_and_die(tmp_path: Path) -> None:
+def test_the_robot_never_drives_blind_while_drivers_are_replaced_and_die(tmp_path: Path) -> None:
     specification = load(FOLDER / "patrol_ros2.stride").require()
     observed = tmp_path / "observed.json"
     observer = specification.nodes["observer"]

@@ -76,14 +76,14 @@ def exposed(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
         sys.modules.pop(name, None)
 
 
-def test_it_runs_the_command_that_stays(exposed: dict[str, Any]) -> None:
+def test_the_launch_action_runs_the_command_that_stays(exposed: dict[str, Any]) -> None:
     action = exposed["midstride"](specification="a.stride", arguments=["--use-sim-time"], respawn=True)
     head = [sys.executable, "-m", "midstride", "up", "a.stride", "--backend", "ros2", "--stop-on-exit"]
     assert action.cmd == [*head, "--use-sim-time"]
     assert action.options == {"name": "midstride", "output": "screen", "sigterm_timeout": "30", "respawn": True}
 
 
-def test_its_element(exposed: dict[str, Any]) -> None:
+def test_the_element_of_the_launch_action(exposed: dict[str, Any]) -> None:
     entity = DocumentedEntity(specification="$(dirname)/a.stride", backend="$(var b)", args="--spares 2", name="robot")
     made, options = exposed["midstride"].parse(entity, DocumentedParser())
     action = made(**options)

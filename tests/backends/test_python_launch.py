@@ -44,7 +44,7 @@ def generate_launch_description():
 
 @pytest.mark.full
 @pytest.mark.skipif(importlib.util.find_spec("launch_ros") is None, reason="ROS 2's launch is on no package index")
-def test_its_nodes_are_noted_and_nothing_is_started(tmp_path: Path) -> None:
+def test_the_nodes_of_a_python_launch_file_are_noted_and_none_is_started(tmp_path: Path) -> None:
     file = tmp_path / "robot.launch.py"
     file.write_text(LAUNCH)
     found = import_launch_file(file, {"n": "7"}, {}, tmp_path, run_python=True)

@@ -81,7 +81,7 @@ async def _by_rosnode(r: Any) -> None:
 
 
 @pytest.mark.parametrize("end", [_by_command, _by_signal, _by_rosnode])
-def test_it_ends_in_order_however_it_is_ended(tmp_path: Path, end: Callable[[Any], Any]) -> None:
+def test_a_component_ends_in_order_however_it_is_ended(tmp_path: Path, end: Callable[[Any], Any]) -> None:
     heard = tmp_path / "heard"
 
     async def scenario() -> None:
@@ -251,7 +251,7 @@ def test_nothing_in_the_graph_is_secret_or_takes_commands(tmp_path: Path) -> Non
     run(scenario())
 
 
-def test_it_answers_before_rospy_has_joined_ros(tmp_path: Path) -> None:
+def test_a_component_answers_before_rospy_has_joined_ros(tmp_path: Path) -> None:
     """Joining takes a tenth of a second, and longer with a slow master."""
     slow = """
 import rospy, time

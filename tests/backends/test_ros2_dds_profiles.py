@@ -176,18 +176,18 @@ def checked(*arguments: str, **environment: str) -> str:
 
 
 @pytest.mark.ros2
-def test_that_it_took_effect_is_seen() -> None:
+def test_a_profile_that_took_effect_is_recognized() -> None:
     assert checked(**LOCAL).rstrip().endswith("|")
     assert RANGE in checked(**LOCAL)
 
 
 @pytest.mark.ros2
-def test_that_it_came_too_late_is_seen() -> None:
+def test_a_profile_that_came_too_late_is_recognized() -> None:
     assert "this process has used ROS 2 before" in checked("before", **LOCAL)
 
 
 @pytest.mark.ros2
-def test_that_shared_memory_is_in_use_is_seen() -> None:
+def test_shared_memory_in_use_is_recognized() -> None:
     assert "shared memory is in use" in checked(**LOCAL, ROS_STATIC_PEERS="127.0.0.1")
 
 

@@ -275,7 +275,7 @@ def test_nothing_is_left_behind(tmp_path: Path) -> None:
     assert simulator.processes == {}
 
 
-def test_it_runs_on_any_loop_in_real_time(tmp_path: Path) -> None:
+def test_the_simulator_runs_on_any_loop_in_real_time(tmp_path: Path) -> None:
     async def main() -> float:
         simulator = Simulator()
         exits: list[Exited] = []

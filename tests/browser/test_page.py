@@ -48,7 +48,7 @@ def test_details_of_the_selected_component_say_why(talker: System, opened: Opene
     expect(details).to_contain_text("Choose a component")
 
 
-def test_it_is_now_also_where_nothing_has_changed_for_long(browser: Browser) -> None:
+def test_the_page_shows_the_present_also_where_nothing_has_changed_for_long(browser: Browser) -> None:
     """The view's time is since when it is so: to a page that is opened an hour later, that is not the present."""
     mode = msgspec.structs.replace(functionality("work"), since=time.time() - 7_300)
     synthetic = Synthetic([component("worker", [mode], [])])

@@ -215,7 +215,7 @@ def test_a_value_is_read_as_ros2_param_set_reads_it(text: str, value: object) ->
 
 
 @pytest.mark.ros2
-def test_that_is_how_ros_2_reads_it() -> None:
+def test_ros_2_reads_values_the_same_way() -> None:
     from rclpy.parameter import get_parameter_value, parameter_value_to_python
 
     for text in ("1", "-1.5", "true", "on", "'1'", "loud", "[1, 2]", "[1, x]", "1e3"):

@@ -83,6 +83,6 @@ def test_the_end_of_the_parent_stops_the_system(folder: Path) -> None:
         midstride(folder, "down")
 
 
-def test_it_cannot_return_at_once_as_well(capsys: pytest.CaptureFixture[str]) -> None:
+def test_detach_and_stop_on_exit_exclude_each_other(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["up", str(EXAMPLE), "--detach", "--stop-on-exit"]) == 2
     assert "--stop-on-exit" in capsys.readouterr().err

@@ -95,7 +95,7 @@ DOCUMENT: dict[str, Any] = {
 }
 
 
-def test_it_says_what_it_shows() -> None:
+def test_the_form_says_what_it_shows() -> None:
     specification = decode_specification(DOCUMENT)
     detector = specification.components["Detector"]
     assert detector.input_order == ("scan", "other")
@@ -120,7 +120,7 @@ def test_it_says_what_it_shows() -> None:
     assert dict(specification.timing) == {"attach": 0.05, "create": 0.5}
 
 
-def test_it_comes_back_word_for_word() -> None:
+def test_a_specification_comes_back_word_for_word() -> None:
     document = encode_specification(decode_specification(DOCUMENT))
     assert document == DOCUMENT
     assert json.dumps(document["components"]["Detector"]) == json.dumps(DOCUMENT["components"]["Detector"])

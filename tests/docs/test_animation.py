@@ -35,7 +35,7 @@ def test_the_readme_shows_it() -> None:
 
 @pytest.mark.browser
 @pytest.mark.full
-def test_it_can_be_made_anew(tmp_path: Path) -> None:
+def test_the_animation_can_be_made_anew(tmp_path: Path) -> None:
     made = tmp_path / "swap.svg"
     command = [sys.executable, str(ROOT / "tools" / "animation.py"), str(made)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)

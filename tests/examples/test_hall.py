@@ -50,7 +50,7 @@ def test_rays_end_at_walls_shelves_and_people_and_nowhere_beyond_their_range(hal
     assert hall.cast(someone, quarters, 20.0) == pytest.approx([1.75, 2.25, 3.0, 3.0])
 
 
-def test_it_brakes_as_fast_as_its_wheels_allow(hall: Any) -> None:
+def test_the_robot_brakes_as_fast_as_its_wheels_allow(hall: Any) -> None:
     state = driven(hall, empty(hall), 9.0, 0.0, 3.0)
     assert state.speed == pytest.approx(hall.TOP_SPEED)
     stopped = driven(hall, state, 0.0, 0.0, hall.TOP_SPEED / hall.BRAKING)

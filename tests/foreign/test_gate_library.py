@@ -333,7 +333,7 @@ def test_a_page_has_its_space_on_the_disk_or_is_refused(
     assert path.stat().st_blocks * 512 >= path.stat().st_size
 
 
-def test_it_is_compiled_once(tmp_path: Path) -> None:
+def test_the_gate_library_is_compiled_once(tmp_path: Path) -> None:
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
     with ThreadPoolExecutor() as pool:
         first, second = pool.map(lambda _: build.library(environment), range(2))

@@ -89,7 +89,7 @@ def test_a_value_that_is_refused_fails_the_step(gate: str, tmp_path: Path) -> No
     managed(tmp_path, TEXT.replace("GATE", gate), body)
 
 
-def test_they_are_read_written_and_compared(tmp_path: Path) -> None:
+def test_mode_parameters_are_read_written_and_compared(tmp_path: Path) -> None:
     text = TEXT.replace("GATE", "preload")
     path = tmp_path / "drive.stride"
     path.write_text(text, encoding="utf-8")

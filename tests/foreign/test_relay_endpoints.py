@@ -92,7 +92,7 @@ def endpoints(
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_it_is_waited_for_no_longer_than_until_it_has_everything(tmp_path: Path, time: Time, late: bool) -> None:
+def test_a_program_is_waited_for_until_it_has_all_endpoints(tmp_path: Path, time: Time, late: bool) -> None:
     def graph(now: float) -> Sequence[GraphEndpoint] | None:
         return None if now < 1 else [published(PRIVATE)] if now < 3 else [published(PRIVATE), subscribed("/chat")]
 
@@ -188,7 +188,7 @@ def test_where_programs_advertise_late_an_output_is_waited_for_shortly_and_then_
     assert "publishes on /out itself" in past.get(timeout=60)
 
 
-def test_it_is_watched_until_it_has_published_behind_its_relay(tmp_path: Path, time: Time) -> None:
+def test_a_program_is_watched_until_it_has_published_behind_its_relay(tmp_path: Path, time: Time) -> None:
     program = endpoints(
         tmp_path, time, lambda now: None if now < 5 else [published(PRIVATE)] if now > 60 else [], late=True
     )

@@ -148,7 +148,7 @@ def test_the_local_reflex_sets_them_and_falls_further_where_the_node_refuses(tmp
     managed(tmp_path, TEXT, made, body)
 
 
-def test_it_needs_a_platform_with_parameter_services(tmp_path: Path) -> None:
+def test_mode_parameters_need_a_platform_with_parameter_services(tmp_path: Path) -> None:
     (tmp_path / "drive.stride").write_text(TEXT, encoding="utf-8")
     components = load(tmp_path / "drive.stride").require().components
     nothing: Any = lambda *_: str  # noqa: E731

@@ -104,7 +104,7 @@ def test_another_topic_means_another_instance(tmp_path: Path) -> None:
     assert not change_between(initial(before), before, before).replaced
 
 
-def test_it_gets_no_skeleton(tmp_path: Path) -> None:
+def test_a_component_with_a_gate_gets_no_skeleton(tmp_path: Path) -> None:
     specification = parsed(TEXT.partition("component Other")[0] + "node talker : Talker\n", tmp_path)
     found = project(specification, "chat.stride", {})
     assert found.skipped == {"Talker": "its program does not use Midstride's API: it has a gate"}
@@ -185,7 +185,7 @@ def test_a_relayed_program_gets_private_topics_for_its_outputs(tmp_path: Path) -
     asyncio.run(scenario())
 
 
-def test_its_page_is_prepared_before_it_starts(
+def test_the_page_of_a_node_is_prepared_before_it_starts(
     tmp_path: Path, gate_library: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(gate_library.parents[1]))

@@ -34,7 +34,7 @@ component Same like Diver
 """
 
 
-def test_it_is_read_inherited_and_kept_by_the_formatter() -> None:
+def test_a_condition_is_read_inherited_and_kept_by_the_formatter() -> None:
     components = load_text(TEXT).require().components
     found = {name: component.conditions for name, component in components.items()}
     assert found == {"Diver": {"depth"}, "Careless": frozenset(), "Same": {"depth"}}

@@ -67,5 +67,5 @@ def test_npm_can_package_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
-def test_its_script_is_one() -> None:
+def test_the_script_of_the_editor_is_javascript() -> None:
     subprocess.run(["node", "--check", str(FOLDER / "src" / "extension.js")], check=True)

@@ -39,7 +39,7 @@ def loaded(text: str = TEXT) -> Specification:
     return load_text(text).require()
 
 
-def test_it_is_read_and_inherited() -> None:
+def test_a_tolerance_is_read_and_inherited() -> None:
     components = loaded().components
     assert {name: component.tolerates["in"] for name, component in components.items()} == {
         "Listener": 3,

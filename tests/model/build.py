@@ -43,7 +43,7 @@ def component(
     outputs: Sequence[str],
     modes: Sequence[Mode],
     *,
-    holds: Mapping[str, float] | None = None,
+    resource_usage: Mapping[str, float] | None = None,
     parameters: Mapping[str, ParameterSpec] | None = None,
 ) -> ComponentSpec:
     """A component of one functionality, `work`, that uses and produces all there is."""
@@ -53,14 +53,20 @@ def component(
         inputs=inputs,
         outputs=tuple(outputs),
         functionalities=(work,),
-        holds=holds,
+        resource_usage=resource_usage,
         parameters=parameters,
     )
 
 
 def source(name: str = "Source", rate: float = 10.0, **options: Mapping[str, float]) -> ComponentSpec:
     """Publishes on `out` whatever happens, and nothing when degraded."""
-    return component(name, {}, ["out"], [mode("normal", out=at(rate)), mode("degraded")], holds=options.get("holds"))
+    return component(
+        name,
+        {},
+        ["out"],
+        [mode("normal", out=at(rate)), mode("degraded")],
+        resource_usage=options.get("resource_usage"),
+    )
 
 
 def filter_(name: str = "Filter", needs: float = 5.0, gives: float = 10.0) -> ComponentSpec:

@@ -25,7 +25,7 @@ REPORTER = component(
     {},
     ["out", "diagnostics"],
     [mode("normal", out=at(10), diagnostics=at(5)), mode("degraded")],
-    holds={"cpu": 0.001},
+    resource_usage={"cpu": 0.001},
 )
 
 

@@ -29,7 +29,7 @@ from tests.model.test_wellformed import DEMO
 SPECIFICATION = decode_specification(DEMO)
 
 
-def test_it_starts_in_best_under_the_names_of_its_roles() -> None:
+def test_a_system_starts_in_best_under_the_names_of_its_roles() -> None:
     configuration = initial(SPECIFICATION)
     assert configuration == best(structure(SPECIFICATION))
     assert sorted(configuration.instances) == ["listener", "talker"]

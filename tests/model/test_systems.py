@@ -235,9 +235,11 @@ def test_a_cap_that_the_environment_alone_exceeds_is_a_violation() -> None:
 
 
 def test_resources_are_summed_as_they_are_written() -> None:
-    third = source("Third", holds={"gpu": 0.1})
+    third = source("Third", resource_usage={"gpu": 0.1})
     configuration = system(
-        {"a": source("A", holds={"gpu": 0.1}), "b": source("B", holds={"gpu": 0.1})}, [], resources={"gpu": 0.3}
+        {"a": source("A", resource_usage={"gpu": 0.1}), "b": source("B", resource_usage={"gpu": 0.1})},
+        [],
+        resources={"gpu": 0.3},
     )
     full = Create(Instance("c", "c", third)).apply(configuration)  # 0.1 + 0.1 + 0.1 is 0.3 here, though not in floats
     (reason,) = Create(Instance("d", "d", third)).check(full)
@@ -246,7 +248,7 @@ def test_resources_are_summed_as_they_are_written() -> None:
 
 
 def test_a_resource_that_is_not_declared_has_capacity_one() -> None:
-    device = source("Device", holds={"/dev/video0": 1.0})
+    device = source("Device", resource_usage={"/dev/video0": 1.0})
     configuration = system({"a": device}, [])
     assert not violations(configuration)
     (reason,) = Create(Instance("b", "b", device)).check(configuration)

@@ -355,8 +355,8 @@ def test_components_made_by_hand_are_checked_as_well() -> None:
                 "f", (Mode("m", (InputAlternatives(()), named("in", "in"))), Mode("m")), ("in",), weight=-1
             ),
         ),
-        holds={"gpu": 0},
-        takes=-1,
+        resource_usage={"gpu": 0},
+        startup_seconds=-1,
     )
     found = {(problem.code, problem.path) for problem in check_component(odd)}
     assert found == {

@@ -64,9 +64,9 @@ def component(
     name: str,
     *functionalities: FunctionalitySpec,
     needs: Mapping[str, Predicate] | None = None,
-    holds: Mapping[str, float] | None = None,
+    resource_usage: Mapping[str, float] | None = None,
     parameters: Mapping[str, ParameterSpec] | None = None,
-    takes: float | None = None,
+    startup_seconds: float | None = None,
     run: str | None = None,
 ) -> ComponentSpec:
     """A component of these functionalities; its ports are theirs, its inputs need NEED unless said otherwise."""
@@ -77,10 +77,10 @@ def component(
         inputs=inputs,
         outputs=outputs,
         functionalities=functionalities,
-        holds=holds,
+        resource_usage=resource_usage,
         parameters=parameters,
         run=run or f"python3 {name}.py",
-        takes=takes,
+        startup_seconds=startup_seconds,
     )
 
 

@@ -85,14 +85,14 @@ def component(rng: Random, name: str, like: ComponentSpec | None = None) -> Comp
         inputs=dict(sorted(inputs.items(), key=lambda _: rng.random())),
         outputs=outputs,
         functionalities=functionalities,
-        holds={"device": 1.0}
+        resource_usage={"device": 1.0}
         if rng.random() < 0.25
         else {"memory": float(rng.choice((1, 2)))}
         if rng.random() < 0.4
         else {},
         parameters={"p": ParameterSpec(1, changeable=rng.random() < 0.5)} if rng.random() < 0.4 else {},
         run=f"python3 {name}.py",
-        takes=rng.choice((None, 0.5, 2.0)),
+        startup_seconds=rng.choice((None, 0.5, 2.0)),
     )
 
 
@@ -332,9 +332,9 @@ def tight(rng: Random, replaced: int) -> tuple[Specification, Specification]:
                 functionalities=(
                     FunctionalitySpec("f", tuple(chain), tuple(inputs), ("out",) if writes else (), weight),
                 ),
-                holds={name: float(rng.randint(1, 3)) for name in ("cpu", "gpu") if rng.random() < 0.7},
+                resource_usage={name: float(rng.randint(1, 3)) for name in ("cpu", "gpu") if rng.random() < 0.7},
                 run=f"python3 {kind}{number}.py",
-                takes=rng.choice((0.5, 1.0, 2.0)),
+                startup_seconds=rng.choice((0.5, 1.0, 2.0)),
             )
         attachments = {"in": (read,)} if read else {}
         nodes[role] = Node(role, f"Old{number}", Map({**attachments, **({"out": (topic,)} if writes else {})}))
@@ -406,9 +406,9 @@ def exclusive(rng: Random, roles: int) -> tuple[Specification, Specification]:
                 functionalities=(
                     FunctionalitySpec("f", chain, ("in",) if reads else (), ("out",), float(rng.choice((1, 2, 5)))),
                 ),
-                holds=holds,
+                resource_usage=holds,
                 run=f"python3 {kind}{role}.py",
-                takes=rng.choice((0.5, 1.0, 2.0)),
+                startup_seconds=rng.choice((0.5, 1.0, 2.0)),
             )
         pair[role] = [
             Node(role, f"{kind}{role}", Map({"out": end[role], **({"in": reads} if reads else {})}))

@@ -66,7 +66,7 @@ def test_caps_make_a_bound_higher() -> None:
         component(
             f"{role}{end}",
             functionality("work", outputs=["out"], weight=2.0 if role == "c" else 1.0),
-            holds=holds[role][end],
+            resource_usage=holds[role][end],
         )
         for role in holds
         for end in (0, 1)
@@ -100,7 +100,10 @@ def test_a_bound_that_rests_on_a_limit_is_checked() -> None:
     """The first to be replaced is absent, and the limit has the more important one wait for the other."""
     components = [
         component(
-            f"{kind}{role}", functionality("work", outputs=["out"], weight=weight), holds={"gpu": held}, takes=1.0
+            f"{kind}{role}",
+            functionality("work", outputs=["out"], weight=weight),
+            resource_usage={"gpu": held},
+            startup_seconds=1.0,
         )
         for role, weight in (("A", 1.0), ("B", 2.0))
         for kind, held in (("Old", 2.0), ("New", 1.0))
@@ -156,7 +159,7 @@ def computers(number: int) -> Plan:
             for kind in ("Old", "New"):
                 holds = {f"memory{computer}": 2.0}
                 work = functionality("work", outputs=["out"], weight=1.0 + node)
-                components.append(component(f"{kind}{name}", work, holds=holds))
+                components.append(component(f"{kind}{name}", work, resource_usage=holds))
             nodes[f"n{name}"] = (f"Old{name}", {"out": f"/n{name}"})
     start = system(components, nodes, resources={f"memory{computer}": 4.0 for computer in range(number)})
     target = start

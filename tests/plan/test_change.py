@@ -231,7 +231,7 @@ LAME = component("Lame", FunctionalitySpec("f", (Mode("only"),)))
         ),
         (PlanRequest(to=replace(talker(), components=Map(Lame=LAME))), "/components/Lame/functionalities/f/modes: "),
         (
-            PlanRequest(remove=("talker",), components=(work("Heavy", holds={"gpu": 1.0}),)),
+            PlanRequest(remove=("talker",), components=(work("Heavy", resource_usage={"gpu": 1.0}),)),
             "component Heavy holds `gpu`, a resource that the system does not declare; use `apply`",
         ),
     ],
@@ -312,7 +312,7 @@ def test_a_cap_that_either_end_exceeds() -> None:
 
 
 def test_a_capacity_that_either_end_exceeds() -> None:
-    parts = [work("Big", holds={"memory": 6.0}), work("Small", holds={"memory": 1.0})]
+    parts = [work("Big", resource_usage={"memory": 6.0}), work("Small", resource_usage={"memory": 1.0})]
     start = system(parts, {"a": ("Big", {})}, resources={"memory": 8.0})
     lower = system(parts, {"a": ("Small", {})}, resources={"memory": 5.0})
     assert "6 held by a, but the capacity is 5; apply first what keeps the new limit" in refused(start, lower)

@@ -18,8 +18,8 @@ from tests.plan.cases import NEED, SLOW, changed, component, functionality, repl
 
 def device() -> Specification:
     """Old and new both hold the one device: break before make is forced."""
-    camera = work("Camera", outputs=["out"], holds={"/dev/video0": 1.0}, takes=2.0)
-    better = work("Better", outputs=["out"], holds={"/dev/video0": 1.0}, takes=2.0)
+    camera = work("Camera", outputs=["out"], resource_usage={"/dev/video0": 1.0}, startup_seconds=2.0)
+    better = work("Better", outputs=["out"], resource_usage={"/dev/video0": 1.0}, startup_seconds=2.0)
     nodes = {"camera": ("Camera", {"out": "/image"}), "viewer": ("Viewer", {"in": "/image"})}
     return system([camera, better, work("Viewer", ["in"])], nodes, resources={"/dev/video0": 1.0})
 
@@ -55,7 +55,9 @@ def test_only_what_holds_the_device_breaks() -> None:
 def test_three_devices_are_exchanged_one_after_the_other() -> None:
     names = ("a", "b", "c")
     parts = [
-        work(f"{kind}{name.upper()}", outputs=["out"], holds={name: 1.0}) for name in names for kind in ("Old", "New")
+        work(f"{kind}{name.upper()}", outputs=["out"], resource_usage={name: 1.0})
+        for name in names
+        for kind in ("Old", "New")
     ]
     nodes = {name: (f"Old{name.upper()}", {"out": f"/{name}"}) for name in names}
     start = system(parts, nodes, resources=dict.fromkeys(names, 1.0))
@@ -69,7 +71,11 @@ def test_three_devices_are_exchanged_one_after_the_other() -> None:
 
 def test_room_for_one_more_is_used_for_one_after_the_other() -> None:
     """Memory for two of three: the first replacement goes in beside the old ones, its place then serves the next."""
-    parts = [work(f"{kind}{name}", outputs=["out"], holds={"memory": 1.0}) for name in "ABC" for kind in ("Old", "New")]
+    parts = [
+        work(f"{kind}{name}", outputs=["out"], resource_usage={"memory": 1.0})
+        for name in "ABC"
+        for kind in ("Old", "New")
+    ]
     nodes = {name.lower(): (f"Old{name}", {"out": f"/{name.lower()}"}) for name in "ABC"}
     start = system(parts, nodes, resources={"memory": 4.0})
     target = start
@@ -130,7 +136,7 @@ def test_a_renamed_port_on_the_same_topic_is_handed_over() -> None:
 def test_a_finer_mode_is_used_by_minimal_and_passed_over_by_the_paper() -> None:
     between = [Mode("by_odometry", (InputAlternatives(("odom",)),), Map({"out": SLOW}))]
     drive = functionality("drive", ["scan", "odom"], ["out"], between=between)
-    parts = [work(name, outputs=["out"], holds={"lidar": 1.0}) for name in ("Lidar", "NewLidar")]
+    parts = [work(name, outputs=["out"], resource_usage={"lidar": 1.0}) for name in ("Lidar", "NewLidar")]
     nodes = {
         "lidar": ("Lidar", {"out": "/scan"}),
         "wheels": ("Wheels", {"out": "/odom"}),
@@ -166,7 +172,9 @@ def test_an_exclusive_topic_never_has_two_publishers_on_the_wire() -> None:
 def many(number: int, resources: dict[str, float], holds: dict[str, str]) -> tuple[Specification, Specification]:
     """So many sources, each with a user of its own, all replaced at once; ``holds`` says which resource each takes."""
     names = [f"n{index}" for index in range(number)]
-    parts = [work(f"{kind}_{n}", outputs=["out"], holds={holds[n]: 1.0}) for n in names for kind in ("Old", "New")]
+    parts = [
+        work(f"{kind}_{n}", outputs=["out"], resource_usage={holds[n]: 1.0}) for n in names for kind in ("Old", "New")
+    ]
     nodes: dict[str, tuple[str, dict[str, str]]] = {name: (f"Old_{name}", {"out": f"/{name}"}) for name in names}
     nodes |= {f"user_{name}": ("User", {"in": f"/{name}"}) for name in names}
     start = system([*parts, work("User", ["in"])], nodes, resources=resources)
@@ -205,7 +213,10 @@ def test_a_place_is_given_up_rather_than_handed_on_where_another_needs_it_more()
 def test_amounts_are_compared_as_they_are_written() -> None:
     """Half a part in a thousand million too much is too much, and three tenths are three tenths."""
     for old, new, together in ((0.5, 0.5000000005, False), (0.1, 0.2, True)):
-        parts = [work("Old", outputs=["out"], holds={"gpu": old}), work("New", outputs=["out"], holds={"gpu": new})]
+        parts = [
+            work("Old", outputs=["out"], resource_usage={"gpu": old}),
+            work("New", outputs=["out"], resource_usage={"gpu": new}),
+        ]
         capacity = 1.0 if not together else 0.3
         start = system(parts, {"n": ("Old", {"out": "/x"})}, resources={"gpu": capacity})
         plan = sound(replaced(start, "n", "New", "minimal"))

@@ -38,7 +38,9 @@ def bound(specification: Specification, *constraints: Constraint) -> Specificati
 
 def devices(*constraints: Constraint) -> tuple[Specification, Specification]:
     """a and b each hold a device of their own that their replacements need; one user listens to both."""
-    parts = [work(f"{kind}{name}", outputs=["out"], holds={name: 1.0}) for name in "AB" for kind in ("Old", "New")]
+    parts = [
+        work(f"{kind}{name}", outputs=["out"], resource_usage={name: 1.0}) for name in "AB" for kind in ("Old", "New")
+    ]
     user = component("User", functionality("a", ["a"]), functionality("b", ["b"]))
     nodes = {"a": ("OldA", {"out": "/a"}), "b": ("OldB", {"out": "/b"}), "user": ("User", {"a": "/a", "b": "/b"})}
     start = system([*parts, user], nodes, resources={"A": 1.0, "B": 1.0})
@@ -195,12 +197,12 @@ def test_the_smallest_set_in_conflict_is_named() -> None:
 def test_two_that_conflict_only_together_are_both_named() -> None:
     """Memory for one more: whoever is last goes in beside, if the first is through. b first, and yet never below."""
     parts = [
-        work(f"{kind}{name}", outputs=["out"], holds={"memory": size})
+        work(f"{kind}{name}", outputs=["out"], resource_usage={"memory": size})
         for name, size in (("A", 2.0), ("B", 1.0))
         for kind in ("Old", "New")
     ]
     nodes = {"a": ("OldA", {"out": "/a"}), "b": ("OldB", {"out": "/b"})}
-    lighter = work("NewA", outputs=["out"], holds={"memory": 1.0})
+    lighter = work("NewA", outputs=["out"], resource_usage={"memory": 1.0})
     start = system([*(part for part in parts if part.name != "NewA"), lighter], nodes, resources={"memory": 3.0})
     target = start.with_replaced("a", "NewA").with_replaced("b", "NewB")
     keep, order = Keep(FunctionalityRef("b", "work"), "normal"), Order("b", "a")

@@ -145,7 +145,7 @@ def test_outputs_are_exchanged_jointly_where_none_may_be_missing() -> None:
 def two_resources(*constraints: Keep | Limit | Order) -> tuple[Specification, Specification]:
     """a's replacement does not fit beside it on the GPU; b's does not in memory."""
     components = [
-        work(f"{kind}{name}", outputs=["out"], holds={resource: 1.0})
+        work(f"{kind}{name}", outputs=["out"], resource_usage={resource: 1.0})
         for name, resource in (("A", "gpu"), ("B", "memory"))
         for kind in ("Old", "New")
     ]

@@ -41,9 +41,9 @@ def shared(rng: Random) -> tuple[Specification, Specification]:
                 name,
                 outputs=ports,
                 functionalities=(works,),
-                holds={"memory": memory},
+                resource_usage={"memory": memory},
                 run=f"python3 {name}.py",
-                takes=1.0,
+                startup_seconds=1.0,
             )
         nodes[role] = Node(role, f"Old{role}", Map({port: (topic,) for port, topic in zip(ports, its, strict=True)}))
     reads = FunctionalitySpec("f", (Mode("all", (InputAlternatives(("in",)),)), Mode("off")), ("in",), (), 3.0)

@@ -42,9 +42,9 @@ def important(name: str, **others: object) -> ComponentSpec:
 def crowded(*more: ComponentSpec, outputs: str = "out") -> Specification:
     """A GPU with room for the old detector and a logger, but not for both detectors unless the logger is away."""
     components = [
-        work("Logger", outputs=[outputs], holds={"gpu": 1.0}),
-        important("Old", holds={"gpu": 2.0}),
-        important("New", holds={"gpu": 1.0}),
+        work("Logger", outputs=[outputs], resource_usage={"gpu": 1.0}),
+        important("Old", resource_usage={"gpu": 2.0}),
+        important("New", resource_usage={"gpu": 1.0}),
         *more,
     ]
     nodes = {"logger": ("Logger", {outputs: "/log"}), "detector": ("Old", {"out": "/objects"})}
@@ -95,7 +95,7 @@ def test_a_stand_in_needs_the_functionalities_and_ports_of_the_role() -> None:
     others = [
         component("OtherName", functionality("look", outputs=["out"])),
         component("OtherPort", functionality("watch", outputs=["image"])),
-        important("SameBody", holds={"gpu": 1.0}),
+        important("SameBody", resource_usage={"gpu": 1.0}),
     ]
     assert detoured(crowded(*others)).change.detours == (Detour("logger", moved=True),)
 
@@ -103,7 +103,7 @@ def test_a_stand_in_needs_the_functionalities_and_ports_of_the_role() -> None:
 def test_a_stand_in_serves_a_node_that_stays_and_lacks_its_input() -> None:
     """The map can be had without the scan that is missing while the lidar driver is replaced."""
     components = [
-        *(work(name, outputs=["scan"], holds={"port": 1.0}) for name in ("Old", "New")),
+        *(work(name, outputs=["scan"], resource_usage={"port": 1.0}) for name in ("Old", "New")),
         component("Mapper", functionality("map", ["scan"], ["out"], weight=5.0)),
         component("Memory", functionality("map", [], ["out"], assumes=[]), needs={"scan": NEED}),
     ]

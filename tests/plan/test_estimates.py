@@ -21,7 +21,7 @@ from tests.plan.cases import system, work
 def two_on_one_device() -> tuple[Specification, Specification]:
     """Once one of the old ones has gone, there is room for the new other one beside its old one."""
     parts = [
-        replace(work(f"{kind}{role}", outputs=["out"], holds={"gpu": held}), startup_seconds=None)
+        replace(work(f"{kind}{role}", outputs=["out"], resource_usage={"gpu": held}), startup_seconds=None)
         for role in "AB"
         for kind, held in (("Old", 2.0), ("New", 1.0))
     ]

@@ -31,7 +31,7 @@ async def noticed(manager: Manager, simulator: Simulator, *names: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["talker", "listener"])
-def test_it_is_noticed_although_its_data_flows(name: str, tmp_path: Path) -> None:
+def test_a_standstill_is_noticed_although_data_flows(name: str, tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:
         await noticed(manager, simulator, name)
         assert faults(manager) == [("not_discovering", name)]
@@ -43,7 +43,7 @@ def test_it_is_noticed_although_its_data_flows(name: str, tmp_path: Path) -> Non
     managed("talker", tmp_path, body)
 
 
-def test_it_is_noticed_soon_after_a_change_by_the_same_probe(tmp_path: Path) -> None:
+def test_a_standstill_is_noticed_soon_after_a_change_by_the_same_probe(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:
         await asyncio.sleep(INTERVAL)
         outcome = await manager.change(replace("talker", "NewTalker"))

@@ -367,7 +367,9 @@ def test_while_others_register_a_start_has_more_time(tmp_path: Path) -> None:
     assert f"within {at:g} s" in why
 
 
-def test_but_not_without_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_registration_is_not_awaited_without_limit_while_others_register(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     plant(monkeypatch, SimulatedClock, "processors", lambda self: 100)
     at, _ = hung(tmp_path, 50, every=20)
     assert at == pytest.approx(launcher.REGISTRATION_LIMIT)

@@ -193,7 +193,7 @@ def test_the_report_is_that_of_a_bare_listener(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("wait", [0.0, 2.0, 20.0])
-def test_it_is_tried_without_a_fence_for_as_long_as_asked_for(wait: float, tmp_path: Path) -> None:
+def test_a_change_tries_without_a_fence_for_as_long_as_requested(wait: float, tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator, heard: Heard) -> None:
         begun = simulator.clock.steady()
         outcome = await replaced(manager, wait=wait)

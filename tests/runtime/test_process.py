@@ -138,7 +138,7 @@ def test_an_exit_is_known_within_milliseconds(tmp_path: Path, token: str) -> Non
     assert asyncio.run(run()) < 0.25
 
 
-def test_it_is_not_a_zombie_afterwards(tmp_path: Path) -> None:
+def test_an_ended_process_is_no_zombie(tmp_path: Path) -> None:
     async def run() -> int:
         process = spawn([sys.executable, "-S", "-c", ""], tmp_path, {}, tmp_path / "log.txt")
         await asyncio.wait_for(process.wait(), 10)
@@ -148,7 +148,7 @@ def test_it_is_not_a_zombie_afterwards(tmp_path: Path) -> None:
     assert process_info(asyncio.run(run())) is None
 
 
-def test_it_leads_a_session_of_its_own_and_the_log_has_what_it_says(tmp_path: Path, token: str) -> None:
+def test_a_process_leads_a_session_and_the_log_has_its_output(tmp_path: Path, token: str) -> None:
     async def run() -> tuple[int, int, str]:
         process = family(tmp_path, token)
         await child_of(process)

@@ -101,7 +101,7 @@ def test_what_was_written_is_found(path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a folder", "#1", "what?", "100%25", "ü"])
-def test_it_is_found_in_a_folder_of_any_name(name: str, tmp_path: Path) -> None:
+def test_the_state_is_found_in_a_folder_of_any_name(name: str, tmp_path: Path) -> None:
     folder = tmp_path / name
     folder.mkdir()
     begun(folder / "state.db").close()

@@ -25,7 +25,7 @@ def runtime_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         yield Path(folder)
 
 
-def test_it_is_a_private_folder_named_after_the_system(runtime_folder: Path) -> None:
+def test_the_workspace_is_a_private_folder_named_after_the_system(runtime_folder: Path) -> None:
     workspace = Workspace.of("patrol")
     assert workspace.path == runtime_folder / "midstride" / "patrol"
     assert stat.S_IMODE(workspace.path.stat().st_mode) == 0o700

@@ -177,7 +177,7 @@ def components(draw: st.DrawFn, name: str = "C") -> ComponentSpec:
         inputs=inputs,
         outputs=tuple(f"out{number}" for number in range(len(owners))),
         functionalities=tuple(draw(_functionalities(f"f{n}", inputs, tuple(owned[n]))) for n in range(count)),
-        holds=draw(st.sampled_from(({}, {}, {"gpu": 0.1}, {"gpu": 0.2, "/dev/video0": 1.0}))),
+        resource_usage=draw(st.sampled_from(({}, {}, {"gpu": 0.1}, {"gpu": 0.2, "/dev/video0": 1.0}))),
         parameters=draw(st.sampled_from(({}, _PARAMETERS))),
         tolerates={port: 3 for port in draw(st.sampled_from(((), ("in0",)))) if port in inputs and inputs[port].rate},
     )

@@ -58,7 +58,7 @@ def test_a_plan_that_creates_what_is_live_is_exported_for_alloy_to_refuse() -> N
 @pytest.mark.parametrize(("amount", "too_much"), [(0.5, False), (0.5000000005, True)])
 def test_exceeded_resources_are_those_of_the_model(amount: float, too_much: bool) -> None:
     """Amounts are compared as they are written: half a part in a thousand million counts."""
-    holders = [ComponentSpec.of(name, holds={"gpu": held}) for name, held in (("A", 0.5), ("B", amount))]
+    holders = [ComponentSpec.of(name, resource_usage={"gpu": held}) for name, held in (("A", 0.5), ("B", amount))]
     configuration = structure(
         Specification(
             "full",
@@ -188,7 +188,7 @@ def holding(count: int) -> Specification:
         inputs=known.inputs,
         outputs=known.outputs,
         functionalities=tuple(known),
-        holds={"gpu": 1.0},
+        resource_usage={"gpu": 1.0},
     )
     return replace(large, components=large.components.set("Talker", talker))
 

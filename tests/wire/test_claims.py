@@ -37,7 +37,7 @@ def test_one_side_has_it(tmp_path: Path) -> None:
     assert folder.present() == {}, "it is no component"
 
 
-def test_it_can_be_renounced_while_it_is_not_held(tmp_path: Path) -> None:
+def test_a_claim_can_be_renounced_while_it_is_not_held(tmp_path: Path) -> None:
     folder, pipes = SocketFolder(tmp_path), PipeNetwork()
     for one, other in ((folder.claim("a"), folder.claim("a")), (pipes.claim("a"), pipes.claim("a"))):
         assert one.take() and not one.renounce() and one.take()
@@ -82,7 +82,7 @@ os.waitpid(child, 0)
 """
 
 
-def test_it_is_given_back_while_a_forked_child_lives_and_not_by_that_child(tmp_path: Path) -> None:
+def test_a_claim_is_given_back_while_a_forked_child_lives_and_not_by_that_child(tmp_path: Path) -> None:
     command = [sys.executable, "-c", FORKING, str(tmp_path / "claims")]
     assert subprocess.run(command, capture_output=True, text=True, timeout=60).stdout.split() == [
         "False",
@@ -91,7 +91,7 @@ def test_it_is_given_back_while_a_forked_child_lives_and_not_by_that_child(tmp_p
     ]
 
 
-def test_it_costs_a_descriptor_until_it_is_given_back(tmp_path: Path) -> None:
+def test_a_claim_costs_a_descriptor_until_it_is_given_back(tmp_path: Path) -> None:
     before = len(os.listdir("/proc/self/fd"))
     claims = [FileClaim(tmp_path / "claims", "cut") for _ in range(10)]
     assert len(os.listdir("/proc/self/fd")) == before
@@ -105,7 +105,7 @@ def test_it_costs_a_descriptor_until_it_is_given_back(tmp_path: Path) -> None:
     assert len(os.listdir("/proc/self/fd")) == before
 
 
-def test_it_is_inherited_from_a_side_that_had_it_in_the_same_place_only(tmp_path: Path) -> None:
+def test_a_claim_is_inherited_only_from_a_side_that_had_it_in_the_same_place(tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     folder, elsewhere = SocketFolder(tmp_path), SocketFolder(tmp_path / "other")
     pipes = PipeNetwork()

@@ -179,7 +179,7 @@ class ComponentBuilder:
             inputs=inputs,
             outputs=tuple(output.text for output in declaration.outputs),
             functionalities=tuple(parts),
-            holds={
+            resource_usage={
                 held.resource.text: 1.0 if held.amount is None else held.amount.value
                 for statement in declaration.holds
                 for held in statement
@@ -190,7 +190,7 @@ class ComponentBuilder:
             allows=tuple(dict.fromkeys(NodeEndpoint(ENDPOINT_KINDS[a.kind], a.name.text) for a in declaration.allows)),
             run=None if run is None else run.command.text,
             package=None if run is None or run.package is None else run.package.text,
-            takes=None if run is None or run.startup is None else run.startup.value,
+            startup_seconds=None if run is None or run.startup is None else run.startup.value,
             tolerates={each.name.text: int(each.tolerates.value) for each in declaration.inputs if each.tolerates},
             conditions=[each.name.text for each in declaration.inputs if each.condition],
             gate=next((gate for gate in GATES if run and run.gate and run.gate.text == gate), None),
