@@ -104,7 +104,7 @@ class Explorer:
         elif writer.at == "idle" and writer.gate == "baton":
             yield world.with_writer(index, at="deciding", seen=world.word, knows=-1)
         elif writer.at == "deciding":
-            lies = BatonWord.of(writer.seen).state is BatonState.LAID
+            lies = BatonWord.of(writer.seen).state is BatonState.OFFERED
             # How much time has passed, and whether the other one has come meanwhile, may be either way.
             for waited, collided in ((False, False), (True, True), (True, False)) if lies else ((False, False),):
                 verdict, following = self.enter(writer.seen, writer, waited, collided)
@@ -121,7 +121,7 @@ class Explorer:
                 yield world.with_writer(index, at="deciding", seen=world.word, knows=-1)
             else:
                 before, after = BatonWord.of(writer.seen), BatonWord.of(writer.next)
-                again = before.state is BatonState.LAID and before.holder == writer.node and bool(after.successor)
+                again = before.state is BatonState.OFFERED and before.holder == writer.node and bool(after.successor)
                 overdue = again and bool(writer.flags & PortFlag.TIMED)
                 entered = world.with_writer(index, at="publishing", again=again, overdue=overdue, seen=0, knows=-1)
                 yield replace(entered, word=writer.next)
@@ -260,7 +260,7 @@ def test_an_output_without_a_rate_beside_one_that_has_one(explorer: Explorer) ->
     for world in found:
         assert len(world.publishing()) < 2, world
     assert any(BatonWord.of(world.word).holder == NEW for world in found)
-    laid = [w for w in found if BatonWord.of(w.word).state is BatonState.LAID and BatonWord.of(w.word).holder == OLD]
+    laid = [w for w in found if BatonWord.of(w.word).state is BatonState.OFFERED and BatonWord.of(w.word).holder == OLD]
     for world in laid:
         beside = replace(world.writers[1], knows=-1)
         assert explorer.enter(world.word, beside, False)[0] == PASS
@@ -292,7 +292,7 @@ def test_the_old_one_takes_it_back_and_leaves_a_slot_to_a_successor_that_collide
     assert (BatonWord.of(word).holder, BatonWord.of(word).successor) == (OLD, NEW)
     assert explorer.enter(word, Writer(NEW, RATED, knows=0), False)[0] == HOLD_BACK
     again = int(explorer.library.midstride_leave(word, word, RATED, True))
-    assert BatonWord.of(again).state is BatonState.LAID
+    assert BatonWord.of(again).state is BatonState.OFFERED
     assert explorer.enter(again, Writer(NEW, RATED), False)[0] == PASS
 
 
@@ -315,7 +315,7 @@ def test_the_exploration_finds_a_missing_count_of_writers(explorer: Explorer) ->
             for following in super().writer_steps(world, index, writer):
                 left = writer.at == "leaving" and following.writers[index].at == "idle"
                 if left and BatonWord.of(world.word).successor and BatonWord.of(following.word).writers == 1:
-                    yield replace(following, word=following.word - 1 | BatonState.LAID << 8)
+                    yield replace(following, word=following.word - 1 | BatonState.OFFERED << 8)
                 yield following
 
     faulty = Faulty(explorer.library)

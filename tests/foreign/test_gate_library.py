@@ -33,7 +33,7 @@ from midstride.foreign.page import (
     PagePort,
     PortFlag,
 )
-from midstride.node.handover.baton import BatonState, BatonStep, TakenSeat
+from midstride.node.handover.baton import BatonState, BatonStep, SharedSlot
 from midstride.wire.replies import Seat
 from tests.foreign.lab import LOG_SIZE, Lab, until
 
@@ -180,8 +180,8 @@ def test_a_slot_is_left_only_to_a_successor_that_comes_while_the_old_one_publish
         page.layout.nodes[index].ports[0].gate = OPEN
         share_baton(page, [(page.layout.nodes[index].ports[0], 50.0)], baton)
 
-    def seat(own: int, other: int) -> TakenSeat:
-        return TakenSeat(
+    def seat(own: int, other: int) -> SharedSlot:
+        return SharedSlot(
             Seat(
                 page=str(page.path),
                 library=str(gate_library),
@@ -237,7 +237,7 @@ def test_without_a_rate_it_is_left_to_the_successor_for_a_stated_time(lab: Lab) 
     lab.page.layout.batons[baton - 1].patience = 10**12
     os.kill(lab.processes[new].pid, signal.SIGSTOP)
     lab.page.step(baton, BatonStep.NAME_SUCCESSOR, old, new, at_once=True)
-    until(lambda: lab.word(baton).state is BatonState.LAID, "it is not laid down")
+    until(lambda: lab.word(baton).state is BatonState.OFFERED, "it is not laid down")
     gated = lab.port(old).gated
     until(lambda: lab.port(old).gated > gated + 10, "the old one does not wait")
     before = lab.written_by(old)

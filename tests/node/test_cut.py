@@ -12,6 +12,7 @@ from midstride.node.author.message_times import MessageTimes
 from midstride.node.author.ports import Output, OutputLink
 from midstride.node.component_host import Host, MessageInfo
 from midstride.node.data.trigger import InfoSet
+from midstride.node.handover.arbiter import ClaimArbiter
 from midstride.node.handover.cut import GRACE, IncomingCut, OutgoingCut, belongs_after, source_of
 from midstride.wire.pipe import PipeClaim
 
@@ -97,6 +98,10 @@ def write(link: OutputLink, words: str) -> None:
     link.output.write(String(data=words))
 
 
+def claim() -> ClaimArbiter:
+    return ClaimArbiter(PipeClaim({}, "cut"))
+
+
 # -- what belongs where ----------------------------------------------------------------------------
 
 
@@ -137,7 +142,7 @@ def test_a_set_of_messages_is_as_new_as_its_newest() -> None:
 
 
 def incoming(*links: OutputLink, latches: tuple[OutputLink, ...] = ()) -> IncomingCut:
-    side = IncomingCut(links, T, Clocks().host, PipeClaim({}, "cut"), latches)
+    side = IncomingCut(links, Clocks().host, claim(), T, latches=latches)
     side.arm(T)
     return side
 
@@ -189,7 +194,7 @@ def test_the_new_side_continues_the_grid_it_is_given() -> None:
 
 def outgoing(owner: Owner, clocks: Clocks) -> tuple[OutgoingCut, OutputLink]:
     link, _ = link_of(owner)
-    side = OutgoingCut([link], T, clocks.host, PipeClaim({}, "cut"))
+    side = OutgoingCut([link], clocks.host, claim(), T)
     side.arm()
     return side, link
 
@@ -207,7 +212,7 @@ def test_a_fast_clock_leaves_a_call_real_time_to_be_late_in() -> None:
     """At 50x, two periods of 20 ms are less than 1 ms."""
     clocks = Clocks(T + 10**9)
     clocks.simulated_time, clocks.real = True, 0
-    side = OutgoingCut([link_of(Owner())[0]], T, clocks.host, PipeClaim({}, "cut"))
+    side = OutgoingCut([link_of(Owner())[0]], clocks.host, claim(), T)
     side.arm()
     assert not side.passed()
     clocks.real += int(GRACE * 0.9e9)
@@ -229,7 +234,7 @@ def test_a_grid_that_has_stopped_is_not_waited_for() -> None:
     assert side.passed()
 
 
-def test_messages_that_reach_the_old_side_are_watched_until_it_is_relieved() -> None:
+def test_messages_that_reach_the_old_side_are_watched_until_the_new_side_is_confirmed() -> None:
     owner, clocks = Owner(driven="message", rate=None), Clocks(T - 10)
     side, _ = outgoing(owner, clocks)
     seen = []
@@ -238,7 +243,7 @@ def test_messages_that_reach_the_old_side_are_watched_until_it_is_relieved() -> 
         owner.watch(source)
         seen.append(side.newer_at)
     assert seen == [None, 20, 20]
-    side.relieved()
+    side.confirmed()
     assert owner.watch is None
 
 
@@ -246,7 +251,7 @@ def test_messages_that_reach_the_old_side_are_watched_until_it_is_relieved() -> 
 def test_of_one_publisher_a_newer_message_shows_that_all_older_have_arrived(in_order: bool) -> None:
     owner, clocks = Owner(driven="message", rate=None), Clocks(T)
     link, _ = link_of(owner)
-    side = OutgoingCut([link], T, clocks.host, PipeClaim({}, "cut"), in_order=in_order)
+    side = OutgoingCut([link], clocks.host, claim(), T, in_order=in_order)
     side.arm()
     owner.watch(T)
     assert not side.passed(), "a message of the moment itself says nothing about others of that moment"
@@ -259,7 +264,7 @@ def test_a_data_thread_that_did_not_run_may_have_messages_waiting() -> None:
     """So that none has come for long says nothing until it has looked again."""
     owner, clocks = Owner(driven="message", rate=None), Clocks(T - 100)
     link, published = link_of(owner)
-    side = OutgoingCut([link], T, clocks.host, PipeClaim({}, "cut"), in_order=True)
+    side = OutgoingCut([link], clocks.host, claim(), T, in_order=True)
     side.arm()
     clocks.time = T + 300_000_000
     assert not side.passed()
@@ -274,7 +279,7 @@ def test_a_data_thread_that_did_not_run_may_have_messages_waiting() -> None:
 def test_what_comes_after_the_new_side_has_waited_for_it_is_left_out() -> None:
     owner, clocks = Owner(driven="message", rate=None, info=T - 10), Clocks(T)
     link, published = link_of(owner)
-    side = OutgoingCut([link], T, clocks.host, PipeClaim({}, "cut"), until=T + 1000)
+    side = OutgoingCut([link], clocks.host, claim(), T, until=T + 1000)
     side.arm()
     clocks.time = T + 1000
     write(link, "in time")
@@ -291,7 +296,7 @@ def test_an_old_side_that_writes_again_has_lost_nothing(driven: str, rate: Grid 
     """One late message stands for all slots that have come, as where state moves; and each message is answered."""
     owner, clocks = Owner(driven=driven, rate=rate), Clocks(T - 10)
     link, published = link_of(owner)
-    side = OutgoingCut([link], T, clocks.host, PipeClaim({}, "cut"))
+    side = OutgoingCut([link], clocks.host, claim(), T)
     side.arm()
     write(link, "before")
     clocks.time = T + 10
@@ -308,7 +313,7 @@ def test_an_old_side_that_writes_again_has_lost_nothing(driven: str, rate: Grid 
 def answered_after_the_moment() -> tuple[OutgoingCut, OutputLink, list[str]]:
     """The old side that has answered a message of the new one's, its attachment, and what has gone out."""
     link, published = link_of(Owner(driven="message", rate=None, info=T + 10))
-    side = OutgoingCut([link], T, Clocks(T - 10).host, PipeClaim({}, "cut"))
+    side = OutgoingCut([link], Clocks(T - 10).host, claim(), T)
     side.arm()
     write(link, "held back")
     return side, link, published
@@ -316,7 +321,7 @@ def answered_after_the_moment() -> tuple[OutgoingCut, OutputLink, list[str]]:
 
 def test_what_was_held_back_is_not_written_once_the_new_side_has_taken_over() -> None:
     side, _, published = answered_after_the_moment()
-    side.relieved()
+    side.confirmed()
     side.reopen()
     assert published == []
 

@@ -16,6 +16,7 @@ import pytest
 from midstride.errors import CallTimeout, CommandRefused, Unreachable
 from midstride.node.component_host import Host
 from midstride.node.handover import cut_protocol
+from midstride.node.handover.arbiter import ClaimArbiter
 from midstride.node.handover.cut import IncomingCut, OutgoingCut
 from midstride.node.handover.cut_protocol import CutInTask, CutOutTask
 from midstride.wire.pipe import PipeClaim
@@ -81,7 +82,7 @@ class Work:
         places: list[object] = [self.waits.done, str(self.waits.value)]
         each: Any = self.coroutine
         while (frame := getattr(each, "cr_frame", None)) is not None:
-            places += [frame.f_lasti, frame.f_locals.get("passed_at"), frame.f_locals.get("_")]
+            places.append(frame.f_lasti)
             each = each.cr_await
         return tuple(places)
 
@@ -177,8 +178,8 @@ class World:
         self.processes = {"o": Process(self, [T - SLOT, T]), "n": Process(self, [T])}
         old, new = self.processes.values()
         old.link.open = True
-        outgoing = OutgoingCut([old.link], T, old.host, old.claim)
-        incoming = IncomingCut([new.link], T, new.host, new.claim, [])
+        outgoing = OutgoingCut([old.link], old.host, ClaimArbiter(old.claim), T)
+        incoming = IncomingCut([new.link], new.host, ClaimArbiter(new.claim), T)
         outgoing.arm()
         incoming.arm(T)
         self.outgoing = CutOutTask(old.host, lambda: None, outgoing, resume_after=1.0)
@@ -254,7 +255,7 @@ class World:
             await task.cancel()
         except CommandRefused:
             assert isinstance(task, CutOutTask)
-            self.processes["o"].start(task.linger())
+            self.processes["o"].start(task.watch_successor())
 
     async def detach(self, task: CutOutTask | CutInTask) -> None:
         """As `CommandHandlers._detach`."""
@@ -269,7 +270,7 @@ class World:
             self.moment,
             *(process.state() for process in self.processes.values()),
             tuple((report.failed, report.handled and report.handled.waits is None) for report in self.reports),
-            (out.outcome, out._taken, out._wanted, out._lingering, out.side.over),
+            (out.outcome, out._taken, out._wanted, out._watching, out._due_at, out.side.over),
             (into.outcome, into._reporting, into.side.refused, bool(into.side.written)),
             tuple(process.claim in holders for process in self.processes.values()),
             (self.manager, self.command is None or self.command.waits is None, self.processes["n"].owner.failed),
@@ -284,7 +285,7 @@ class Seen:
     alive: str
     attached: str
     outcomes: tuple[str | None, str | None]
-    relieved: bool  # the old side knows that the new one has taken over
+    confirmed: bool  # the old side knows that the new one has taken over
     settled: bool = True
 
 
@@ -368,12 +369,12 @@ def test_two_sides_can_never_both_write_and_one_does(manager: str, mortal: str, 
 
 
 @pytest.mark.parametrize("manager", ["", pytest.param("kn", marks=FULL)])
-def test_between_two_hosts_an_old_side_that_was_relieved_writes_on_command_only(manager: str) -> None:
+def test_between_two_hosts_an_old_side_that_knows_writes_on_command_only(manager: str) -> None:
     """They share no claim, so it cannot know that the new side has ended."""
     found = explore(manager=manager, hosts=2)
-    assert all(seen.writes != "on" for seen in found if seen.relieved and seen.outcomes[0] == "done")
+    assert all(seen.writes != "on" for seen in found if seen.confirmed and seen.outcomes[0] == "done")
     assert not any("o" in seen.writes for seen in found if seen.outcomes[0] == "done")
-    assert any(seen.relieved and not seen.writes for seen in found if seen.settled) == bool(manager)
+    assert any(seen.confirmed and not seen.writes for seen in found if seen.settled) == bool(manager)
 
 
 @pytest.mark.parametrize(
@@ -396,5 +397,5 @@ def test_the_exploration_finds_a_side_that_does_not_claim(
 @pytest.mark.full
 def test_the_exploration_finds_a_topic_without_a_writer(monkeypatch: pytest.MonkeyPatch) -> None:
     """The new side fails, and its report is lost."""
-    plant(monkeypatch, CutOutTask, "_given_up", lambda self, passed_at: False)
+    plant(monkeypatch, CutOutTask, "_given_up", lambda self: False)
     assert any(seen.settled and not seen.writes for seen in explore(fails=True))

@@ -1,7 +1,7 @@
 """The baton as a component sees it that hands over to a node without Midstride's API, or takes over from one.
 
 The word of the baton is in shared memory (``foreign/baton.h``), and every step is made by the library of the gate. For
-the length of a hand-over the component has a *seat*: the part of one more node in that memory.
+the length of a hand-over the component has a *slot*: the part of one more node in that memory.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from midstride.wire.replies import Seat
 
 class BatonState(IntEnum):
     HELD = 0
-    LAID = 1
+    OFFERED = 1
     FENCED = 2
 
 
@@ -55,10 +55,11 @@ class BatonWord:
         )
 
 
-class TakenSeat:
-    """The seat of one hand-over. ``me`` and ``other`` are as in the word. Raises CommandRefused where it is not there.
+class SharedSlot:
+    """The slot of one hand-over, which decides it (:class:`midstride.node.handover.arbiter.Arbiter`).
 
-    :meth:`begin` and :meth:`end` are for the data thread, the others for the control thread.
+    Made by joining. Raises CommandRefused where the page of the gates cannot be used. ``me`` and ``other`` are as in
+    the word.
     """
 
     def __init__(self, seat: Seat) -> None:
@@ -73,18 +74,17 @@ class TakenSeat:
             library.midstride_take_step.argtypes = [POINTER(c_uint64), c_int, c_uint32, c_uint32, c_int]
         except (OSError, AttributeError) as error:
             raise CommandRefused(f"the library of the gate cannot be used: {error}") from None
-        self._seat: int | None = library.midstride_sit(seat.page.encode(), seat.index)
-        if self._seat is None:
+        self._slot: int | None = library.midstride_sit(seat.page.encode(), seat.index)
+        if self._slot is None:
             raise CommandRefused(f"the page of the gates, {seat.page}, cannot be used")
-        self._word = library.midstride_baton(self._seat, seat.baton)
+        self._word = library.midstride_baton(self._slot, seat.baton)
         self.me, self.other, self.timed = seat.index + 1, seat.other + 1, seat.timed
 
-    def begin(self, port: int) -> bool:
-        """Whether a message may be published on a port now; if so, :meth:`end` must follow."""
-        return self._seat is not None and bool(self._library.midstride_begin(self._seat, port))
+    def begin(self, output: int) -> bool:
+        return self._slot is not None and bool(self._library.midstride_begin(self._slot, output))
 
     def end(self) -> None:
-        self._library.midstride_end(self._seat)
+        self._library.midstride_end(self._slot)
 
     def word(self) -> BatonWord:
         return BatonWord.of(self._word[0])
@@ -94,12 +94,52 @@ class TakenSeat:
         self._library.midstride_take_step(self._word, step, node, successor, at_once)
         return self.word()
 
-    def rise(self) -> None:
-        """Give the seat back. Nothing else of this object may be used afterwards."""
-        if self._seat is not None:
-            self._library.midstride_rise(self._seat)
-            self._seat = None
+    def admits(self) -> bool:
+        word = self.word()
+        return word.holder == self.me or (word.successor == self.me and word.state is BatonState.OFFERED)
+
+    def request(self) -> None:
+        self.step(BatonStep.NAME_SUCCESSOR, self.other, self.me, at_once=self.timed)
 
     @property
-    def taken(self) -> bool:
-        return self._seat is not None
+    def refused(self) -> bool:
+        """The offer is withdrawn, or the baton was taken from the old side by force."""
+        word = self.word()
+        return word.holder == self.other and not word.successor
+
+    def renounce(self) -> bool:
+        return self.step(BatonStep.WITHDRAW, self.other).holder != self.me
+
+    def give_back(self) -> None:
+        if self._slot is not None:
+            if not self.renounce():
+                self.step(BatonStep.GIVE, self.other)
+            self.leave()
+
+    @property
+    def settled(self) -> bool:
+        """Until it is, the old side gets the baton back if this one dies."""
+        word = self.word()
+        return self._slot is None or word.holder != self.me or not word.predecessor
+
+    @property
+    def passed_on(self) -> bool:
+        return self._slot is not None and self.word().holder != self.me
+
+    def share(self, place: str) -> None:
+        """The word says it."""
+
+    def reclaim(self) -> bool:
+        return self._slot is None or self.step(BatonStep.FENCE, self.me).holder == self.me
+
+    def inherit(self) -> bool:
+        return not self.passed_on and self.reclaim()
+
+    def leave(self) -> None:
+        if self._slot is None:
+            return
+        word = self.word()
+        if word.predecessor == self.me:  # for good: the new side keeps the baton even if it dies
+            self.step(BatonStep.SETTLE, word.holder)
+        self._library.midstride_rise(self._slot)
+        self._slot = None

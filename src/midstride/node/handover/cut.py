@@ -1,4 +1,4 @@
-"""The two sides of an agreed cut: which write passes which gate, and when a side has finished.
+"""The two sides of a cut: which write passes which gate, and when a side has finished.
 
 docs/protocols/cut.md. Both publishers know one moment T. A write belongs to the
 slot of the time grid whose call made it, or to the newest message that it answers, or else to the moment it is made.
@@ -19,9 +19,9 @@ from typing import Any, Final
 from midstride.node.author.ports import GatePolicy, OutputLink, OutputOwner
 from midstride.node.component_host import Host
 from midstride.node.data.trigger import InfoSet
+from midstride.node.handover.arbiter import Arbiter
 from midstride.wire.replies import CutClock, LastWrite
 from midstride.wire.state import GateState
-from midstride.wire.transport import CutClaim
 
 # How long after T a message published before it may still be in transit (s).
 GRACE: Final = 0.05
@@ -81,34 +81,48 @@ def source_of(info: Any, host: Host) -> int:
 
 
 @dataclass(eq=False)
-class _Side(GatePolicy):
-    """What both sides share."""
+class CutSide(GatePolicy):
+    """One side of a cut. No moment is agreed: its arbiter alone decides, write by write, what passes."""
 
     links: Sequence[OutputLink]
-    at: int
     host: Host
-    claim: CutClaim
-    clock: CutClock = field(default="ros", kw_only=True)
+    arbiter: Arbiter
+    at: int = 0
+    clock: CutClock = field(default="message", kw_only=True)
     written: dict[OutputLink, Written] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         self._runners = list(dict.fromkeys(link.output.owner for link in self.links))
 
     def now(self) -> int:
-        """The clock of ``at``."""
-        return reading(self.host, self.clock)
+        """The clock of ``at``, which has come where none is agreed."""
+        return self.at
 
     @property
     def driven_by_messages(self) -> bool:
-        return any(runner.driven == "message" for runner in self._runners)
+        """Whether a side on a moment of the clock may have nothing to write yet."""
+        return False
+
+    def arm(self) -> None:
+        for link in self.links:
+            link.enter(self)
+
+    def passes(self, link: OutputLink) -> bool:
+        return self.arbiter.admits()
 
     def admits(self, link: OutputLink) -> bool:
         return self.passes(link)
 
     def publish(self, link: OutputLink, message: Any) -> bool:
-        if not self.admits(link):
+        return self._write(link, message)
+
+    def _write(self, link: OutputLink, message: Any) -> bool:
+        if not self.arbiter.begin(self.links.index(link)):
             return False
-        link.publish(message)
+        try:
+            link.publish(message)
+        finally:
+            self.arbiter.end()
         link.count += 1
         self.wrote(link)
         return True
@@ -124,21 +138,98 @@ class _Side(GatePolicy):
 
 
 @dataclass(eq=False)
-class OutgoingCut(_Side):
-    """The old side. ``in_order``: whether all messages that drive it come from one publisher, and so in order."""
+class _Agreed(CutSide):
+    """Both sides know the moment ``at``: what belongs to the other one does not come before the arbiter."""
+
+    clock: CutClock = field(default="ros", kw_only=True)
+
+    def now(self) -> int:
+        return reading(self.host, self.clock)
+
+    @property
+    def driven_by_messages(self) -> bool:
+        return any(runner.driven == "message" for runner in self._runners)
+
+    def publish(self, link: OutputLink, message: Any) -> bool:
+        return self.admits(link) and self._write(link, message)
+
+
+@dataclass(eq=False)
+class OutgoingSide(CutSide):
+    """The old side."""
+
+    over = True  # it need not be waited for
+    # When the new side was known to have taken over (steady, ns).
+    taken_at: int | None = field(default=None, init=False)
+    # When the first message newer than T arrived (steady, ns): from then on a message-driven side should write.
+    newer_at: int | None = field(default=None, init=False)
+    # What was written after T, for the case that this side writes again.
+    _held: dict[OutputLink, deque[Any]] = field(default_factory=dict, init=False)
+
+    def shows(self, link: OutputLink) -> GateState:
+        return "closed" if self.arbiter.passed_on else "open"
+
+    def passed(self) -> bool:
+        """Whether everything that belongs before T has been written here. Then the gates close."""
+        return self.over
+
+    def finish(self) -> None:
+        """Write nothing more, although T has not come: it had, and the clock was set back."""
+        self.over = True
+        self.confirmed()
+        self._set_gates(False)
+
+    def reopen(self) -> None:
+        """Write again, first what was held back: the new side has not taken over in time, or the cut is cancelled."""
+        self.over = True
+        held = dict(self._held)
+        self.confirmed()
+        for link in self.links:
+            if self._decides(link):
+                link.set_gate(True, self)
+                for message in held.get(link, ()):
+                    link.gated -= 1
+                    link.count += 1
+                    link.publish(message)
+
+    @property
+    def closed(self) -> bool:
+        """Whether there is an attachment that nothing but this cut keeps closed."""
+        return any(map(self._decides, self.links))
+
+    def _decides(self, link: OutputLink) -> bool:
+        closed = link.set_by is self and not link.open
+        return (closed or link.cut is self) and link in link.output.links
+
+    def confirmed(self) -> None:
+        """The new side has taken over, or this one has given up the cut: nothing needs to be held back."""
+        for link, held in self._held.items():
+            if link.held is held:
+                link.held = None
+        self._held.clear()
+
+    def last(self) -> dict[str, LastWrite | None]:
+        """Each output's last number, and when it was written, where that was since the cut was agreed."""
+        found: dict[str, LastWrite | None] = {}
+        for link in self.links:
+            number, source = self.written.get(link, (link.count, None))
+            found[str(link)] = LastWrite(number=number, source=source) if number else None
+        return found
+
+
+@dataclass(eq=False)
+class OutgoingCut(_Agreed, OutgoingSide):
+    """The old side, which writes what belongs before ``at``.
+
+    ``in_order``: whether all messages that drive it come from one publisher, and so in order.
+    """
 
     in_order: bool = False
     # From then on, what belongs before T is too late: the new side has waited for it no longer (ns, as T).
     until: int | None = None
     over = False
-    # When the new side was known to have taken over (steady, ns).
-    taken_at: int | None = field(default=None, init=False)
-    # When the first message newer than T arrived (steady, ns): from then on a message-driven side should write.
-    newer_at: int | None = field(default=None, init=False)
     # Since when its time grid seems to have stopped (steady, ns).
     _stopped_at: int | None = field(default=None, init=False)
-    # What was written after T, for the case that this side writes again.
-    _held: dict[OutputLink, deque[Any]] = field(default_factory=dict, init=False)
     # How often it was looked whether everything has been written, since the last input.
     _looks: int = field(default=0, init=False)
 
@@ -147,8 +238,8 @@ class OutgoingCut(_Side):
         self._last_input = self.host.steady()
 
     def arm(self) -> None:
+        super().arm()
         for link in self.links:
-            link.enter(self)
             # One late call accounts for all slots that have come, as elsewhere; each message is answered.
             link.held = self._held[link] = deque(maxlen=1 if link.output.owner.rate is not None else HELD)
         for runner in self._runners:
@@ -167,11 +258,7 @@ class OutgoingCut(_Side):
             return False
         return self.now() - self.at > max(GRACE, 2 * rate.period) * 1e9
 
-    def shows(self, link: OutputLink) -> GateState:
-        return "open"
-
     def passed(self) -> bool:
-        """Whether everything that belongs before T has been written here. Then the gates close."""
         self._looks += 1
         if not self.over and all(self._runner_passed(runner) for runner in self._runners):
             self.over = self.now() >= self.at
@@ -179,51 +266,11 @@ class OutgoingCut(_Side):
                 self._set_gates(False)
         return self.over
 
-    def finish(self) -> None:
-        """Write nothing more, although T has not come: it had, and the clock was set back."""
-        self.over = True
-        self.relieved()
-        self._set_gates(False)
-
-    def reopen(self) -> None:
-        """Write again, first what was held back: the new side has not taken over in time, or the cut is cancelled."""
-        self.over = True
-        held = dict(self._held)
-        self.relieved()
-        for link in self.links:
-            if self._decides(link):
-                link.set_gate(True, self)
-                for message in held.get(link, ()):
-                    link.gated -= 1
-                    link.count += 1
-                    link.publish(message)
-
-    @property
-    def closed(self) -> bool:
-        """Whether there is an attachment that nothing but this cut keeps closed."""
-        return any(map(self._decides, self.links))
-
-    def _decides(self, link: OutputLink) -> bool:
-        closed = link.set_by is self and not link.open
-        return (closed or link.cut is self) and link in link.output.links
-
-    def relieved(self) -> None:
-        """The new side has taken over, or this one has given up the cut: no message needs to be held or watched."""
-        for link, held in self._held.items():
-            if link.held is held:
-                link.held = None
-        self._held.clear()
+    def confirmed(self) -> None:
+        super().confirmed()
         for runner in self._runners:
             if runner.watch == self._on_input:
                 runner.watch = None
-
-    def last(self) -> dict[str, LastWrite | None]:
-        """Each output's last number, and when it was written, where that was since the cut was agreed."""
-        found: dict[str, LastWrite | None] = {}
-        for link in self.links:
-            number, source = self.written.get(link, (link.count, None))
-            found[str(link)] = LastWrite(number=number, source=source) if number else None
-        return found
 
     def _on_input(self, info: Any) -> None:
         self._last_input, self._looks = self.host.steady(), 0
@@ -258,38 +305,32 @@ class OutgoingCut(_Side):
 
 
 @dataclass(eq=False)
-class IncomingCut(_Side):
-    """The new side. ``written`` holds each link's first write."""
+class IncomingSide(CutSide):
+    """The new side. ``written`` holds each link's first write.
 
-    latches: Sequence[OutputLink]
-    refused = False  # the old side has the claim, and writes again
+    ``latches``: the links whose last message was written once, behind the gate, and is written again at the cut.
+    """
 
-    def arm(self, epoch: int | None) -> None:
-        for link in self.links:
-            link.enter(self)
-        for runner in self._runners:
-            if epoch is not None and runner.rate is not None:
-                runner.rate.regrid(epoch)
+    latches: Sequence[OutputLink] = ()
+    grace = 0.0  # how long after its first write messages may come that are not its own (s)
 
-    def passes(self, link: OutputLink) -> bool:
-        return belongs_after(link.output.owner, self.at, self.host, slot=1, clock=self.clock)
-
-    def admits(self, link: OutputLink) -> bool:
-        return self.passes(link) and self._claimed()
-
-    def _claimed(self) -> bool:
-        self.refused = not self.claim.take()
-        return not self.refused
+    @property
+    def refused(self) -> bool:
+        """Whether the old side keeps the right to write."""
+        return self.arbiter.refused
 
     def shows(self, link: OutputLink) -> GateState:
-        return "open" if link in self.written else "closed"
+        return "open" if self.written else "closed"
+
+    def may_latch(self) -> bool:
+        return True
 
     def latch(self) -> None:
         """For late joiners, publish the last gated message of each output that has written nothing since T."""
         for link in self.latches:
             due = link.cut is self and link not in self.written and link.last_gated is not None
-            if due and self._claimed() and link.write_last_gated():
-                self.wrote(link)
+            if due and self.may_latch():
+                self._write(link, link.last_gated)
 
     def conclude(self) -> None:
         self.latch()  # another output has written: that ended the cut before it was the turn of these
@@ -302,7 +343,7 @@ class IncomingCut(_Side):
             if link.cut in (None, self) and link.set_by in (None, self):
                 link.set_gate(False, self)
         if not any(link.open or link.cut for link in attached):
-            self.claim.give_back()
+            self.arbiter.give_back()
 
     def abandon(self) -> bool:
         """Close, unless it has written; whether it is closed."""
@@ -318,3 +359,28 @@ class IncomingCut(_Side):
 
     def wrote(self, link: OutputLink) -> None:
         self.written.setdefault(link, (link.count, self.host.now()))
+
+
+@dataclass(eq=False)
+class IncomingCut(_Agreed, IncomingSide):
+    """The new side, which writes what belongs to ``at`` or later."""
+
+    grace = GRACE
+
+    def arm(self, epoch: int | None = None) -> None:
+        super().arm()
+        for runner in self._runners:
+            if epoch is not None and runner.rate is not None:
+                runner.rate.regrid(epoch)
+
+    def passes(self, link: OutputLink) -> bool:
+        return belongs_after(link.output.owner, self.at, self.host, slot=1, clock=self.clock)
+
+    def admits(self, link: OutputLink) -> bool:
+        return self.passes(link) and self.arbiter.admits()
+
+    def may_latch(self) -> bool:
+        return self.arbiter.admits()
+
+    def shows(self, link: OutputLink) -> GateState:
+        return "open" if link in self.written else "closed"

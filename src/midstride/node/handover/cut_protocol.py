@@ -1,21 +1,22 @@
 """The control thread's part in a cut: waiting for T, the report of the first write, and resuming.
 
 Each side of a cut is one task, which ends with the outcome that `await_cut` returns. It does not need the manager, so
-the topic does not depend on the manager's being alive. Which side writes after T is decided by the claim of the cut;
-the report only lets the old side know early.
+the topic does not depend on the manager's being alive. Which side writes after T is decided by the arbiter of the cut;
+a report only lets the old side know early.
 """
 
 from __future__ import annotations
 
 import abc
 import asyncio
+import math
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import ClassVar, Final
 
 from midstride.errors import BackendError, CommandRefused
 from midstride.node.component_host import Host
-from midstride.node.handover.cut import GRACE, IncomingCut, OutgoingCut
+from midstride.node.handover.cut import GRACE, IncomingSide, OutgoingSide
 from midstride.node.handover.state_transfer import StateExport, StateImport
 from midstride.wire.replies import CutOutcome, CutResult
 
@@ -41,7 +42,7 @@ class _CutTask(abc.ABC):
     new: ClassVar[bool]
     host: Host
     changed: Callable[[], None]
-    side: OutgoingCut | IncomingCut
+    side: OutgoingSide | IncomingSide
     outcome: CutOutcome | None = field(default=None, init=False)
     finished: asyncio.Event = field(default_factory=asyncio.Event, init=False)
     _latest: int = field(default=0, init=False)  # what the clock of the cut has shown
@@ -57,7 +58,7 @@ class _CutTask(abc.ABC):
     @property
     @abc.abstractmethod
     def over(self) -> bool:
-        """Whether nothing of this cut, and no claim, decides any more what this side writes."""
+        """Whether nothing of this cut, nor its arbiter, decides any more what this side writes."""
 
     @abc.abstractmethod
     async def cancel(self) -> None: ...
@@ -92,23 +93,27 @@ class CutOutTask(_CutTask):
     """The old side: writes up to T, and resumes where `taken` does not arrive in time."""
 
     new = False
-    side: OutgoingCut
+    side: OutgoingSide
     resume_after: float
     export: StateExport | None = None
     _taken: bool = field(default=False, init=False)
     # The manager wants this side to write again, and the new one could still.
     _wanted: bool = field(default=False, init=False)
-    _lingering: bool = field(default=False, init=False)
+    _watching: bool = field(default=False, init=False)
+    # When T had come (steady, ns).
+    _due_at: int = field(default=0, init=False)
 
     async def run(self) -> None:
         await self._pass()
-        await self.linger()
+        await self.watch_successor()
 
     async def _pass(self) -> None:
         """Do this side's part, until there is an outcome."""
         await self._until(self.side.at)
-        passed_at = self.host.steady()
+        self._due_at = self.host.steady()
         while self._going():
+            if self.side.arbiter.passed_on:
+                self._note_taken()
             if self._failed():
                 await self._end("done", self.side.finish)
                 return
@@ -123,8 +128,8 @@ class CutOutTask(_CutTask):
                 if not self._going():
                     return
             if passed and self._taken:
-                await self._end("done", self.side.relieved)
-            elif not self._taken and self._given_up(passed_at) and self._may_resume():
+                await self._end("done", self.side.confirmed)
+            elif not self._taken and self._given_up() and self._may_resume():
                 await self._end("resumed", self.side.reopen)
             else:
                 await (self.host.sleep(TICK) if self.export is None else self.export.pause())
@@ -133,17 +138,17 @@ class CutOutTask(_CutTask):
         """Whether the new side has written, and the clock was set back before this side noticed T."""
         return self._taken and self.side.now() < self.side.at and self._jumped_back(0.0)
 
-    def _given_up(self, passed_at: int) -> bool:
+    def _given_up(self) -> bool:
         if self.export is not None and self.export.given_up(self.resume_after):
             return True
-        return self._is_overdue(passed_at)
+        return self._is_overdue()
 
-    def _is_overdue(self, passed_at: int) -> bool:
+    def _is_overdue(self) -> bool:
         """Whether the new side should have written ``resume_after`` ago; where messages drive it, since one arrived.
 
         A new side on a time grid that ``/clock`` drives writes nothing while that stands still.
         """
-        since = self.side.newer_at if self.side.driven_by_messages else passed_at
+        since = self.side.newer_at if self.side.driven_by_messages else self._due_at
         if since is not None and self.export is not None:
             since = max(since, self.export.heard_at)
         if since is None:
@@ -168,7 +173,7 @@ class CutOutTask(_CutTask):
         await super()._end(outcome, gates_then_calls)
 
     async def taken(self, failed: bool, place: str = "") -> bool:
-        """The new side has written, and has its claim in ``place``; or it has failed.
+        """The new side has written, and has the right to in ``place``; or it has failed.
 
         Returns whether this one writes again.
         """
@@ -177,7 +182,7 @@ class CutOutTask(_CutTask):
         if failed:
             await self.cancel()
             return True
-        self.side.claim.share(place)
+        self.side.arbiter.share(place)
         self._note_taken()
         return False
 
@@ -189,32 +194,32 @@ class CutOutTask(_CutTask):
         """Whether this side may write again; else the new one has taken over, even if its report is lost."""
         if self._taken:
             return False
-        if not self.side.claim.take():
+        if not self.side.arbiter.reclaim():
             self._note_taken()
         return not self._taken
 
     async def cancel(self) -> None:
         """Raises CommandRefused where the new side has taken over, and has not given up."""
-        if not self.side.claim.take():
+        if not self.side.arbiter.reclaim():
             self._note_taken()
             self._wanted = True
             raise CommandRefused("the new side has taken over, and can still write")
         await self._end("cancelled", self.side.reopen)
 
-    async def linger(self) -> None:
+    async def watch_successor(self) -> None:
         """Write again as soon as the new side can no longer: it has given up, or its process has ended.
 
         That needs no command, which may not arrive. It ends with the attachments, or once another cut has them. Where
-        the claims of the two sides are not known to be one, only a command makes this side write again.
+        the two sides are not known to have one arbiter, only a command makes this side write again.
         """
-        if self._lingering:
+        if self._watching:
             return
-        self._lingering = True
+        self._watching = True
         while not self.over:
             await self.host.sleep(SLOW_TICK)
             await self._inherit()
-        if self.outcome == "done":
-            self.side.claim.give_back()
+        await self.finished.wait()
+        self.side.arbiter.leave()
 
     @property
     def over(self) -> bool:
@@ -223,7 +228,7 @@ class CutOutTask(_CutTask):
         return self.outcome is not None
 
     async def _inherit(self) -> None:
-        if not self.over and self._taken and self.side.claim.inherit():
+        if not self.over and self._taken and self.side.arbiter.inherit():
             await self._end("resumed", self.side.reopen)
 
     async def settle(self) -> None:
@@ -239,16 +244,23 @@ class CutOutTask(_CutTask):
 
 @dataclass(eq=False)
 class CutInTask(_CutTask):
-    """The new side: writes from T on, and reports its first write to its peer."""
+    """The new side: writes from T on, and reports its first write to its peer, unless the arbiter shows it.
+
+    Without a moment, it gives up after ``patience`` seconds.
+    """
 
     new = True
-    side: IncomingCut
+    side: IncomingSide
     # Reports the first write, or a failure, to the old side within so many seconds; returns whether that has resumed.
-    report: Callable[[float, bool], Awaitable[bool]]
+    report: Callable[[float, bool], Awaitable[bool]] | None
     state: StateImport | None = None
+    patience: float = math.inf
     _reporting: bool = field(default=False, init=False)
+    _begun_at: int = field(default=0, init=False)  # steady, ns
 
     async def run(self) -> None:
+        self._begun_at = self.host.steady()
+        self.side.arbiter.request()
         latched = all(link.output.owner.rate is not None for link in self.side.links)  # a time grid needs no latch
         await self._until(self.side.at)
         if self.state is not None and self._going():
@@ -271,8 +283,12 @@ class CutInTask(_CutTask):
             self.outcome = "done"
             self.finished.set()
             self.changed()
-            await self.host.sleep(GRACE)  # messages from before T may still be in transit to here
+            if self.side.grace:
+                await self.host.sleep(self.side.grace)  # messages from before T may still be in transit to here
             await self.host.on_data(self._conclude)
+            while not self.side.arbiter.settled:
+                await self.host.sleep(SLOW_TICK)
+            self.side.arbiter.leave()
 
     def _conclude(self) -> None:
         self.side.conclude()
@@ -297,7 +313,8 @@ class CutInTask(_CutTask):
         if self.state is not None and self.state.failed:
             return True
         failed = self._jumped_back() or any(link.output.owner.failed for link in self.side.links)
-        return failed and not self.side.written
+        overdue = (self.host.steady() - self._begun_at) / 1e9 > self.patience
+        return (failed or overdue) and not self.side.written
 
     @property
     def over(self) -> bool:
@@ -307,6 +324,8 @@ class CutInTask(_CutTask):
 
     async def _resumed(self, failed: bool) -> bool:
         """Report to the old side until it answers; whether it has resumed. One that cannot be reached has not."""
+        if self.report is None:
+            return False
         for _ in range(REPORT_ATTEMPTS):
             if not failed and not self._going():
                 return False
@@ -328,7 +347,7 @@ class CutInTask(_CutTask):
 
     async def _abandon(self, report: bool) -> bool:
         """Cancel this side unless it has written; whether it is cancelled. A hung call delays nothing."""
-        if self.side.claim.renounce() or await self.host.on_data(self.side.abandon):
+        if self.side.arbiter.renounce() or await self.host.on_data(self.side.abandon):
             self.outcome = "cancelled"
             if report:
                 await self._resumed(failed=True)

@@ -15,9 +15,17 @@ from midstride.node.control.service_answering import Answering
 from midstride.node.control.state_hooks import StateHooks
 from midstride.node.data.functionality_runner import FunctionalityRunner
 from midstride.node.data.mode_switch import DataExecutor, within
-from midstride.node.handover.baton import TakenSeat
-from midstride.node.handover.baton_cut import BatonCut, BatonTask
-from midstride.node.handover.cut import IncomingCut, OutgoingCut, comparable, reading
+from midstride.node.handover.arbiter import ClaimArbiter
+from midstride.node.handover.baton import SharedSlot
+from midstride.node.handover.cut import (
+    CutSide,
+    IncomingCut,
+    IncomingSide,
+    OutgoingCut,
+    OutgoingSide,
+    comparable,
+    reading,
+)
 from midstride.node.handover.cut_protocol import CutInTask, CutOutTask
 from midstride.node.handover.state_transfer import StateExport, StateImport, mute, unmute
 from midstride.wire import commands, replies
@@ -28,10 +36,12 @@ from midstride.wire.state import GateState
 from midstride.wire.transport import CutClaim
 
 R = TypeVar("R")
-Side: TypeAlias = CutOutTask | CutInTask | BatonTask
+Side: TypeAlias = CutOutTask | CutInTask
 
 # How long one attempt to reach a peer may take (s).
 MEET_ATTEMPT: Final = 0.5
+# Without a manager, which gives up earlier, the offer of a baton is withdrawn so long after it should be taken (s).
+OFFER: Final = 5.0
 # How many finished cuts can still be queried, or cancelled.
 REMEMBERED: Final = 50
 
@@ -115,10 +125,14 @@ class HandoverCommands:
     async def cut_out(self, command: commands.CutOutCommand) -> replies.Done:
         links = self._links_of(command, CutOutTask, gate="open")
         if command.seat is not None:
-            return await self._join(command, links, command.seat)
+            outgoing = OutgoingSide(links, self.host, SharedSlot(command.seat))
+            patience = command.resume_after + OFFER
+            return await self._join(command, outgoing, CutOutTask(self.host, self.changed, outgoing, patience))
         export = None if command.state is None else self._export(command.state)
         in_order = export is not None and _in_order(links)
-        side = OutgoingCut(links, command.at, self.host, self._claim(command), in_order=in_order, clock=command.clock)
+        side = OutgoingCut(
+            links, self.host, ClaimArbiter(self._claim(command)), command.at, in_order=in_order, clock=command.clock
+        )
         if command.state is not None and command.state.order_only:
             side.until = command.at + int(command.state.timeout * 1e9)
 
@@ -136,14 +150,19 @@ class HandoverCommands:
         if failed := [str(link) for link in links if link.output.owner.failed]:
             raise CommandRefused(f"{', '.join(failed)} cannot take over: its functionality has failed")
         if command.seat is not None:
-            return await self._join(command, links, command.seat)
+            latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
+            incoming = IncomingSide(links, self.host, SharedSlot(command.seat), latches=latches)
+            patience = command.resume_after + OFFER
+            task = CutInTask(self.host, self.changed, incoming, None, patience=patience)
+            return await self._join(command, incoming, task)
         # One that writes once has nothing else to write, however the old side is driven.
         latches = [
             link
             for link, swap in zip(links, command.swaps, strict=True)
             if swap.latch or link.output.owner.driven == "none"
         ]
-        side = IncomingCut(links, command.at, self.host, self._claim(command), latches, clock=command.clock)
+        claim = self._claim(command)
+        side = IncomingCut(links, self.host, ClaimArbiter(claim), command.at, latches=latches, clock=command.clock)
         state = None if command.state is None else self._import(command.state, command.peer, command.address)
 
         def arm() -> None:
@@ -158,7 +177,7 @@ class HandoverCommands:
 
         async def report(timeout: float, failed: bool) -> bool:
             nonlocal old
-            taken = commands.CutTakenCommand(cut=command.cut, failed=failed, claim="" if failed else side.claim.place)
+            taken = commands.CutTakenCommand(cut=command.cut, failed=failed, claim="" if failed else claim.place)
             channel = await self._channel(command.address, timeout)
             old = old or channel.greeting.uuid
             if channel.greeting.uuid != old:  # that one knows nothing of the cut, and would say that it writes
@@ -172,18 +191,15 @@ class HandoverCommands:
         return replies.Done()
 
     async def _join(
-        self, command: commands.CutOutCommand | commands.CutInCommand, links: list[OutputLink], seat: replies.Seat
+        self, command: commands.CutOutCommand | commands.CutInCommand, side: CutSide, task: Side
     ) -> replies.Done:
-        """A side of a cut whose other side has a gate: the baton decides."""
-        new, taken = isinstance(command, commands.CutInCommand), TakenSeat(seat)
-        latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
-        cut = BatonCut(links, latches, taken, self.host, new)
+        """A side of a cut whose other side has a gate: no moment is agreed."""
         try:
-            await self.data.run(cut.arm, command.timeout)
+            await self.data.run(side.arm, command.timeout)
         except CommandRefused:
-            taken.rise()
+            side.arbiter.leave()
             raise
-        self._begin(command.cut, BatonTask(self.host, self.changed, cut, command.resume_after))
+        self._begin(command.cut, task)
         return replies.Done()
 
     async def cancel_cut(self, command: commands.CancelCutCommand) -> replies.Done:
@@ -193,7 +209,7 @@ class HandoverCommands:
                 await side.cancel()
             except CommandRefused:
                 if isinstance(side, CutOutTask):
-                    self._start(side.linger())
+                    self._start(side.watch_successor())
                 raise
         return replies.Done()
 
@@ -288,7 +304,7 @@ class HandoverCommands:
         """New sides without any attachment left have nothing to write."""
         for side in (side for sides in self._sides.values() for side in sides):
             if isinstance(side, CutInTask) and side.is_detached:
-                side.side.claim.give_back()
+                side.side.arbiter.give_back()
 
     def _links_of(
         self, command: commands.CutOutCommand | commands.CutInCommand, kind: type, gate: GateState

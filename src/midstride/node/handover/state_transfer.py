@@ -27,13 +27,13 @@ from midstride.node.control.state_hooks import StateHooks
 from midstride.node.data.functionality_runner import Admission, Call, FunctionalityRunner
 from midstride.node.data.mode_switch import within
 from midstride.node.data.trigger import InfoSet
+from midstride.node.handover.arbiter import Arbiter
 from midstride.node.handover.cut import IncomingCut, OutgoingCut, call_belongs_after, reading
 from midstride.wire import commands, replies
 from midstride.wire.channel import result_of
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply
 from midstride.wire.replies import CutClock
-from midstride.wire.transport import CutClaim
 
 # How often a side checks whether a cut has passed, and async calls have ended (s).
 TICK: Final = 0.002
@@ -269,8 +269,8 @@ class StateImport(_Transfer):
     failed: bool = field(default=False, init=False)
     _imported: bool = field(default=False, init=False)
     _open: bool = field(default=False, init=False)
-    # Where no output is cut: the first call claims what a first write does otherwise.
-    _claim: CutClaim | None = field(default=None, init=False)
+    # Where no output is cut: the first call takes the right that a first write does otherwise.
+    _arbiter: Arbiter | None = field(default=None, init=False)
     # As the old side reports them.
     _handled: dict[str, int] = field(default_factory=dict, init=False)
     _since: int = field(default=0, init=False)
@@ -281,7 +281,7 @@ class StateImport(_Transfer):
 
     def arm(self, links: Iterable[OutputLink], side: OutgoingCut | IncomingCut) -> None:
         super().arm(links, side)
-        self._claim = None if side.links else side.claim
+        self._arbiter = None if side.links else side.arbiter
 
     def admit(self, runner: FunctionalityRunner, call: Call) -> Admission:
         origin = self._origin(runner, call)
@@ -337,7 +337,7 @@ class StateImport(_Transfer):
         """The first outcome counts."""
         if self._settled.is_set():
             return
-        if not failed and self._claim is not None and not self._claim.take():
+        if not failed and self._arbiter is not None and not self._arbiter.admits():
             problem, failed = "the old component has resumed", True
         self.problem, self.failed = problem, failed
         self._settled.set()

@@ -1,0 +1,111 @@
+"""Which of the two sides of a cut may write: never both, whatever each of them knows of the other.
+
+Either side has an arbiter of its own. The right to write passes to the new side when that takes it, and back to the old
+one when the new one gives it back, or its process ends (docs/semantics.md section 7).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from midstride.wire.transport import CutClaim
+
+
+class Arbiter(Protocol):
+    """``begin``, ``end`` and ``admits`` are for the data thread, the others for either. None of them waits."""
+
+    def begin(self, output: int) -> bool:
+        """Whether a message may be published on this output of the cut now; if so, :meth:`end` must follow."""
+
+    def end(self) -> None: ...
+
+    def admits(self) -> bool:
+        """Whether this side may write from now on. Where the right is free for it, it may take it."""
+
+    # -- of the new side -------------------------------------------------------------------------------
+
+    def request(self) -> None:
+        """Ask for the right."""
+
+    @property
+    def refused(self) -> bool:
+        """Whether the old side has the right, and keeps it."""
+
+    def renounce(self) -> bool:
+        """Never take the right from now on, unless this side has it; whether it has not."""
+
+    def give_back(self) -> None:
+        """Nothing is written here any more: the old side may write again."""
+
+    @property
+    def settled(self) -> bool:
+        """Whether this side needs nothing more of its arbiter to keep the right."""
+
+    # -- of the old side -------------------------------------------------------------------------------
+
+    @property
+    def passed_on(self) -> bool:
+        """Whether the new side is seen to have the right; where that cannot be seen, it reports it."""
+
+    def share(self, place: str) -> None:
+        """The new side reports that it has the right, in ``place``."""
+
+    def reclaim(self) -> bool:
+        """Whether this side has the right, and keeps it: the new one can no longer take it."""
+
+    def inherit(self) -> bool:
+        """As :meth:`reclaim`, from a new side that had the right; False while that may still be writing."""
+
+    # -- of both ---------------------------------------------------------------------------------------
+
+    def leave(self) -> None:
+        """The cut is over here: free what is shared with the other side. Who may write stays as it is."""
+
+
+@dataclass(eq=False)
+class ClaimArbiter:
+    """Between two components: the side that takes the claim first is the one that writes from the agreed moment on.
+
+    Until then the old side writes without it. The new side takes it before its first write, the old one before it
+    writes again.
+    """
+
+    claim: CutClaim
+    refused: bool = field(default=False, init=False)
+    settled: bool = field(default=True, init=False)
+    passed_on: bool = field(default=False, init=False)
+    _has: bool = field(default=False, init=False)
+
+    def begin(self, output: int) -> bool:
+        return True
+
+    def end(self) -> None: ...
+
+    def admits(self) -> bool:
+        self.refused = not self.reclaim()
+        return not self.refused
+
+    def request(self) -> None: ...
+
+    def renounce(self) -> bool:
+        return self.claim.renounce()
+
+    def give_back(self) -> None:
+        self._has = False
+        self.claim.give_back()
+
+    def share(self, place: str) -> None:
+        self.claim.share(place)
+
+    def reclaim(self) -> bool:
+        self._has = self.claim.take()
+        return self._has
+
+    def inherit(self) -> bool:
+        self._has = self._has or self.claim.inherit()
+        return self._has
+
+    def leave(self) -> None:
+        if not self._has:
+            self.claim.give_back()
