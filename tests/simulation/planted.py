@@ -216,7 +216,7 @@ def _handover_not_undone(patch: pytest.MonkeyPatch) -> None:
 
 def _never_resumes(patch: pytest.MonkeyPatch) -> None:
     """The old side of a cut waits for the new one for ever."""
-    plant(patch, cut_protocol.CutOutTask, "_given_up", lambda self, passed_at: False)
+    plant(patch, cut_protocol.CutOutTask, "_given_up", lambda self: False)
 
 
 def _repetition_carried_out(patch: pytest.MonkeyPatch) -> None:
