@@ -1,23 +1,33 @@
-"""The hand-over of a node without Midstride's API: by a baton, which each side asks for and lays down itself.
+"""The outputs of a node with a preloaded library: gates in a page of shared memory, and a baton at a hand-over.
 
 docs/protocols/baton.md has the protocol; ``baton.h`` has its steps.
 """
 
 from __future__ import annotations
 
+import asyncio
 import time
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
+
+from msgspec import structs
 
 from midstride.errors import CommandRefused
-from midstride.foreign.gates import share_baton
-from midstride.foreign.node import ForeignNode
+from midstride.foreign.gates import Gates, share_baton
+from midstride.foreign.node import TICK, ForeignNode
+from midstride.foreign.outputs import AgentHandler, UngatedOutputs
 from midstride.foreign.page import OPEN, OUTPUT
+from midstride.node.control.attachments import SETTLE, not_matched
+from midstride.node.control.rate_watch import RateWatch
 from midstride.node.handover.baton import BatonStep
 from midstride.wire import commands, replies
+from midstride.wire.commands import Command
 
 # How long a call that is publishing may take to return (s).
 PUBLISHING: Final = 0.3
+# An output with a rate hangs if it has been silent for so many periods, and at least so long (s).
+HANGS_PERIODS: Final = 10
+HANGS: Final = 1.0
 
 
 @dataclass
@@ -31,27 +41,131 @@ class _Cut:
     own: dict[str, int] = field(default_factory=dict)  # by port, its baton before
 
 
-class ForeignCuts:
-    """The cuts of one node. Each method carries out one command. Raises CommandRefused, as they do."""
+class GatedOutputs(UngatedOutputs):
+    """Those of ``node``, with ``gates``."""
 
-    def __init__(self, node: ForeignNode) -> None:
-        self._node = node
+    def __init__(self, node: ForeignNode, gates: Gates) -> None:
+        super().__init__(node)
+        self._gates = gates
         self._cuts: dict[str, _Cut] = {}
         self._seats: dict[str, int] = {}  # by cut: the part in the page of a peer that uses Midstride's API
 
+    def handlers(self) -> dict[type[Command[Any]], AgentHandler]:
+        return {
+            **super().handlers(),
+            commands.GateCommand: self.set_gate,
+            commands.FenceCommand: self.fence,
+            commands.AwaitWriteCommand: self.await_write,
+            commands.AwaitRateCommand: self.await_rate,
+            commands.SeatCommand: self.seat,
+            commands.CutOutCommand: self.cut_out,
+            commands.CutInCommand: self.cut_in,
+            commands.AwaitCutCommand: self.await_cut,
+        }
+
+    async def attach(self, command: commands.AttachCommand) -> replies.Attached:
+        port = command.port
+        matched = await self._node.matched(port, command.peers, command.timeout)
+        if matched < command.peers:
+            raise not_matched(matched, command)
+        matched = await self._node.matched(port, command.everyone, command.patience)
+        if command.peers or command.everyone:
+            await asyncio.sleep(SETTLE)
+        self._node.change_record(links={**self._node.record.links, port: command.gate})
+        if self._node.component.has_output(port):
+            self._node.adjust(port)
+        else:
+            self._gates.set_gate(port, True)
+        return replies.Attached(matched=matched)
+
+    async def detach(self, command: commands.DetachCommand) -> replies.Detached:
+        port, gates = command.port, self._gates
+        await super().detach(command)
+        gates.set_gate(port, False)
+        if self._node.component.has_output(port) and (baton := gates.baton(port)):
+            await self._node.comes_true(lambda: not gates.has_it(port) or not self._node.writers(baton), PUBLISHING)
+            word = gates.page.word(baton)
+            if word.predecessor == gates.index + 1:  # it has been handed over, for good
+                gates.page.step(baton, BatonStep.SETTLE, word.holder - 1)
+        return replies.Detached(acknowledged=None, last=gates.entry(port).passed)
+
+    async def set_gate(self, command: commands.GateCommand) -> replies.Done:
+        self._node.change_record(links={**self._node.record.links, command.port: command.gate})
+        self._node.adjust(command.port)
+        return replies.Done()
+
+    async def fence(self, command: commands.FenceCommand) -> replies.FencedOutputs:
+        gates = self._gates
+        batons = {baton for port, _ in command.attachments if (baton := gates.baton(port))}
+        for baton in batons:
+            gates.step(baton, BatonStep.LIFT if command.lift else BatonStep.FENCE)
+        for port, _ in command.attachments:
+            if not gates.baton(port):
+                gates.set_gate(port, command.lift)
+        if not command.lift:
+            free = await self._node.comes_true(lambda: not any(map(self._node.writers, batons)), command.timeout)
+            if not free:
+                for baton in batons:
+                    gates.step(baton, BatonStep.LIFT)
+                raise CommandRefused("a message is being published, and that does not end")
+        last = {f"{port} {topic}": int(gates.entry(port).passed) for port, topic in command.attachments}
+        return replies.FencedOutputs(last=last)
+
+    # -- waiting ---------------------------------------------------------------------------------------
+
+    async def await_match(self, command: commands.AwaitMatchCommand) -> replies.Attached:
+        return replies.Attached(matched=await self._node.matched(command.port, command.peers, command.timeout))
+
+    async def await_write(self, command: commands.AwaitWriteCommand) -> replies.GatedWrites:
+        """With a rate, what was written before does not count: it may hang by now."""
+        entry, rated = self._gates.entry(command.port), self._gates.rate(command.port)
+        begun = int(entry.gated) if rated else 0
+        await self._node.comes_true(lambda: entry.gated > begun, command.timeout)
+        if rated and entry.gated > begun:
+            await self._node.comes_true(lambda: entry.gated - begun >= command.calls, command.patience)
+        return replies.GatedWrites(gated=entry.gated - begun, wrong_type=None)
+
+    async def await_rate(self, command: commands.AwaitRateCommand) -> replies.RateVerdict:
+        entry, deadline = self._gates.entry(command.port), time.monotonic() + command.timeout
+        if command.known_clock and self._node.record.simulated_time:
+            return replies.RateVerdict(reached=command.until == "met", rate=command.rate, pause=0.0)
+        begun = entry.passed + entry.gated
+        watch = RateWatch(command.rate, command.window, time.monotonic_ns())
+        while True:
+            watch.see(entry.passed + entry.gated - begun, time.monotonic_ns())
+            reached = watch.kept if command.until == "met" else watch.broken
+            if reached or time.monotonic() >= deadline:
+                return replies.RateVerdict(reached=reached, rate=round(watch.rate, 3), pause=round(watch.pause, 3))
+            await asyncio.sleep(TICK)
+
+    async def await_idle(self, command: commands.AwaitIdleCommand) -> replies.Idle:
+        """It hangs if an output with a rate has been silent for long, whether its gate is open or not.
+
+        In simulated time, nothing is judged while `/clock` stands still, or it is not known how it moves.
+        """
+        for port in self._node.record.links:
+            rate = (
+                self._node.component.stated_rate(port, self._node.record.modes)
+                if self._node.component.has_output(port)
+                else None
+            )
+            age = self._gates.age(port)
+            due = None if age is None else self._node.due(age)
+            if rate and due is not None and due > max(HANGS, HANGS_PERIODS / rate):
+                return replies.Idle(busy=f"it has written nothing on {self._node.record.topics[port]} for {age:.1f} s")
+        return replies.Idle(busy=None)
+
+    # -- hand-over -------------------------------------------------------------------------------------
+
     async def grid(self, command: commands.GridCommand) -> replies.Grid:
-        """How an output is triggered; by a rate that is stated, any moment is a slot."""
-        rate = None if command.port is None else self._node.component.stated_rate(command.port, self._node.record.modes)
-        now, readers = time.time_ns(), None
-        if command.port is not None and command.topic is not None and self._node.gates is not None:
-            readers = await self._node.matched(command.port, 0, 0.0)
-        if not rate:
-            return replies.Grid(trigger="none", now=now, readers=readers)
-        return replies.Grid(trigger="rate", now=now, epoch=now, period=1 / rate, readers=readers)
+        grid = await super().grid(command)
+        if command.port is None or command.topic is None:
+            return grid
+        return structs.replace(grid, readers=await self._node.matched(command.port, 0, 0.0))
 
     async def cut_out(self, command: commands.CutOutCommand) -> replies.Done:
         """The old side: from now on, one baton decides for the outputs of the cut."""
-        gates, ports = self._node.require_gates(), [swap.port for swap in command.swaps]
+        gates, ports = self._gates, [swap.port for swap in command.swaps]
         if not ports or command.state is not None:
             raise CommandRefused(f"{self._node.record.instance} does not use Midstride's API: it has no state to move")
         own = {port: gates.baton(port) for port in self._node.component.outputs}
@@ -61,7 +175,7 @@ class ForeignCuts:
 
     async def seat(self, command: commands.SeatCommand) -> replies.Seat:
         """Either side: the other one uses Midstride's API, and gets a part in the page for the cut."""
-        page, cut = self._node.require_gates().page, self._cuts.get(command.cut)
+        page, cut = self._gates.page, self._cuts.get(command.cut)
         if not command.old and cut is None:
             raise CommandRefused(f"there is no cut {command.cut}")
         index = self._seats[command.cut] = page.allocate(command.peer)
@@ -76,13 +190,13 @@ class ForeignCuts:
             library=str(page.library_path),
             baton=baton,
             index=index,
-            other=self._node.require_gates().index,
+            other=self._gates.index,
             timed=not any(port.rate for port in command.ports),
         )
 
     async def cut_in(self, command: commands.CutInCommand) -> replies.Done:
         """The new side: be named as the successor of the old one."""
-        gates, ports = self._node.require_gates(), [swap.port for swap in command.swaps]
+        gates, ports = self._gates, [swap.port for swap in command.swaps]
         old = self._seats.get(command.cut, gates.page.index_of(command.peer))
         if old is None:
             raise CommandRefused(f"{command.peer} has no gate of the kind that {self._node.record.instance} has")
@@ -111,7 +225,7 @@ class ForeignCuts:
 
     async def await_cut(self, command: commands.AwaitCutCommand) -> replies.CutResult:
         """Both sides: until the new one has written, or that is withdrawn, or the old one is fenced."""
-        cut, gates = self._cuts.get(command.cut), self._node.require_gates()
+        cut, gates = self._cuts.get(command.cut), self._gates
         if cut is None:
             raise CommandRefused(f"there is no cut {command.cut}")
         new = cut.other is not None
@@ -137,7 +251,7 @@ class ForeignCuts:
         return replies.CutResult(outcome="done", last=writes)
 
     def _last_write(self, port: str, cut: _Cut) -> replies.LastWrite | None:
-        entry = self._node.require_gates().entry(port)
+        entry = self._gates.entry(port)
         if entry.passed <= cut.before.get(port, -1):
             return None
         return replies.LastWrite(number=entry.passed, source=time.time_ns() - time.monotonic_ns() + entry.last)
@@ -148,14 +262,13 @@ class ForeignCuts:
         if cut is not None and cut.other is not None:
             await self._withdraw(cut)
         elif cut is not None:
-            gates = self._node.require_gates()
-            gates.step(cut.baton, BatonStep.WITHDRAW)
+            self._gates.step(cut.baton, BatonStep.WITHDRAW)
             self._restore(cut)
         return replies.Done()
 
     async def _withdraw(self, cut: _Cut) -> None:
         """The new side: close its gates, and give the baton back to the old side."""
-        gates = self._node.require_gates()
+        gates = self._gates
         assert cut.other is not None
         ports = [swap.port for swap in cut.swaps]
         self._node.change_record(links={**self._node.record.links, **dict.fromkeys(ports, "closed")})
@@ -171,4 +284,4 @@ class ForeignCuts:
 
     def _restore(self, cut: _Cut) -> None:
         for port, baton in cut.own.items():
-            self._node.require_gates().entry(port).baton = baton
+            self._gates.entry(port).baton = baton

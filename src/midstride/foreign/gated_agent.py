@@ -13,8 +13,8 @@ from typing import Any, Final
 
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import CommandRefused, MidstrideError
-from midstride.foreign.agent_commands import WATCH, ForeignCommands
-from midstride.foreign.cuts import ForeignCuts
+from midstride.foreign.agent_commands import ForeignCommands
+from midstride.foreign.cuts import GatedOutputs
 from midstride.foreign.foreign_parameters import ForeignParameters
 from midstride.foreign.gated_reflex import broken_assumptions
 from midstride.foreign.gates import Gates
@@ -29,9 +29,10 @@ from midstride.foreign.graph_check import (
     unseen,
     unseen_in_words,
 )
-from midstride.foreign.lifecycle_cuts import LifecycleCuts, LifecyclePeers
+from midstride.foreign.lifecycle_cuts import LifecycleOutputs, LifecyclePeers
 from midstride.foreign.lifecycle_node import LifecycleNode
-from midstride.foreign.node import ForeignNode, without_ports
+from midstride.foreign.node import WATCH, ForeignNode, without_ports
+from midstride.foreign.outputs import UngatedOutputs
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.reported_clock import ReportedClock
 from midstride.foreign.reported_writes import ReportedWrites
@@ -76,7 +77,7 @@ class ForeignAgent:
             self.node.reported = reported.silence
         if clock is not None:
             self.node.clock = clock
-        cuts: ForeignCuts | LifecycleCuts = ForeignCuts(self.node)
+        outputs = UngatedOutputs(self.node) if gates is None else GatedOutputs(self.node, gates)
         self._services = services
         self.lifecycle: LifecycleNode | None = None
         self._parameters: ForeignParameters | None = None
@@ -85,7 +86,7 @@ class ForeignAgent:
         if services is not None and self.node.component.has_lifecycle:
             self.lifecycle = LifecycleNode(self.node, services)
             if gates is None:
-                cuts = LifecycleCuts(self.lifecycle, peers or LifecyclePeers())
+                outputs = LifecycleOutputs(self.lifecycle, peers or LifecyclePeers())
         self._graph = graph
         self._failed: str | None = None  # why it has not been configured, or is not what is declared
         self._replies: dict[str, asyncio.Task[Reply]] = {}
@@ -101,7 +102,7 @@ class ForeignAgent:
             start_token=record.token,
         )
         self._server = CommandServer(greeting, self._serve)
-        self._commands = ForeignCommands(self.node, cuts, self._parameters, self.lifecycle, self._report)
+        self._commands = ForeignCommands(self.node, outputs, self._parameters, self.lifecycle, self._report)
 
     async def open(self, transport: Transport) -> None:
         """Listen for the manager, and register as soon as the node has the endpoints that are declared.

@@ -1,7 +1,7 @@
-"""The hand-over between two lifecycle nodes without a gate: the old one is deactivated, then the new one is activated.
+"""The outputs of a lifecycle node without a gate: they are open while it is active.
 
-In this order there are never two publishers, and the topic is silent for the time that both transitions take
-(docs/protocols/foreign.md).
+At a hand-over between two of them, the old one is deactivated, then the new one is activated. In this order there are
+never two publishers, and the topic is silent for the time that both transitions take (docs/protocols/foreign.md).
 """
 
 from __future__ import annotations
@@ -10,10 +10,15 @@ import asyncio
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from midstride.errors import CommandRefused
 from midstride.foreign.lifecycle_node import LifecycleNode
+from midstride.foreign.node import WATCH
+from midstride.foreign.outputs import AgentHandler, UngatedOutputs
+from midstride.foreign.services import NoAnswer
 from midstride.wire import commands, replies
+from midstride.wire.commands import Command
 from midstride.wire.state import GateState
 
 
@@ -25,14 +30,50 @@ class LifecyclePeers:
     exchanges: dict[str, asyncio.Task[float]] = field(default_factory=dict)
 
 
-class LifecycleCuts:
-    """The cuts of ``own``. Each method carries out one command. Raises CommandRefused, as they do."""
+class LifecycleOutputs(UngatedOutputs):
+    """Those of ``own``."""
 
     def __init__(self, own: LifecycleNode, peers: LifecyclePeers) -> None:
+        super().__init__(own.node)
         self._own = own
         self._peers = peers
         self._cuts: dict[str, tuple[str | None, list[str]]] = {}  # the old side, None on that side, and the ports
         peers.nodes[own.node.record.instance] = own
+
+    def handlers(self) -> dict[type[Command[Any]], AgentHandler]:
+        return {
+            **super().handlers(),
+            commands.GateCommand: self.set_gate,
+            commands.AwaitRateCommand: self.await_rate,
+            commands.CutOutCommand: self.cut_out,
+            commands.CutInCommand: self.cut_in,
+            commands.AwaitCutCommand: self.await_cut,
+        }
+
+    async def attach(self, command: commands.AttachCommand) -> replies.Attached:
+        await self._own.set_links({command.port: command.gate})
+        return replies.Attached(matched=0)
+
+    async def detach(self, command: commands.DetachCommand) -> replies.Detached:
+        await self._own.set_links({command.port: None})
+        return replies.Detached(acknowledged=None, last=None)
+
+    async def set_gate(self, command: commands.GateCommand) -> replies.Done:
+        await self._own.set_links({command.port: command.gate})
+        return replies.Done()
+
+    async def await_rate(self, command: commands.AwaitRateCommand) -> replies.RateVerdict:
+        """What can be known of it: that it does not leave its lifecycle state."""
+        left = await self._node.comes_true(self._own.left, command.timeout, every=WATCH)
+        return replies.RateVerdict(reached=left == (command.until == "broken"), rate=0.0, pause=0.0)
+
+    async def await_idle(self, command: commands.AwaitIdleCommand) -> replies.Idle:
+        """It hangs if it does not say its state."""
+        try:
+            await self._own.lifecycle.look(command.timeout)
+        except NoAnswer as error:
+            return replies.Idle(busy=str(error))
+        return replies.Idle(busy=None)
 
     async def grid(self, command: commands.GridCommand) -> replies.Grid:
         """Any moment will do."""

@@ -30,6 +30,8 @@ from midstride.wire.state import (
 )
 
 TICK: Final = 0.005
+# How often an agent looks whether a baton has moved, or a lifecycle node has left its state (s).
+WATCH: Final = 0.05
 # The shortest interval between two counts from which a rate is computed (s).
 SAMPLE: Final = 0.2
 # How long the helper thread of a node may take to look, once it is asked to (s).

@@ -1,0 +1,81 @@
+"""What holds back the outputs of a node without Midstride's API, as a value: chosen once, when its agent is made."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Awaitable, Callable
+from typing import Any, NoReturn, TypeAlias
+
+from midstride.errors import CommandRefused
+from midstride.foreign.node import ForeignNode
+from midstride.wire import commands, replies
+from midstride.wire.commands import Command
+from midstride.wire.state import WireValue
+
+AgentHandler: TypeAlias = Callable[[Any], Awaitable[WireValue]]
+
+
+class UngatedOutputs:
+    """Nothing does (`gate none`). Each method carries out one command. Raises CommandRefused, as they do."""
+
+    def __init__(self, node: ForeignNode) -> None:
+        self._node = node
+
+    def handlers(self) -> dict[type[Command[Any]], AgentHandler]:
+        held = (
+            commands.GateCommand,
+            commands.FenceCommand,
+            commands.AwaitWriteCommand,
+            commands.AwaitRateCommand,
+            commands.SeatCommand,
+            commands.CutOutCommand,
+            commands.CutInCommand,
+            commands.AwaitCutCommand,
+        )
+        return {
+            **dict.fromkeys(held, self._refuse),
+            commands.AttachCommand: self.attach,
+            commands.DetachCommand: self.detach,
+            commands.AwaitMatchCommand: self.await_match,
+            commands.AwaitIdleCommand: self.await_idle,
+            commands.GridCommand: self.grid,
+            commands.CancelCutCommand: self.cancel_cut,
+        }
+
+    async def attach(self, command: commands.AttachCommand) -> replies.Attached:
+        if command.gate == "closed":
+            raise CommandRefused(
+                f"{self._node.record.instance} has no gate (`gate none`), so {command.topic} cannot be handed over to "
+                "it; use `--strategy paper`, or `gate preload`"
+            )
+        self._node.change_record(links={**self._node.record.links, command.port: "open"})
+        return replies.Attached(matched=0)
+
+    async def detach(self, command: commands.DetachCommand) -> replies.Detached:
+        links = {name: gate for name, gate in self._node.record.links.items() if name != command.port}
+        self._node.change_record(links=links)
+        return replies.Detached(acknowledged=None, last=None)
+
+    async def await_match(self, command: commands.AwaitMatchCommand) -> replies.Attached:
+        """With how many is not known, and delays nothing."""
+        return replies.Attached(matched=command.peers)
+
+    async def await_idle(self, command: commands.AwaitIdleCommand) -> replies.Idle:
+        return replies.Idle(busy=None)
+
+    async def grid(self, command: commands.GridCommand) -> replies.Grid:
+        """How an output is triggered; by a rate that is stated, any moment is a slot."""
+        rate = None if command.port is None else self._node.component.stated_rate(command.port, self._node.record.modes)
+        now = time.time_ns()
+        if not rate:
+            return replies.Grid(trigger="none", now=now)
+        return replies.Grid(trigger="rate", now=now, epoch=now, period=1 / rate)
+
+    async def cancel_cut(self, command: commands.CancelCutCommand) -> replies.Done:
+        return replies.Done()
+
+    async def _refuse(self, command: Command[Any]) -> NoReturn:
+        kind = f"`gate {self._node.component.gate}`"
+        raise CommandRefused(
+            f"{self._node.record.instance} has no gate in its process ({kind}), so it cannot be held back"
+        )
