@@ -145,7 +145,7 @@ def test_topics_that_a_gate_does_not_have_are_named(
     assert main(["capture", "--probe", "--yes"]) == 0
     assert capsys.readouterr().err.splitlines()[:2] == [
         "/source: not probed: it has no gate",
-        "/relay: not probed on /in: a gate has at most 32 topics",
+        "/relay: not probed on /in: its gate has no port there",
     ]
 
 

@@ -1,6 +1,8 @@
 /* A node: `fake_node WRITER TOPIC PERIOD_NS MESSAGES`; it lives until it is ended. With `time`, it says how much processor time a message takes (ns).
  * With another word, that is a topic: in each period it takes a message from there, and publishes only if it has got one.
- * FAKE_OTHERS in its environment is how many publishers of the topic it creates before, and removes after, its own. */
+ * FAKE_OTHERS in its environment is how many publishers of the topic it creates before, and removes after, its own.
+ * FAKE_TOPICS is for how many further topics it creates publishers, TOPIC_0 and so on. With FAKE_SECOND, the full name of
+ * another node in the process, that publishes on the topic as well, as WRITER + 1000. */
 #define _GNU_SOURCE
 #include <stdint.h>
 #include <stdio.h>
@@ -25,7 +27,8 @@ static long long now(void)
 int main(int count, char **arguments)
 {
   static const char type;
-  void *publisher, *subscription = NULL, *log;
+  void *publisher, *second_publisher, *subscription = NULL, *log;
+  const char *first = "/first", *second = getenv("FAKE_SECOND"), *topics = getenv("FAKE_TOPICS");
   uint64_t message[2] = {strtoull(arguments[1], NULL, 10), 0};
   long long period = atoll(arguments[3]), messages = atoll(arguments[4]), begun = now();
   rcl_publisher_init(&log, NULL, &type, "/rosout", NULL);
@@ -34,7 +37,14 @@ int main(int count, char **arguments)
   void **other = calloc((size_t)others + 1, sizeof *other);
   for (int index = 0; index < others; index++)
     rcl_publisher_init(&other[index], NULL, &type, arguments[2], NULL);
-  rcl_publisher_init(&publisher, NULL, &type, arguments[2], NULL);
+  rcl_publisher_init(&publisher, &first, &type, arguments[2], NULL);
+  if (second)
+    rcl_publisher_init(&second_publisher, &second, &type, arguments[2], NULL);
+  for (int index = 0; topics && index < atoi(topics); index++) {
+    char *name = malloc(256);
+    snprintf(name, 256, "%s_%d", arguments[2], index);
+    rcl_publisher_init(malloc(sizeof(void *)), &first, &type, name, NULL);
+  }
   for (int index = 0; index < others; index++)
     rcl_publisher_fini(&other[index], NULL);
   log = NULL; /* as rcl does, which keeps a copy of it elsewhere */
@@ -50,6 +60,10 @@ int main(int count, char **arguments)
       continue;
     message[1] = (uint64_t)number;
     rcl_publish(&publisher, message, NULL);
+    if (second) {
+      uint64_t other[2] = {message[0] + 1000, message[1]};
+      rcl_publish(&second_publisher, other, NULL);
+    }
   }
   if (count > 5 && !subscription) {
     struct timespec used;

@@ -80,6 +80,12 @@ int rmw_serialize(const void *message, const void *type, void **bytes)
   return 0;
 }
 
+/* A node is its name. */
+const char *rcl_node_get_fully_qualified_name(const char *const *node)
+{
+  return node ? *node : NULL;
+}
+
 int rcl_publisher_init(struct publisher *publisher, const void *node, const void *type, const char *name, const void *options)
 {
   (void)node, (void)type, (void)options;

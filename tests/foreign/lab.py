@@ -49,7 +49,6 @@ class Lab:
 
     def run(self, index: int, period: int, messages: int, *takes: str) -> None:
         """Start the process of a node, which may take messages from a topic, and wait until it has joined."""
-        port = self.port(index)
         variables = {
             "LD_PRELOAD": str(self.library),
             "LD_LIBRARY_PATH": str(self.programs),
@@ -58,13 +57,16 @@ class Lab:
             "MIDSTRIDE_GATE_NODE": str(index),
         }
         self.processes[index] = self.start(variables, str(index + 1), "/chat", str(period), str(messages), *takes)
-        until(lambda: bool(port.endpoints and port.tried), f"node {index} has not written")
+        until(
+            lambda: any(port.endpoints and port.tried for port in self.page.ports(index)[:1]),
+            f"node {index} has not written",
+        )
 
     def start(self, variables: Mapping[str, str], *arguments: str) -> subprocess.Popen[bytes]:
         return subprocess.Popen([self.programs / "node", *arguments], env={**os.environ, **variables})
 
     def port(self, index: int) -> PagePort:
-        port: PagePort = self.page.layout.nodes[index].ports[0]
+        port: PagePort = self.page.ports(index)[0]
         return port
 
     def word(self, baton: int) -> BatonWord:

@@ -145,12 +145,12 @@ def test_a_part_of_the_page_that_nobody_joined_is_given_to_another(lab: Lab) -> 
     """A manager that is killed in a hand-over leaves one; a node that is only slow to start keeps its own."""
     nodes = lab.page.layout.nodes
     left, *others = [lab.page.allocate(f"left_{number}") for number in range(NODES)]
-    with pytest.raises(BackendError, match="more than 128 nodes have a gate"):
+    with pytest.raises(BackendError, match="more than 512 nodes have a gate"):
         lab.page.allocate("talker")
     nodes[left].beat -= JOINED_WITHIN
     assert lab.page.allocate("talker") == left
     assert nodes[left].instance == b"talker"
-    with pytest.raises(BackendError, match="more than 128"):
+    with pytest.raises(BackendError, match="more than 512"):
         lab.page.allocate("listener")
     nodes[others[-1]].beat += 10**6  # from before the machine was started again
     assert lab.page.allocate("listener") == others[-1]
@@ -177,8 +177,8 @@ def test_a_slot_is_left_only_to_a_successor_that_comes_while_the_old_one_publish
     baton = page.new_baton(indices[0])
     for index in indices:
         page.set_ports(index, [("/chat", OUTPUT)])
-        page.layout.nodes[index].ports[0].gate = OPEN
-        share_baton(page, [(page.layout.nodes[index].ports[0], 50.0)], baton)
+        page.ports(index)[0].gate = OPEN
+        share_baton(page, [(page.ports(index)[0], 50.0)], baton)
 
     def seat(own: int, other: int) -> SharedSlot:
         return SharedSlot(
@@ -295,7 +295,7 @@ def test_without_a_page_a_process_behaves_as_without_the_library(
     if page == "cut off":
         os.truncate(path, 100)
     if page == "no number":
-        node = "128"
+        node = str(NODES)
     log = tmp_path / "log"
     log.touch()
     os.truncate(log, LOG_SIZE)

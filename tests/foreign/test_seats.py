@@ -36,7 +36,7 @@ class Gated:
         self.index, self.other = self.page.allocate(GATED), self.page.allocate("ours")
         for index in (self.index, self.other):
             self.page.set_ports(index, [(TOPIC, OUTPUT)])
-            self.page.layout.nodes[index].ports[0].gate = OPEN
+            self.page.ports(index)[0].gate = OPEN
         self.seat: SharedSlot | None = None
         self.task: asyncio.Task[None] | None = None
         self.hangs = False
@@ -47,7 +47,7 @@ class Gated:
         """One baton for both, which ``holder`` has."""
         baton = self.page.new_baton(holder)
         for index in (self.index, self.other):
-            share_baton(self.page, [(self.page.layout.nodes[index].ports[0], rate)], baton)
+            share_baton(self.page, [(self.page.ports(index)[0], rate)], baton)
         self.baton = baton
 
     def seat_of(self, index: int, other: int, *, timed: bool = False) -> Seat:
@@ -231,7 +231,7 @@ async def cut_again(lab: Lab, gated: Gated) -> None:
     """A later hand-over, with another seat."""
     gated.other = gated.page.allocate("ours")
     gated.page.set_ports(gated.other, [(TOPIC, OUTPUT)])
-    gated.page.layout.nodes[gated.other].ports[0].gate = OPEN
+    gated.page.ports(gated.other)[0].gate = OPEN
     gated.share(gated.other)
     seat = gated.seat_of(gated.other, gated.index)
     fields = {name: getattr(seat, name) for name in seat.__struct_fields__}

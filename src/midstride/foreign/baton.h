@@ -1,7 +1,4 @@
-/* The page of shared memory between the manager and the nodes that it gates, and the baton: which writer may write.
- *
- * One file for each system. The manager creates it and fills in nodes and ports; each node maps it. page.py has the same
- * layout; midstride_layout() lets a test compare the two. Every field that both sides write is atomic.
+/* The baton: which writer may write.
  *
  * The baton is one word, so that each step of the protocol is one compare-and-swap. docs/protocols/baton.md has the
  * protocol in words. The functions baton_* are pure: they say what a step makes of the word.
@@ -10,63 +7,9 @@
 #ifndef MIDSTRIDE_BATON_H
 #define MIDSTRIDE_BATON_H
 
-#include <stdatomic.h>
 #include <stdint.h>
 
-#define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 1
-#define NODES 128
-#define PORTS 32
-#define NAME 256
-
-enum { UNUSED = 0, OUTPUT = 1, INPUT = 2 };             /* of a port: direction */
-enum { CLOSED = 0, OPEN = 1 };                          /* of a port: gate */
 enum { RATED = 1, LAYS = 2, TIMED = 4, KEEPS = 8, SHUT = 16 }; /* of a port: flags, see below */
-enum { IN_USE = 1, LISTS = 2 };                         /* of a node; LISTS: the library adds a port for each topic, open */
-
-struct port {
-  _Atomic uint32_t direction;
-  _Atomic uint32_t flags;
-  _Atomic uint32_t gate;
-  _Atomic uint32_t baton;   /* index + 1 in `batons`; 0: the gate alone decides */
-  _Atomic uint64_t passed;  /* messages published, or received */
-  _Atomic uint64_t gated;   /* messages held back, or dropped */
-  _Atomic int64_t last;     /* when one passed last: CLOCK_MONOTONIC, ns; 0: never */
-  _Atomic int64_t tried;    /* the same, whether it passed or not */
-  _Atomic uint32_t endpoints; /* how many publishers or subscriptions of the process have this topic */
-  _Atomic uint32_t matched;   /* with how many endpoints they are matched, as the middleware of the process sees it */
-  _Atomic uint32_t kept;      /* whether a message is kept that was written behind the gate */
-  _Atomic uint32_t half;      /* half the period of an output with a rate (us); 0: any write is a slot */
-  char topic[NAME];
-};
-
-struct node {
-  _Atomic uint32_t pid;   /* 0: no publisher or subscription has been created yet */
-  _Atomic uint32_t bell;  /* a futex: counted up to have the helper thread look at once */
-  _Atomic uint32_t beat;  /* when it was set aside for the instance (CLOCK_MONOTONIC, s), and from then on counted up by the
-                           * helper thread each time it has looked */
-  uint32_t used;          /* flags; 0: free */
-  char instance[NAME];
-  struct port ports[PORTS];
-};
-
-struct baton {
-  _Atomic uint64_t word;
-  _Atomic int64_t laid;     /* when it was laid down last: CLOCK_MONOTONIC, ns */
-  _Atomic int64_t patience; /* for how long a writer without a rate leaves it to its successor (ns) */
-  _Atomic uint64_t collisions; /* how often the successor has come while the holder was publishing, since it was named */
-  uint64_t padding[4];      /* a cache line each */
-};
-
-struct page {
-  uint64_t magic;
-  uint32_t version;
-  uint32_t size;
-  _Atomic int64_t lease; /* CLOCK_MONOTONIC, ns: a probe that has ended without a word keeps no input closed */
-  uint64_t padding[5];
-  struct baton batons[NODES];
-  struct node nodes[NODES];
-};
 
 /* -- the word ------------------------------------------------------------------------------------------------------
  *

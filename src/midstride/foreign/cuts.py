@@ -181,7 +181,7 @@ class GatedOutputs(UngatedOutputs):
         index = self._seats[command.cut] = page.allocate(command.peer)
         page.set_ports(index, [(port.topic, OUTPUT) for port in command.ports])
         baton = page.new_baton(index) if cut is None else cut.baton
-        entries = list(zip(page.layout.nodes[index].ports, (port.rate for port in command.ports), strict=False))
+        entries = list(zip(page.ports(index), (port.rate for port in command.ports), strict=True))
         share_baton(page, entries, baton)
         for entry, _ in entries:
             entry.gate = OPEN
@@ -201,9 +201,7 @@ class GatedOutputs(UngatedOutputs):
         if old is None:
             raise CommandRefused(f"{command.peer} has no gate of the kind that {self._node.record.instance} has")
         topics = {swap.topic for swap in command.swaps}
-        holders = {
-            int(entry.baton) for entry in gates.page.layout.nodes[old].ports if entry.topic.decode() in topics
-        } - {0}
+        holders = {int(entry.baton) for entry in gates.page.ports(old) if entry.topic.decode() in topics} - {0}
         if len(holders) != 1:
             raise CommandRefused(f"{command.peer} is not ready to hand over")
         baton = holders.pop()

@@ -1,13 +1,14 @@
 /* The gate inside a node that does not use Midstride's API, for LD_PRELOAD.
  *
  * Wraps the functions of librcl that create, publish and take; the environment names the page of shared memory and the
- * index of the node in it. Without a page, and for every topic that is not in it, each function does what librcl does.
+ * index of the node in it as which the process was started. Further nodes of the process are known by their names. Without
+ * a page, and for every topic that is not in it, each function does what librcl does.
  * No header of ROS is needed: the types below are those of its C interface, which has not changed from Humble to Kilted.
  *
  * The manager loads this library, too, for its own steps with the baton (midstride_*, called by page.py).
  */
 #define _GNU_SOURCE
-#include "baton.h"
+#include "page.h"
 
 #include <dlfcn.h>
 #include <errno.h>
@@ -18,6 +19,8 @@
 #include <sched.h>
 #include <signal.h>
 #include <stdbool.h>
+#include <stddef.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
@@ -80,6 +83,7 @@ static void *real(_Atomic(void *) *known, const char *name)
     return (result(*)(__VA_ARGS__))real(&known, #name);                                                                  \
   }
 
+REAL(const char *, rcl_node_get_fully_qualified_name, const void *)
 REAL(int, rcl_publisher_init, void *, const void *, const void *, const char *, const void *)
 REAL(int, rcl_publisher_fini, void *, void *)
 REAL(const char *, rcl_publisher_get_topic_name, const void *)
@@ -106,6 +110,8 @@ REAL(void, rcutils_reset_error, void)
 struct entry {
   _Atomic(const void *) endpoint; /* NULL: free; REMOVED: removed */
   struct port *port;
+  unsigned me; /* index + 1 of the node that has it */
+  unsigned used; /* index of the port among `used_ports` */
   const void *type;
   bool overdue; /* see `enter` */
   serialized kept; /* the last message that was written behind the gate */
@@ -121,12 +127,18 @@ static struct table first;
 #define REMOVED ((const void *)&first)
 
 static struct page *page;
-static struct node *node;
-static unsigned me; /* index + 1 */
+static struct node *node; /* as which the process was started */
 static int descriptor = -1;
 static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER; /* of the tables where they change, and of what is kept */
 static pthread_t helper;
 static bool helping, stopping;
+/* The ports that this process has had endpoints of. With `lock`. */
+static struct used_port {
+  struct port *port;
+  unsigned me;
+  uint32_t matched;
+} *used_ports;
+static unsigned used_count;
 
 static int64_t now_ns(void)
 {
@@ -135,18 +147,26 @@ static int64_t now_ns(void)
   return at.tv_sec * INT64_C(1000000000) + at.tv_nsec;
 }
 
-static struct page *map_page(int file)
+static size_t length_with(unsigned ports)
 {
+  return sizeof(struct page) + ports * sizeof(struct port);
+}
+
+/* The page in `file`; NULL where its layout is not that of this library. `version`: which it has, 0: none. */
+static struct page *map_page(int file, uint32_t *version)
+{
+  struct head head;
   struct stat status;
-  if (fstat(file, &status) != 0 || status.st_size < (off_t)sizeof(struct page))
+  *version = 0;
+  if (pread(file, &head, sizeof head, 0) != sizeof head || head.magic != PAGE_MAGIC)
     return NULL;
-  struct page *found = mmap(NULL, sizeof(struct page), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
-  if (found == MAP_FAILED)
+  *version = head.version;
+  if (head.version != PAGE_VERSION || head.size != sizeof(struct page) || head.node_size != sizeof(struct node) ||
+      head.port_size != sizeof(struct port) || fstat(file, &status) != 0 ||
+      status.st_size < (off_t)length_with(head.room))
     return NULL;
-  if (found->magic == PAGE_MAGIC && found->version == PAGE_VERSION && found->size == sizeof(struct page))
-    return found;
-  munmap(found, sizeof(struct page));
-  return NULL;
+  struct page *found = mmap(NULL, length_with(MOST_PORTS), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
+  return found == MAP_FAILED ? NULL : found;
 }
 
 __attribute__((constructor)) static void join(void)
@@ -161,14 +181,18 @@ __attribute__((constructor)) static void join(void)
   int file = open(path, O_RDWR | O_CLOEXEC);
   if (file < 0)
     return;
-  page = map_page(file);
+  uint32_t version;
+  page = map_page(file, &version);
   if (!page) {
     close(file);
+    dprintf(STDERR_FILENO,
+            "midstride: this process has no gate: %s has layout %u, and %d is expected; end it by `midstride down` of the "
+            "version that started it\n",
+            path, version, PAGE_VERSION);
     return;
   }
   descriptor = file;
   node = &page->nodes[number];
-  me = (unsigned)number + 1;
 }
 
 /* The lock of a node is held by its process for as long as that lives, and released by the kernel. */
@@ -226,48 +250,119 @@ static struct entry *unused(const void *endpoint)
 
 static void *help(void *);
 
-/* Whether a node that lists its topics lists this one. rcl moves the publisher of /rosout after it has initialized it, so
- * nothing may be kept for its address. */
-static bool listed(const char *topic)
+/* Give a port back that a node no longer has. */
+static void free_port(struct port *port)
 {
-  return node->used & LISTS && strlen(topic) < NAME && strcmp(topic, "/rosout") != 0 &&
-         strcmp(topic, "/parameter_events") != 0;
+  atomic_store(&port->kind, UNUSED);
+  atomic_store(&port->node, 0);
 }
 
-/* The port of this node with that topic; NULL where there is none. With `lock`. */
-static struct port *port_of(const char *topic, uint32_t direction)
+/* A port that is now of the node `own` (index + 1), without a kind; the page grows where none is free. NULL: it cannot. */
+static struct port *claim(struct page *shared, int file, unsigned own)
 {
-  for (unsigned index = 0; index < PORTS; index++) {
-    struct port *port = &node->ports[index];
-    if (port->direction == direction && strncmp(port->topic, topic, NAME) == 0)
-      return port;
-    if (port->direction == UNUSED && listed(topic)) {
-      strcpy(port->topic, topic);
-      port->gate = OPEN;
-      port->direction = direction; /* last: the manager reads the rest where it is not UNUSED */
+  unsigned room = atomic_load(&shared->head.room);
+  for (unsigned index = 0;; index++) {
+    if (index == room) {
+      if (room >= MOST_PORTS || posix_fallocate(file, 0, (off_t)length_with(room + GROWTH)) != 0)
+        return NULL;
+      if (atomic_compare_exchange_strong(&shared->head.room, &room, room + GROWTH))
+        room += GROWTH;
+    }
+    struct port *port = &shared->ports[index];
+    uint32_t free = 0;
+    if (atomic_compare_exchange_strong(&port->node, &free, own)) {
+      memset(port, 0, offsetof(struct port, node));
+      memset(&port->number, 0, sizeof *port - offsetof(struct port, number));
       return port;
     }
   }
-  return NULL;
+}
+
+/* Which node of the page a node of librcl is, as index + 1. */
+static unsigned node_of(const void *owner)
+{
+  unsigned own = (unsigned)(node - page->nodes) + 1;
+  const char *name = NULL;
+  for (unsigned index = 0; index < NODES; index++) {
+    struct node *other = &page->nodes[index];
+    if (!atomic_load(&other->used) || other->process != own || !other->name[0])
+      continue;
+    if (!name && real_rcl_node_get_fully_qualified_name())
+      name = real_rcl_node_get_fully_qualified_name()(owner);
+    if (name && strncmp(other->name, name, NAME) == 0)
+      return index + 1;
+  }
+  return own;
+}
+
+/* Whether a node that lists its topics lists this one. rcl moves the publisher of /rosout after it has initialized it, so
+ * nothing may be kept for its address. */
+static bool listed(unsigned me, const char *topic)
+{
+  return page->nodes[me - 1].used & LISTS && strlen(topic) < NAME && strcmp(topic, "/rosout") != 0 &&
+         strcmp(topic, "/parameter_events") != 0;
+}
+
+/* The port of the node `me` with that topic; NULL where there is none. With `lock`. */
+static struct port *port_of(unsigned me, const char *topic, uint32_t kind)
+{
+  uint32_t number = 0;
+  for (unsigned index = 0; index < atomic_load(&page->head.room); index++) {
+    struct port *port = &page->ports[index];
+    if (atomic_load(&port->node) != me)
+      continue;
+    if (atomic_load(&port->kind) == kind && strncmp(port->topic, topic, NAME) == 0)
+      return port;
+    number++;
+  }
+  struct port *port = listed(me, topic) ? claim(page, descriptor, me) : NULL;
+  if (port) {
+    strcpy(port->topic, topic);
+    port->number = number;
+    port->gate = OPEN;
+    port->kind = kind; /* last: the manager reads the rest where it is not UNUSED */
+  }
+  return port;
+}
+
+/* The index of a port among those that have been used; that many where there is no memory for one more. With `lock`. */
+static unsigned use(struct port *port, unsigned me)
+{
+  unsigned index = 0;
+  while (index < used_count && (used_ports[index].port != port || used_ports[index].me != me))
+    index++;
+  if (index == used_count) {
+    struct used_port *more = realloc(used_ports, (used_count + 1) * sizeof *used_ports);
+    if (!more)
+      return index;
+    used_ports = more;
+    used_ports[used_count++] = (struct used_port){.port = port, .me = me};
+  }
+  return index;
 }
 
 /* Where `topic` is a port of this node, remember the endpoint, and have the helper thread run. False where there is no
  * memory for that: the endpoint would have no gate. */
-static bool add(const void *endpoint, const char *topic, uint32_t direction, const void *type)
+static bool add(const void *endpoint, const void *owner, const char *topic, uint32_t kind, const void *type)
 {
   pthread_mutex_lock(&lock);
-  struct port *port = topic ? port_of(topic, direction) : NULL;
+  unsigned me = node_of(owner);
+  struct port *port = topic ? port_of(me, topic, kind) : NULL;
   struct entry *entry = port ? unused(endpoint) : NULL;
-  if (!entry) {
+  unsigned used = entry ? use(port, me) : 0;
+  if (!entry || used == used_count) {
     pthread_mutex_unlock(&lock);
     return !port;
   }
-  if (atomic_load(&node->pid) != (uint32_t)getpid()) {
-    struct flock own = lock_of(me, F_WRLCK);
-    fcntl(descriptor, F_SETLK, &own);
-    atomic_store(&node->pid, (uint32_t)getpid());
+  struct node *own = &page->nodes[me - 1];
+  if (atomic_load(&own->pid) != (uint32_t)getpid()) {
+    struct flock held = lock_of(me, F_WRLCK);
+    fcntl(descriptor, F_SETLK, &held);
+    atomic_store(&own->pid, (uint32_t)getpid());
   }
   entry->port = port;
+  entry->me = me;
+  entry->used = used;
   entry->type = type;
   entry->overdue = false;
   memset(&entry->kept, 0, sizeof entry->kept);
@@ -321,7 +416,7 @@ static bool enter(struct page *shared, unsigned own, int file, struct port *port
   if (atomic_load_explicit(&port->gate, memory_order_acquire) != OPEN)
     return false;
   unsigned index = atomic_load_explicit(&port->baton, memory_order_acquire);
-  if (index == 0 || index > NODES)
+  if (index == 0 || index > BATONS)
     return true;
   struct baton *baton = &shared->batons[index - 1];
   pass->flags = atomic_load_explicit(&port->flags, memory_order_relaxed);
@@ -442,7 +537,7 @@ static void keep(struct entry *entry, const void *message, const serialized *byt
 static void publish_kept(struct entry *entry)
 {
   struct pass pass;
-  if (!entry->kept.buffer || !enter(page, me, descriptor, entry->port, &entry->overdue, &pass))
+  if (!entry->kept.buffer || !enter(page, entry->me, descriptor, entry->port, &entry->overdue, &pass))
     return;
   const void *publisher = atomic_load(&entry->endpoint);
   if (real_rcl_publish_serialized_message()(publisher, &entry->kept, NULL) == 0)
@@ -460,17 +555,17 @@ static void wait_for_bell(_Atomic uint32_t *bell, uint32_t seen)
   syscall(SYS_futex, (uint32_t *)bell, FUTEX_WAIT, seen, &timeout, NULL, 0);
 }
 
-static void look_at(struct entry *entry, uint32_t *matched)
+static void look_at(struct entry *entry)
 {
   const void *endpoint = atomic_load(&entry->endpoint);
   if (!endpoint || endpoint == REMOVED)
     return;
-  bool output = entry->port->direction == OUTPUT;
+  bool output = entry->port->kind == OUTPUT;
   int (*counting)(const void *, size_t *) =
       output ? real_rcl_publisher_get_subscription_count() : real_rcl_subscription_get_publisher_count();
   size_t number = 0;
   if (counting && counting(endpoint, &number) == 0)
-    matched[entry->port - node->ports] += (uint32_t)number;
+    used_ports[entry->used].matched += (uint32_t)number;
   else if (real_rcutils_reset_error())
     real_rcutils_reset_error()();
   if (output)
@@ -479,12 +574,14 @@ static void look_at(struct entry *entry, uint32_t *matched)
 
 static void look(void)
 {
-  uint32_t matched[PORTS] = {0};
+  for (unsigned index = 0; index < used_count; index++)
+    used_ports[index].matched = 0;
   for (struct table *table = &first; table; table = atomic_load(&table->next))
     for (unsigned index = 0; index < ENTRIES; index++)
-      look_at(&table->entries[index], matched);
-  for (unsigned index = 0; index < PORTS; index++)
-    atomic_store(&node->ports[index].matched, matched[index]);
+      look_at(&table->entries[index]);
+  for (unsigned index = 0; index < used_count; index++)
+    if (atomic_load(&used_ports[index].port->node) == used_ports[index].me)
+      atomic_store(&used_ports[index].port->matched, used_ports[index].matched);
 }
 
 /* Before what the middleware keeps is destroyed: it was loaded before this was registered. */
@@ -518,7 +615,7 @@ static void *help(void *unused)
 EXPORT int rcl_publisher_init(void *publisher, const void *owner, const void *type, const char *name, const void *options)
 {
   int result = real_rcl_publisher_init()(publisher, owner, type, name, options);
-  if (page && result == 0 && !add(publisher, real_rcl_publisher_get_topic_name()(publisher), OUTPUT, type)) {
+  if (page && result == 0 && !add(publisher, owner, real_rcl_publisher_get_topic_name()(publisher), OUTPUT, type)) {
     real_rcl_publisher_fini()(publisher, (void *)owner);
     return BAD_ALLOC;
   }
@@ -535,7 +632,8 @@ EXPORT int rcl_subscription_init(void *subscription, const void *owner, const vo
                                  const void *options)
 {
   int result = real_rcl_subscription_init()(subscription, owner, type, name, options);
-  if (page && result == 0 && !add(subscription, real_rcl_subscription_get_topic_name()(subscription), INPUT, type)) {
+  if (page && result == 0 &&
+      !add(subscription, owner, real_rcl_subscription_get_topic_name()(subscription), INPUT, type)) {
     real_rcl_subscription_fini()(subscription, (void *)owner);
     return BAD_ALLOC;
   }
@@ -556,7 +654,7 @@ static bool admitted(struct entry *entry, struct pass *pass)
     publish_kept(entry);
     pthread_mutex_unlock(&lock);
   }
-  return enter(page, me, descriptor, entry->port, &entry->overdue, pass);
+  return enter(page, entry->me, descriptor, entry->port, &entry->overdue, pass);
 }
 
 static void held_back(struct entry *entry, const void *message, const serialized *bytes)
@@ -621,7 +719,7 @@ static int taken(const void *subscription, int result)
     return result;
   bool open = atomic_load_explicit(&entry->port->gate, memory_order_acquire) == OPEN;
   if (open && atomic_load_explicit(&entry->port->flags, memory_order_acquire) & SHUT)
-    open = now_ns() >= atomic_load(&page->lease);
+    open = now_ns() >= atomic_load(&page->head.lease);
   count(entry->port, open);
   return open ? 0 : TAKE_FAILED;
 }
@@ -711,10 +809,35 @@ EXPORT int midstride_is_dead(int file, unsigned index)
   return is_dead(file, index);
 }
 
-EXPORT void midstride_ring(struct node *rung)
+/* The page in `file`, for the manager; NULL where it has another layout. It stays for as long as the process lives. */
+EXPORT struct page *midstride_map(int file)
 {
-  atomic_fetch_add(&rung->bell, 1);
-  syscall(SYS_futex, (uint32_t *)&rung->bell, FUTEX_WAKE, INT_MAX, NULL, NULL, 0);
+  uint32_t version;
+  return map_page(file, &version);
+}
+
+/* A port for the node `index`, as its index + 1; 0 where the page cannot grow. */
+EXPORT unsigned midstride_claim(struct page *shared, int file, unsigned index)
+{
+  struct port *port = claim(shared, file, index + 1);
+  return port ? (unsigned)(port - shared->ports) + 1 : 0;
+}
+
+/* The part of a node in the page is free, and its ports are. */
+EXPORT void midstride_free(struct page *shared, unsigned index)
+{
+  for (unsigned port = 0; port < atomic_load(&shared->head.room); port++)
+    if (atomic_load(&shared->ports[port].node) == index + 1)
+      free_port(&shared->ports[port]);
+  atomic_store(&shared->nodes[index].used, 0);
+}
+
+EXPORT void midstride_ring(struct page *shared, unsigned index)
+{
+  unsigned process = shared->nodes[index].process;
+  _Atomic uint32_t *bell = &shared->nodes[process ? process - 1 : index].bell;
+  atomic_fetch_add(bell, 1);
+  syscall(SYS_futex, (uint32_t *)bell, FUTEX_WAKE, INT_MAX, NULL, NULL, 0);
 }
 
 /* -- for a component with Midstride's API that hands over to such a node, or takes over from it ----------------------
@@ -725,8 +848,12 @@ struct seat {
   struct page *page;
   int file;
   unsigned index;
-  bool overdue[PORTS];
   struct pass pass;
+  unsigned count;
+  struct {
+    struct port *port;
+    bool overdue;
+  } outputs[];
 };
 
 EXPORT struct seat *midstride_sit(const char *path, unsigned index)
@@ -740,8 +867,9 @@ EXPORT struct seat *midstride_sit(const char *path, unsigned index)
     return NULL;
   /* One open file for all seats: to close another one of the same page would release every lock of this process. */
   if (!shared || status.st_ino != inode || status.st_dev != device) {
+    uint32_t version;
     int opened = open(path, O_RDWR | O_CLOEXEC);
-    struct page *found = opened < 0 ? NULL : map_page(opened);
+    struct page *found = opened < 0 ? NULL : map_page(opened, &version);
     if (!found) {
       if (opened >= 0)
         close(opened);
@@ -752,13 +880,22 @@ EXPORT struct seat *midstride_sit(const char *path, unsigned index)
     device = status.st_dev;
     inode = status.st_ino;
   }
-  struct seat *seat = calloc(1, sizeof *seat);
+  unsigned count = 0, room = atomic_load(&shared->head.room);
+  for (unsigned port = 0; port < room; port++)
+    count += atomic_load(&shared->ports[port].node) == index + 1;
+  struct seat *seat = calloc(1, sizeof *seat + count * sizeof seat->outputs[0]);
   struct flock own = lock_of(index + 1, F_WRLCK);
   if (!seat || fcntl(file, F_SETLK, &own) != 0) {
     free(seat);
     return NULL;
   }
-  *seat = (struct seat){.page = shared, .file = file, .index = index};
+  seat->page = shared;
+  seat->file = file;
+  seat->index = index;
+  seat->count = count;
+  for (unsigned port = 0; port < room; port++)
+    if (atomic_load(&shared->ports[port].node) == index + 1 && shared->ports[port].number < count)
+      seat->outputs[shared->ports[port].number].port = &shared->ports[port];
   atomic_store(&shared->nodes[index].pid, (uint32_t)getpid());
   return seat;
 }
@@ -767,15 +904,16 @@ EXPORT struct seat *midstride_sit(const char *path, unsigned index)
 EXPORT void midstride_rise(struct seat *seat)
 {
   struct flock own = lock_of(seat->index + 1, F_UNLCK);
-  seat->page->nodes[seat->index].used = 0;
+  midstride_free(seat->page, seat->index);
   fcntl(seat->file, F_SETLK, &own);
   free(seat);
 }
 
 EXPORT int midstride_begin(struct seat *seat, unsigned port)
 {
-  return enter(seat->page, seat->index + 1, seat->file, &seat->page->nodes[seat->index].ports[port],
-               &seat->overdue[port], &seat->pass);
+  return port < seat->count && seat->outputs[port].port &&
+         enter(seat->page, seat->index + 1, seat->file, seat->outputs[port].port, &seat->outputs[port].overdue,
+               &seat->pass);
 }
 
 EXPORT void midstride_end(struct seat *seat)

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from midstride.errors import BackendError
 from midstride.foreign.page import (
     CLOSED,
     INPUT,
@@ -14,7 +15,6 @@ from midstride.foreign.page import (
     OPEN,
     OUTPUT,
     Page,
-    PageNode,
     PagePort,
     PortFlag,
 )
@@ -34,28 +34,27 @@ class Gates:
     component: ComponentSpec
 
     def __post_init__(self) -> None:
-        self._numbers = {port: number for number, port in enumerate(self.component.ports())}
-
-    @property
-    def node(self) -> PageNode:
-        node: PageNode = self.page.layout.nodes[self.index]
-        return node
+        self._names = tuple(self.component.ports())
+        self._entries = dict(zip(self._names, self.page.ports(self.index), strict=False))
 
     def entry(self, port: str) -> PagePort:
-        entry: PagePort = self.node.ports[self._numbers[port]]
-        return entry
+        """The part of a port in the page. Raises BackendError where the page has none: it is not that of the node."""
+        if (found := self._entries.get(port)) is None:
+            raise BackendError(f"{self.page.path} has no port {port} of its node {self.index}")
+        return found
 
     def prepare(self, topics: dict[str, str]) -> None:
         """Before the process starts: outputs are closed, inputs open (what is latched arrives when it subscribes).
 
         Where the component states no ports yet, the library adds one for each topic, for `midstride capture --probe`.
         """
-        listed = [(topics[port], OUTPUT if self.component.has_output(port) else INPUT) for port in self._numbers]
+        listed = [(topics[port], OUTPUT if self.component.has_output(port) else INPUT) for port in self._names]
         self.page.set_ports(self.index, listed)
+        self._entries = dict(zip(self._names, self.page.ports(self.index), strict=True))
         if not listed:
-            self.node.used |= LISTS
+            self.page.layout.nodes[self.index].used |= LISTS
         baton = self.page.new_baton(self.index)
-        for port in self._numbers:
+        for port in self._names:
             entry = self.entry(port)
             if self.component.has_output(port):
                 entry.baton = baton
@@ -72,7 +71,7 @@ class Gates:
 
     def missing(self) -> list[str]:
         """The ports for which the process has created no endpoint."""
-        return [port for port in self._numbers if not self.entry(port).endpoints]
+        return [port for port in self._names if not self.entry(port).endpoints]
 
     def set_gate(self, port: str, open: bool) -> None:
         self.entry(port).gate = OPEN if open else CLOSED

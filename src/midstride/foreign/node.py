@@ -107,9 +107,9 @@ class ForeignNode:
     async def matched(self, port: str, wanted: int, patience: float) -> int:
         """With how many endpoints a port is matched, once that is ``wanted`` or after ``patience`` (s)."""
         gates = self.require_gates()
-        looked = gates.node.beat
+        looked = gates.page.beat(gates.index)
         gates.page.ring(gates.index)
-        await self.comes_true(lambda: gates.node.beat != looked, LOOK)
+        await self.comes_true(lambda: gates.page.beat(gates.index) != looked, LOOK)
         await self.comes_true(lambda: gates.entry(port).matched >= wanted, patience)
         return int(gates.entry(port).matched)
 

@@ -1,4 +1,4 @@
-"""The manager's view of the page of shared memory in which gates and batons are: the layout is that of ``baton.h``.
+"""The manager's view of the page of shared memory in which gates and batons are: the layout is that of ``page.h``.
 
 Each step with a baton is one compare-and-swap, made by the functions of the library itself.
 """
@@ -6,11 +6,10 @@ Each step with a baton is one compare-and-swap, made by the functions of the lib
 from __future__ import annotations
 
 import ctypes
-import mmap
 import os
 import time
-from collections.abc import Sequence
-from ctypes import c_char, c_int, c_int64, c_uint32, c_uint64
+from collections.abc import Iterator, Sequence
+from ctypes import c_char, c_int, c_int64, c_uint32, c_uint64, c_void_p
 from enum import IntFlag
 from pathlib import Path
 from typing import Any, Final
@@ -19,16 +18,20 @@ from midstride.errors import BackendError
 from midstride.node.handover.baton import BatonStep, BatonWord
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 1
-NODES: Final = 128
-PORTS: Final = 32
+VERSION: Final = 2
+NODES: Final = 512
+BATONS: Final = 1024
+# How many ports a system may have in all, and how many the file has room for at first.
+MOST_PORTS: Final = 65536
+ROOM: Final = 64
 NAME: Final = 256
 
 # The folder beside the control sockets with the records of the nodes and this file.
 GATES_FOLDER: Final = "gates"
 PAGE: Final = "page"
 
-UNUSED, OUTPUT, INPUT = range(3)
+# Of a port. The gate is in what publishes or receives; servers and clients have their place.
+UNUSED, OUTPUT, INPUT, SERVER, CLIENT = range(5)
 CLOSED, OPEN = range(2)
 # Of a node, in `used`. LISTS: the library adds a port for each of its topics, with an open gate.
 IN_USE, LISTS = 1, 2
@@ -53,7 +56,7 @@ class PortFlag(IntFlag):
 
 class PagePort(ctypes.Structure):
     _fields_ = [
-        ("direction", c_uint32),
+        ("kind", c_uint32),
         ("flags", c_uint32),
         ("gate", c_uint32),
         ("baton", c_uint32),
@@ -65,6 +68,9 @@ class PagePort(ctypes.Structure):
         ("matched", c_uint32),
         ("kept", c_uint32),
         ("half", c_uint32),
+        ("node", c_uint32),
+        ("number", c_uint32),
+        ("spare", c_uint32 * 14),
         ("topic", c_char * NAME),
     ]
 
@@ -75,8 +81,10 @@ class PageNode(ctypes.Structure):
         ("bell", c_uint32),
         ("beat", c_uint32),
         ("used", c_uint32),
+        ("process", c_uint32),
+        ("spare", c_uint32 * 11),
         ("instance", c_char * NAME),
-        ("ports", PagePort * PORTS),
+        ("name", c_char * NAME),
     ]
 
 
@@ -91,15 +99,24 @@ class PageBaton(ctypes.Structure):
 
 
 class PageLayout(ctypes.Structure):
+    """What is before the ports; ``room`` is for how many of them the file has room."""
+
     _fields_ = [
         ("magic", c_uint64),
         ("version", c_uint32),
         ("size", c_uint32),
+        ("node_size", c_uint32),
+        ("port_size", c_uint32),
         ("lease", c_int64),
-        ("padding", c_uint64 * 5),
-        ("batons", PageBaton * NODES),
+        ("room", c_uint32),
+        ("spare", c_uint32 * 7),
+        ("batons", PageBaton * BATONS),
         ("nodes", PageNode * NODES),
     ]
+
+
+_HEAD: Final = PageLayout.batons.offset
+_SIZES: Final = (ctypes.sizeof(PageLayout), ctypes.sizeof(PageNode), ctypes.sizeof(PagePort))
 
 
 def load_library(path: Path) -> Any:
@@ -121,33 +138,43 @@ def load_library(path: Path) -> Any:
     library.midstride_take_step.argtypes = [ctypes.POINTER(PageBaton), c_int, c_uint32, c_uint32, c_int]
     library.midstride_take_step.restype = c_uint64
     library.midstride_is_dead.argtypes = [c_int, c_uint32]
-    library.midstride_ring.argtypes = [ctypes.POINTER(PageNode)]
-    library.midstride_ring.restype = None
+    library.midstride_map.argtypes, library.midstride_map.restype = [c_int], c_void_p
+    library.midstride_claim.argtypes, library.midstride_claim.restype = [c_void_p, c_int, c_uint32], c_uint32
+    library.midstride_free.argtypes, library.midstride_free.restype = [c_void_p, c_uint32], None
+    library.midstride_ring.argtypes, library.midstride_ring.restype = [c_void_p, c_uint32], None
     return library
 
 
 class Page:
-    """The page at ``path``, created if need be. One manager writes to it at a time. Raises BackendError."""
+    """The page at ``path``, created if need be. One manager writes to it at a time. Raises BackendError.
+
+    It stays mapped for as long as the process lives.
+    """
 
     def __init__(self, path: Path, library: Path) -> None:
         self.path, self.library_path = path, library
         self._library = load_library(library)
-        size = ctypes.sizeof(PageLayout)
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-            fresh = os.fstat(self._file).st_size == 0
-            if fresh:
-                self._reserve(size)
-            if os.fstat(self._file).st_size < size:
-                raise BackendError(f"{path} is not the page of this version of Midstride; run `midstride down` first")
-            self._memory = mmap.mmap(self._file, size)
+            if os.fstat(self._file).st_size == 0:
+                self._reserve(ctypes.sizeof(PageLayout) + ROOM * ctypes.sizeof(PagePort))
+                fixed, node, port = _SIZES
+                head = PageLayout(MAGIC, VERSION, fixed, node, port, room=ROOM)
+                os.pwrite(self._file, bytes(head)[:_HEAD], 0)
+            self._address = self._library.midstride_map(self._file)
         except OSError as error:
             raise BackendError(f"the page of the gates, {path}, cannot be used: {error.strerror or error}") from None
-        self.layout = PageLayout.from_buffer(self._memory)
-        if fresh:
-            self.layout.size, self.layout.version, self.layout.magic = size, VERSION, MAGIC
-        elif (self.layout.magic, self.layout.version, self.layout.size) != (MAGIC, VERSION, size):
-            raise BackendError(f"{path} is the page of another version of Midstride; run `midstride down` first")
+        if not self._address:
+            layout = _version_of(self._file)
+            has = (
+                "is no page of Midstride" if layout is None else f"has layout {layout}, and this version uses {VERSION}"
+            )
+            raise BackendError(
+                f"{path} {has}: nodes that run with it go on as they are, and this version cannot answer for them; end "
+                "them by `midstride down`, and start the system again"
+            )
+        self.layout = PageLayout.from_address(self._address)
+        self._ports = (PagePort * MOST_PORTS).from_address(self._address + ctypes.sizeof(PageLayout))
 
     def _reserve(self, size: int) -> None:
         """Now: a process that writes where the disk has no space left by then is killed (SIGBUS). Raises OSError."""
@@ -157,8 +184,12 @@ class Page:
             os.ftruncate(self._file, 0)  # the next one begins anew
             raise
 
-    def allocate(self, instance: str) -> int:
-        """The index of an unused node, which now is that of ``instance``. Raises BackendError where all are used."""
+    def allocate(self, instance: str, *, process: int | None = None, name: str = "") -> int:
+        """The index of an unused node, which now is that of ``instance``. Raises BackendError where all are used.
+
+        ``process``: the index of the node that its process is started as, where that is another one: then ``name`` is
+        the full name of the ROS node by which the library tells it from others of the process.
+        """
         now = int(time.monotonic())
 
         def use(index: int) -> int:
@@ -172,10 +203,22 @@ class Page:
         least, index = min((use(index), index) for index in range(NODES))
         if least == 3:
             raise BackendError(f"more than {NODES} nodes have a gate")
+        self.free(index)
         node = self.layout.nodes[index]
         ctypes.memset(ctypes.addressof(node), 0, ctypes.sizeof(node))
-        node.instance, node.beat, node.used = instance.encode()[: NAME - 1], now, IN_USE
+        node.process = (index if process is None else process) + 1
+        node.instance, node.name = instance.encode()[: NAME - 1], name.encode()[: NAME - 1]
+        node.beat, node.used = now, IN_USE
         return index
+
+    def ports(self, index: int) -> list[PagePort]:
+        """The ports of a node, in their order."""
+        found = [port for port in self.every_port() if port.node == index + 1 and port.kind != UNUSED]
+        return sorted(found, key=lambda port: int(port.number))
+
+    def every_port(self) -> Iterator[PagePort]:
+        """Those of all nodes, and those that are free."""
+        return (self._ports[number] for number in range(self.layout.room))
 
     def index_of(self, instance: str) -> int | None:
         """The index of the node of ``instance``; of one that lives, as a broken-off hand-over may leave another."""
@@ -184,19 +227,25 @@ class Page:
         return min(found, key=lambda index: not self._lives(index), default=None)
 
     def free(self, index: int) -> None:
-        self.layout.nodes[index].used = 0
+        self._library.midstride_free(self._address, index)
 
     def set_ports(self, index: int, topics: Sequence[tuple[str, int]]) -> None:
-        """The topics of a node, each with OUTPUT or INPUT; closed. Raises BackendError where there are too many."""
-        if len(topics) > PORTS or any(len(topic.encode()) >= NAME for topic, _ in topics):
-            raise BackendError(f"a node with a gate has at most {PORTS} ports, of at most {NAME - 1} bytes each")
-        for entry, (topic, direction) in zip(self.layout.nodes[index].ports, topics, strict=False):
-            entry.topic, entry.direction = topic.encode(), direction
+        """The topics of a node, each with its kind; closed. Raises BackendError where that cannot be."""
+        if any(len(topic.encode()) >= NAME for topic, _ in topics):
+            raise BackendError(f"the topic of a port with a gate has at most {NAME - 1} bytes")
+        for number, (topic, kind) in enumerate(topics):
+            claimed = self._library.midstride_claim(self._address, self._file, index)
+            if not claimed:
+                raise BackendError(f"the page of the gates, {self.path}, has no room for a port")
+            port = self._ports[claimed - 1]
+            port.number, port.topic, port.kind = number, topic.encode(), kind
 
     def new_baton(self, holder: int) -> int:
-        """The index + 1 of a baton that no port of a node in use has; the node ``holder`` (index) holds it."""
-        used = {port.baton for node in self.layout.nodes if node.used for port in node.ports}
-        number = next(number for number in range(1, NODES + 1) if number not in used)
+        """The index + 1 of a baton that no port has; the node ``holder`` (index) holds it. Raises BackendError."""
+        used = {port.baton for port in self.every_port() if port.node}
+        number = next((number for number in range(1, BATONS + 1) if number not in used), None)
+        if number is None:
+            raise BackendError(f"more than {BATONS} batons are in use")
         self.step(number, BatonStep.GIVE, holder)
         return number
 
@@ -213,12 +262,11 @@ class Page:
     def silence(self, topic: str) -> float | None:
         """For how long no node that may publish on ``topic`` has written (s); None where none may, or has ever."""
         name, last = topic.encode(), 0
-        for index, node in enumerate(self.layout.nodes):
-            for port in node.ports if node.used else ():
-                if (port.direction, port.gate, port.topic) == (OUTPUT, OPEN, name) and (
-                    not port.baton or self.word(port.baton).holder == index + 1
-                ):
-                    last = max(last, port.tried)
+        for port in self.every_port():
+            if (port.kind, port.gate, port.topic) == (OUTPUT, OPEN, name) and (
+                not port.baton or self.word(port.baton).holder == port.node
+            ):
+                last = max(last, port.tried)
         return max(0, time.monotonic_ns() - last) / 1e9 if last else None
 
     def is_dead(self, index: int) -> bool:
@@ -231,4 +279,14 @@ class Page:
 
     def ring(self, index: int) -> None:
         """Have the helper thread of a node look at once."""
-        self._library.midstride_ring(ctypes.byref(self.layout.nodes[index]))
+        self._library.midstride_ring(self._address, index)
+
+    def beat(self, index: int) -> int:
+        """A number that changes each time the helper thread of a node has looked."""
+        return int(self.layout.nodes[self.layout.nodes[index].process - 1].beat)
+
+
+def _version_of(file: int) -> int | None:
+    """The layout of a page; None where the file is none."""
+    head = PageLayout.from_buffer_copy(os.pread(file, _HEAD, 0).ljust(ctypes.sizeof(PageLayout), b"\0"))
+    return int(head.version) if head.magic == MAGIC else None

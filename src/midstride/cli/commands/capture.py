@@ -27,7 +27,7 @@ from midstride.cli.input_files import require_file, require_new, write
 from midstride.cli.output import NO, is_interactive, json_option, print_json, stride_output, wants_json
 from midstride.cli.running_systems import find_workspace, system_option
 from midstride.errors import MidstrideError
-from midstride.foreign.page import GATES_FOLDER, PORTS
+from midstride.foreign.page import GATES_FOLDER
 from midstride.lang.source_files import read_text
 from midstride.model.wording import counted
 
@@ -118,8 +118,7 @@ def _probed(
     for node in sorted(gated):
         left = [each.topic for each in graph.of_node(node) if (node, each.topic, each.output) not in ports]
         if left:
-            words = f"a gate has at most {PORTS} topics"
-            click.echo(f"{node}: not probed on {', '.join(dict.fromkeys(left))}: {words}", err=True)
+            click.echo(f"{node}: not probed on {', '.join(dict.fromkeys(left))}: its gate has no port there", err=True)
     if not (inputs := probed_inputs(ports)):
         click.echo("Nothing to probe: no node with a gate has both inputs and outputs.", err=True)
         return {}

@@ -76,7 +76,7 @@ class SharedSlot:
             raise CommandRefused(f"the library of the gate cannot be used: {error}") from None
         self._slot: int | None = library.midstride_sit(seat.page.encode(), seat.index)
         if self._slot is None:
-            raise CommandRefused(f"the page of the gates, {seat.page}, cannot be used")
+            raise CommandRefused(f"the page of the gates, {seat.page}, cannot be used, or has another layout")
         self._word = library.midstride_baton(self._slot, seat.baton)
         self.me, self.other, self.timed = seat.index + 1, seat.other + 1, seat.timed
 

@@ -51,7 +51,7 @@ from midstride.wire.state import ComponentState
 _LISTEN: Final = 0.3
 # How long leaving ROS 2 may take (s).
 _LEAVE: Final = 5.0
-_RELAY: Final = f"{__package__}.relay_program"
+_RELAY: Final = "midstride.backends.ros2.component.relay_program"
 
 log = logging.getLogger(__name__)
 

@@ -171,7 +171,10 @@ class ForeignNodes:
         record = ForeignRecord.read(self._folder, instance)
         if record is not None and instance not in self._agents:
             if record.index is not None:
-                await self._opened(os.environ)
+                try:
+                    await self._opened(os.environ)
+                except BackendError as error:
+                    raise BackendError(f"{instance} cannot be answered for: {error}") from None
             await self._answer(record)
         with suppress(BackendError):
             self._relays(instance, RelayOrder.read(order_file(self._folder, instance)).node)

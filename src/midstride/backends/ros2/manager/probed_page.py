@@ -18,7 +18,7 @@ from typing import Final
 from midstride.capture.probe import Count, ProbedPort
 from midstride.errors import BackendError
 from midstride.foreign import build
-from midstride.foreign.page import OUTPUT, PAGE, UNUSED, Page, PagePort, PortFlag
+from midstride.foreign.page import OUTPUT, PAGE, Page, PagePort, PortFlag
 from midstride.foreign.record import ForeignRecord
 
 LEASE: Final = 2.0
@@ -37,9 +37,8 @@ class ProbedPage:
             for path in sorted(folder.glob("*.json"))
             if (record := ForeignRecord.read(folder, path.stem)) is not None and record.index is not None
         }
-        for node in self._page.layout.nodes:
-            for port in node.ports:
-                port.flags &= ~PortFlag.SHUT
+        for port in self._page.every_port():
+            port.flags &= ~PortFlag.SHUT
         self._lease = 0
 
     def ports(self) -> set[ProbedPort]:
@@ -51,9 +50,8 @@ class ProbedPage:
         for index, (name, instance) in self._nodes.items():
             node = self._page.layout.nodes[index]
             if node.used and node.instance == instance.encode() and node.pid and not self._page.is_dead(index):
-                for entry in node.ports:
-                    if entry.direction != UNUSED:
-                        found[ProbedPort(name, entry.topic.decode(), entry.direction == OUTPUT)] = int(node.pid), entry
+                for entry in self._page.ports(index):
+                    found[ProbedPort(name, entry.topic.decode(), entry.kind == OUTPUT)] = int(node.pid), entry
         return found
 
     def watch(self, closed: ProbedPort | None, settling: float, counting: float) -> Mapping[ProbedPort, Count]:
@@ -111,7 +109,7 @@ class _Counter:
         """An output counts as written where its own gate is closed, too."""
         passed, held = int(self._entry.passed) - self._passed, int(self._entry.gated) - self._held
         longest = max(self._longest, time.monotonic_ns() - self._last) / 1e9
-        output = self._entry.direction == OUTPUT
+        output = self._entry.kind == OUTPUT
         return Count(passed + held if output else passed, longest=longest)
 
 

@@ -1,0 +1,317 @@
+"""The page of shared memory: any number of ports, several nodes in a process, kinds of ports, and its versions."""
+
+from __future__ import annotations
+
+import asyncio
+import ctypes
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
+from midstride.codec.component_form import NamedComponentForm
+from midstride.errors import BackendError
+from midstride.foreign.gates import Gates
+from midstride.foreign.page import (
+    CLOSED,
+    INPUT,
+    MAGIC,
+    OPEN,
+    OUTPUT,
+    PAGE,
+    ROOM,
+    SERVER,
+    VERSION,
+    Page,
+    PageLayout,
+    PagePort,
+    PortFlag,
+)
+from midstride.foreign.record import ForeignRecord
+from midstride.model.component import ComponentSpec
+from midstride.node.handover.baton import BatonStep
+from midstride.wire.sockets import SocketFolder
+from tests.foreign.lab import Lab, until
+
+MS = 1_000_000
+RATED = PortFlag.RATED | PortFlag.LAYS
+SECOND = 1000  # what the other node of a process adds to the number of the writer
+
+
+@pytest.fixture
+def lab(tmp_path: Path, programs: Path, gate_library: Path) -> Iterator[Lab]:
+    made = Lab(tmp_path, programs, gate_library)
+    yield made
+    made.close()
+
+
+# -- ports -------------------------------------------------------------------------------------------------
+
+
+def test_a_node_may_have_any_number_of_ports(tmp_path: Path, gate_library: Path) -> None:
+    page = Page(tmp_path / "page", gate_library)
+    index, other = page.allocate("many"), page.allocate("few")
+    topics = [(f"/topic_{number}", INPUT if number % 2 else OUTPUT) for number in range(20 * ROOM)]
+    page.set_ports(other, [("/mine", OUTPUT)])
+    page.set_ports(index, topics)
+    assert [(port.topic.decode(), port.kind) for port in page.ports(index)] == topics
+    assert page.path.stat().st_size >= ctypes.sizeof(PageLayout) + len(topics) * ctypes.sizeof(PagePort)
+    room = page.layout.room
+    page.free(index)
+    assert (page.ports(index), len(page.ports(other))) == ([], 1)
+    again = page.allocate("many again")
+    page.set_ports(again, topics)
+    assert page.layout.room == room, "what another node has given back is used again"
+    assert Page(page.path, gate_library).ports(again)[-1].topic.decode() == topics[-1][0]
+
+
+def test_a_process_that_has_mapped_the_page_sees_it_grow(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    early = lab.node(MS, RATED)
+    lab.port(early).gate = OPEN
+    many = lab.page.allocate("many")
+    Gates(lab.page, many, ComponentSpec.of("Many")).prepare({})  # it lists its topics
+    monkeypatch.setenv("FAKE_TOPICS", str(3 * ROOM))
+    lab.run(many, MS, 10**12)
+    until(lambda: len(lab.page.ports(many)) == 1 + 3 * ROOM, "not every topic is listed")
+    assert [port.number for port in lab.page.ports(many)] == list(range(1 + 3 * ROOM))
+    late = lab.node(MS, RATED, baton=lab.port(early).baton)
+    lab.page.step(lab.port(early).baton, BatonStep.NAME_SUCCESSOR, early, late)
+    until(lambda: lab.written_by(late) > 10, "the later one does not take over")
+    lab.kill(late)
+    before = lab.written_by(early)
+    until(lambda: lab.written_by(early) > before, "the earlier one does not go on")
+
+
+def test_no_port_is_given_to_two_nodes(tmp_path: Path, gate_library: Path) -> None:
+    page = Page(tmp_path / "page", gate_library)
+    nodes = [page.allocate(f"node_{number}") for number in range(4)]
+    topics = [(f"/topic_{number}", OUTPUT) for number in range(200)]
+    with ThreadPoolExecutor(len(nodes)) as pool:
+        list(pool.map(lambda index: Page(page.path, gate_library).set_ports(index, topics), nodes))
+    for index in nodes:
+        assert [port.topic.decode() for port in page.ports(index)] == [topic for topic, _ in topics]
+
+
+def test_a_server_has_a_port_beside_a_publisher_of_that_name(lab: Lab) -> None:
+    index = lab.page.allocate("both")
+    lab.page.set_ports(index, [("/chat", SERVER), ("/chat", OUTPUT)])
+    server, output = lab.page.ports(index)
+    output.flags, output.baton, output.gate, server.gate = RATED, lab.page.new_baton(index), OPEN, CLOSED
+    lab.processes[index] = lab.start(
+        {
+            "LD_PRELOAD": str(lab.library),
+            "LD_LIBRARY_PATH": str(lab.programs),
+            "FAKE_LOG": str(lab.log),
+            "MIDSTRIDE_GATE_PAGE": str(lab.page.path),
+            "MIDSTRIDE_GATE_NODE": str(index),
+        },
+        *(str(index + 1), "/chat", str(MS), "1000000"),
+    )
+    until(lambda: output.passed > 10, "it does not publish")
+    assert (server.endpoints, server.passed, server.gated) == (0, 0, 0)
+
+
+# -- several nodes in a process ------------------------------------------------------------------------------
+
+
+def two(lab: Lab, monkeypatch: pytest.MonkeyPatch, messages: int = 10**12, flags: PortFlag = RATED) -> tuple[int, int]:
+    """A process with two nodes that publish on one topic, the first with an open gate; their indices."""
+    first = lab.page.allocate("first")
+    second = lab.page.allocate("second", process=first, name="/second")
+    for index in (first, second):
+        lab.page.set_ports(index, [("/chat", OUTPUT)])
+        lab.port(index).flags, lab.port(index).baton = flags, lab.page.new_baton(index)
+    lab.port(first).gate = OPEN
+    monkeypatch.setenv("FAKE_SECOND", "/second")
+    lab.run(first, MS, messages)
+    monkeypatch.delenv("FAKE_SECOND")
+    return first, second
+
+
+def writers(lab: Lab, since: int) -> set[int]:
+    return {writer for writer, _, _ in lab.records()[since:]}
+
+
+def test_each_node_of_a_process_has_a_gate_of_its_own(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = two(lab, monkeypatch)
+    until(lambda: lab.port(second).gated > 10, "the second one does not write")
+    assert (lab.port(first).endpoints, lab.port(second).endpoints) == (1, 1)
+    assert writers(lab, 0) == {first + 1} and lab.port(second).passed == 0
+    lab.port(second).gate, lab.port(first).gate = OPEN, CLOSED
+    until(lambda: lab.port(second).passed > 10 and lab.port(first).gated > 10, "the second one does not publish")
+    at, passed = lab.count(), lab.port(first).passed
+    until(lambda: lab.count() > at + 10, "nothing is published")
+    assert writers(lab, at) == {first + 1 + SECOND} and lab.port(first).passed == passed
+    until(lambda: [lab.port(index).matched for index in (first, second)] == [3, 3], "the helper thread does not look")
+    assert not lab.page.is_dead(first) and not lab.page.is_dead(second)
+    lab.kill(first)
+    assert lab.page.is_dead(first) and lab.page.is_dead(second)
+
+
+def test_one_node_of_a_process_is_taken_over_from_while_the_other_goes_on(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = two(lab, monkeypatch)
+    lab.port(second).gate = OPEN
+    baton = lab.port(second).baton
+    successor = lab.node(MS, RATED, baton=baton)
+    lab.page.step(baton, BatonStep.NAME_SUCCESSOR, second, successor)
+    until(lambda: lab.written_by(successor) > 10, "the new one does not take over")
+    assert lab.word(baton).holder == successor + 1
+    before, passed = lab.written_by(first), lab.written_by(second)
+    until(lambda: lab.written_by(first) > before + 10, "the neighbour does not go on")
+    assert lab.written_by(second) == passed
+    lab.kill(successor)
+    until(lambda: lab.written_by(second) > passed, "it does not go on where its successor has died")
+
+
+def test_a_baton_passes_between_two_nodes_of_a_process_and_neither_takes_the_other_for_dead(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = two(lab, monkeypatch)
+    baton = lab.port(second).baton = lab.port(first).baton
+    lab.port(second).gate = OPEN
+    old, new = first, second
+    for _ in range(10):
+        before = lab.written_by(new)
+        lab.page.step(baton, BatonStep.NAME_SUCCESSOR, old, new)
+        until(lambda index=new, count=before: lab.written_by(index) > count + 5, "no answer")  # type: ignore[misc]
+        assert lab.word(baton).holder == new + 1
+        old, new = new, old
+    lab.kill(first)
+    records = lab.records()
+    changes = sum(before[0] != after[0] for before, after in pairwise(records))
+    assert changes == 10, "they are interleaved"
+
+
+def test_what_a_further_node_has_kept_is_published_when_its_gate_opens(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = two(lab, monkeypatch, 1, PortFlag.TIMED | PortFlag.LAYS | PortFlag.KEEPS)
+    until(lambda: bool(lab.port(second).kept), "it is not kept")
+    lab.port(second).gate = OPEN
+    beat = lab.page.beat(second)
+    lab.page.ring(second)
+    until(lambda: lab.written_by(second) == 1, "it is not published")
+    assert lab.page.beat(second) > beat and lab.page.beat(first) == lab.page.beat(second)
+
+
+TWO_NODES = """
+import sys, time
+import rclpy
+from std_msgs.msg import String
+rclpy.init()
+nodes = [rclpy.create_node(name) for name in ("first", "second")]
+publishers = [node.create_publisher(String, "/chat", 10) for node in nodes]
+while True:
+    for node, publisher in zip(nodes, publishers):
+        publisher.publish(String(data=node.get_name()))
+    time.sleep(0.005)
+"""
+
+
+@pytest.mark.ros2
+def test_the_nodes_of_a_process_on_rcl_are_told_apart(tmp_path: Path, gate_library: Path) -> None:
+    page = Page(tmp_path / "page", gate_library)
+    first = page.allocate("first")
+    second = page.allocate("second", process=first, name="/second")
+    for index in (first, second):
+        page.set_ports(index, [("/chat", OUTPUT)])
+    (one,), (other,) = page.ports(first), page.ports(second)
+    other.gate = OPEN
+    environment = {
+        **os.environ,
+        "LD_PRELOAD": str(gate_library),
+        "MIDSTRIDE_GATE_PAGE": str(page.path),
+        "MIDSTRIDE_GATE_NODE": str(first),
+        "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
+    }
+    with subprocess.Popen([sys.executable, "-c", TWO_NODES], env=environment) as process:
+        try:
+            until(lambda: one.gated > 10 and other.passed > 10, "they do not write")
+            assert (one.passed, other.gated, one.endpoints, other.endpoints) == (0, 0, 1, 1)
+            one.gate, other.gate = OPEN, CLOSED
+            until(lambda: one.passed > 10 and other.gated > 10, "they do not write")
+        finally:
+            process.kill()
+
+
+# -- versions ------------------------------------------------------------------------------------------------
+
+
+def of_layout(path: Path, version: int, magic: int = MAGIC) -> bytes:
+    """A page of another version, of which no more is known than its first bytes; what is in it."""
+    head = PageLayout(magic, version, 1_353_792)
+    path.write_bytes(bytes(head)[:64] + b"\1" * 1_353_728)
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("version", [VERSION - 1, VERSION + 1])
+def test_a_page_of_another_layout_is_refused_by_both_sides_and_left_as_it_is(
+    tmp_path: Path, programs: Path, gate_library: Path, version: int
+) -> None:
+    content = of_layout(tmp_path / "page", version)
+    with pytest.raises(BackendError, match=f"has layout {version}, and this version uses {VERSION}: .*midstride down"):
+        Page(tmp_path / "page", gate_library)
+    log = tmp_path / "log"
+    log.touch()
+    os.truncate(log, 10**6)
+    environment = {
+        **os.environ,
+        "LD_PRELOAD": str(gate_library),
+        "LD_LIBRARY_PATH": str(programs),
+        "FAKE_LOG": str(log),
+        "MIDSTRIDE_GATE_PAGE": str(tmp_path / "page"),
+        "MIDSTRIDE_GATE_NODE": "0",
+    }
+    command = [str(programs / "node"), "1", "/chat", "0", "100", "time"]
+    done = subprocess.run(command, env=environment, check=True, capture_output=True, timeout=60, text=True)
+    assert f"has no gate: {tmp_path}/page has layout {version}, and {VERSION} is expected" in done.stderr
+    assert (tmp_path / "page").read_bytes() == content
+
+
+def test_what_is_no_page_is_called_so(tmp_path: Path, gate_library: Path) -> None:
+    of_layout(tmp_path / "page", VERSION, magic=7)
+    with pytest.raises(BackendError, match="is no page of Midstride"):
+        Page(tmp_path / "page", gate_library)
+
+
+def test_a_node_that_runs_with_an_earlier_layout_is_named_and_goes_on(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch, gate_library: Path
+) -> None:
+    """As after an upgrade of Midstride while its manager was gone."""
+    index = lab.node(MS, RATED)
+    lab.port(index).gate = OPEN
+    lab.page.layout.version = VERSION - 1
+    component = ComponentSpec.of("Talker")
+    ForeignRecord(
+        instance="talker",
+        node="/talker",
+        token="",
+        uuid="",
+        pid=lab.processes[index].pid,
+        started=time.time_ns(),
+        declaration=NamedComponentForm.of(component),
+        index=index,
+        topics={},
+        modes={},
+    ).write(lab.page.path.parent)
+    assert lab.page.path.name == PAGE
+    monkeypatch.setenv("XDG_CACHE_HOME", str(gate_library.parents[1]))
+
+    async def scenario() -> None:
+        nodes = ForeignNodes(lab.page.path.parent, SocketFolder(lab.page.path.parent / "components"), lambda _: None)
+        with pytest.raises(BackendError, match=f"talker cannot be answered for: .* has layout {VERSION - 1}"):
+            await nodes.adopt("talker")
+        await nodes.close()
+
+    asyncio.run(scenario())
+    before = lab.written_by(index)
+    until(lambda: lab.written_by(index) > before + 10, "the node does not go on")
