@@ -177,6 +177,19 @@ class ScriptedClient(ComponentClient):
             if sent.how in ("change", "undo")
         ]
 
+    def assert_order(self, *wanted: tuple[str, str]) -> None:
+        """Each command of ``wanted``, as in ``changes`` (or a reading one), was sent after the one before it.
+
+        What else was sent, before, between or after them, is left to the tests that are about it.
+        """
+        sent = [
+            (each.instance, f"undo {each.command.name}" if each.how == "undo" else each.command.name)
+            for each in self.sent
+        ]
+        rest = iter(sent)
+        for command in wanted:
+            assert command in rest, f"{command} is not sent, or not after those before it in {wanted}: {sent}"
+
     def _event(self, instance: str) -> asyncio.Event:
         return self._registered.setdefault(instance, asyncio.Event())
 

@@ -107,23 +107,17 @@ def test_the_two_sides_are_asked_in_the_order_that_loses_nothing(tmp_path: Path)
         last: dict[str, LastWrite | None] = {"out /chatter": LastWrite(number=17, source=5)}
         b.client.reply("talker", AwaitCutCommand, CutResult(outcome="done", last=last))
         assert await swapped(b) == {OUT: 17}
-        assert [(sent.instance, sent.command.name) for sent in b.client.sent] == [
-            ("talker", "observe"),
-            ("talker_2", "observe"),
-            ("listener", "await_match"),  # how many publishers it has found already
-            ("talker", "grid"),
+        b.client.assert_order(
             ("talker_2", "attach"),
-            ("listener", "await_match"),
-            ("talker_2", "await_write"),
-            ("talker", "observe"),
-            ("talker_2", "meet"),
-            ("talker", "grid"),
+            ("listener", "await_match"),  # it has found the new publisher before any message of that one
+            ("talker_2", "await_write"),  # behind its gate
+            ("talker", "grid"),  # the moment is agreed on once nothing needs to be waited for
             ("talker", "cut_out"),  # before the new side: it alone can go on by itself
             ("talker_2", "cut_in"),
-            ("talker_2", "await_cut"),
             ("talker", "await_cut"),
             ("talker", "detach"),
-        ]
+        )
+        b.client.assert_order(("talker_2", "cut_in"), ("talker_2", "await_cut"), ("talker", "detach"))
         cut_out = b.client.of(CutOutCommand, "talker")[0]
         assert only(b, CutInCommand, "talker_2") == CutInCommand(
             cut=cut_out.cut,
@@ -519,11 +513,11 @@ def test_a_cut_that_either_side_did_not_pass_is_taken_back(
     async def body(b: Bench) -> None:
         b.client.reply(side, AwaitCutCommand, result)
         await fails(b, words)
-        assert b.client.changes[-3:] == [
+        b.client.assert_order(
             ("talker_2", "undo cancel_cut"),  # first: only one of them may write
             ("talker", "undo cancel_cut"),
             ("talker_2", "undo detach"),
-        ]
+        )
 
     bench(CONFIGURATION, tmp_path, body)
 
@@ -539,7 +533,8 @@ def test_a_take_over_that_fails_leaves_no_new_publisher_on_the_topic(tmp_path: P
         b.client.reply("talker_3", AwaitWriteCommand, GatedWrites(gated=0, wrong_type=None))
         with pytest.raises(StepFailed, match=r"talker_3\.out has written nothing"):
             await swapped(b, SWAP, other)
-        assert b.client.changes[-2:] == [("talker_2", "undo detach"), ("talker_3", "undo detach")]
+        b.client.assert_order(("talker_2", "attach"), ("talker_2", "undo detach"))
+        b.client.assert_order(("talker_3", "attach"), ("talker_3", "undo detach"))
 
     bench(configuration.with_modes({work("talker_3"): 0}), tmp_path, body)
 
@@ -552,11 +547,11 @@ def test_a_hand_over_that_is_cancelled_is_taken_back(tmp_path: Path) -> None:
         swapping.cancel()
         with pytest.raises(asyncio.CancelledError):
             await swapping
-        assert b.client.changes[-3:] == [
+        b.client.assert_order(
             ("talker_2", "undo cancel_cut"),
             ("talker", "undo cancel_cut"),
             ("talker_2", "undo detach"),
-        ]
+        )
 
     bench(CONFIGURATION, tmp_path, body)
 
@@ -595,7 +590,7 @@ def test_outputs_of_one_functionality_share_a_cut(tmp_path: Path) -> None:
         assert await swapped(b, *swaps) == {swaps[0].old: 3, swaps[1].old: None}
         [cut] = b.client.of(CutOutCommand, "old")
         assert cut.swaps == [CutSwap(port="left", topic="/left"), CutSwap(port="right", topic="/right")]
-        assert [command.name for command in b.client.commands("old")][-2:] == ["detach", "detach"]
+        b.client.assert_order(("old", "await_cut"), ("old", "detach"), ("old", "detach"))
 
     bench(configuration, tmp_path, body)
 

@@ -86,11 +86,8 @@ def test_each_subscriber_that_stays_is_recorded_from_before_the_first_step(tmp_p
     async def body(b: Bench) -> None:
         under_test = recording(b)
         await under_test.begin(configuration, [*REPLACEMENT, Remove("leaving")])
-        assert [(sent.how, sent.instance, sent.command) for sent in b.client.sent] == [
-            ("read", "talker", GridCommand(port="out")),
-            ("change", "listener", START_RECORDING),
-            ("change", "second", START_RECORDING),
-        ]
+        assert b.client.changes == [("listener", "record"), ("second", "record")]
+        assert b.client.of(RecordCommand) == [START_RECORDING] * 2
         assert [each.input for each in under_test.recorded] == [IN, build.port("second.in")]
 
     bench(configuration, tmp_path, body)
