@@ -33,14 +33,14 @@ def plant(patch: pytest.MonkeyPatch, owner: Any, name: str, replacement: Callabl
         patch.setattr(owner, name, replacement)
 
 
-def plant_value(patch: pytest.MonkeyPatch, owner: type, name: str, value: object) -> None:
-    """The field ``name`` of each ``owner``, a dataclass, is ``value``, whatever is assigned to it.
+def plant_value(patch: pytest.MonkeyPatch, owner: type, name: str, make: Callable[[], object]) -> None:
+    """The field ``name`` of each ``owner``, a dataclass, is what ``make`` returns, whatever is assigned to it.
 
-    Raises ValueError if there is no such field.
+    It is made for each reading, so that nothing is kept in it. Raises ValueError if there is no such field.
     """
     if name not in {each.name for each in dataclasses.fields(owner)}:
         raise ValueError(f"{owner.__name__} has no field {name}")
-    patch.setattr(owner, name, property(lambda self: value, lambda self, _: None), raising=False)
+    patch.setattr(owner, name, property(lambda self: make(), lambda self, _: None), raising=False)
 
 
 def _compare(name: str, original: Callable[..., Any], replacement: Callable[..., Any]) -> None:

@@ -72,11 +72,11 @@ def test_what_is_not_there_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(AttributeError):
         plant(monkeypatch, Door, "lock", lambda self: None)
     with pytest.raises(ValueError, match="no field locked"):
-        plant_value(monkeypatch, Door, "locked", True)
+        plant_value(monkeypatch, Door, "locked", bool)
 
 
 def test_a_value_stays_whatever_is_assigned(monkeypatch: pytest.MonkeyPatch) -> None:
-    plant_value(monkeypatch, Door, "opened", 7)
+    plant_value(monkeypatch, Door, "opened", lambda: 7)
     door = Door(opened=1)
     door.opened = 2
     assert door.opened == 7

@@ -34,6 +34,7 @@ Step: TypeAlias = tuple[str, str, int]
 class Waits:
     """What a coroutine awaits: until ``done``, or where that is so already, as long as the explorer likes."""
 
+    what: str
     done: bool = True
     value: Any = None
 
@@ -55,14 +56,14 @@ class Finished:
 
     async def wait(self) -> None:
         while not self.set_:
-            await Waits()
+            await Waits("finished")
 
 
 class Work:
     """A coroutine of a control thread. ``waits``: what for; None once it has returned."""
 
     def __init__(self, coroutine: Coroutine[Any, Any, Any]) -> None:
-        self.coroutine = coroutine
+        self.coroutine, self.name = coroutine, cast(Any, coroutine).__qualname__
         self.waits: Waits | None = None
         self.result: Any = None
         self.advance()
@@ -76,15 +77,11 @@ class Work:
             self.waits, self.result = None, True
 
     def position(self) -> object:
+        """Where it is, together with the phase of its side."""
         if self.waits is None:
             return None
         # The value, too: a report that is lost leads elsewhere than one that is answered.
-        places: list[object] = [self.waits.done, str(self.waits.value)]
-        each: Any = self.coroutine
-        while (frame := getattr(each, "cr_frame", None)) is not None:
-            places.append(frame.f_lasti)
-            each = each.cr_await
-        return tuple(places)
+        return self.name, self.waits.what, self.waits.done, str(self.waits.value)
 
 
 @dataclass(eq=False)
@@ -103,11 +100,11 @@ class Process:
         self.claim = self.world.claim()
         host = cast(Any, Clocks())
         host.now = host.steady = lambda: MOMENTS[self.world.moment]
-        host.sleep, host.on_data = lambda seconds: Waits(), self.on_data
+        host.sleep, host.on_data = lambda seconds: Waits("a time"), self.on_data
         self.host = cast(Host, host)
 
     def on_data(self, function: Callable[[], Any]) -> Waits:
-        self.queue.append((function, waits := Waits(done=False)))
+        self.queue.append((function, waits := Waits(function.__name__, done=False)))
         return waits
 
     def start(self, coroutine: Coroutine[Any, Any, Any]) -> Work:
@@ -145,7 +142,7 @@ class Process:
         return self.alive and (self.link.open or claimed)
 
     def state(self) -> object:
-        jobs = tuple(getattr(function, "__name__", "") for function, _ in self.queue)
+        jobs = tuple(waits.what for _, waits in self.queue)
         works = tuple(work.position() for work in self.works)
         gate = self.link.open, self.link.cut is None, self.link.set_by is None, bool(self.link.output.links)
         return self.alive, len(self.slots), works, jobs, gate, self.claim._shared
@@ -198,8 +195,8 @@ class World:
 
     def report(self, timeout: float, failed: bool) -> Awaitable[bool]:
         if not self.processes["o"].alive:
-            return Waits(value=Unreachable("it has exited"))
-        self.reports.append(report := Report(failed, Waits(done=False)))
+            return Waits("report", value=Unreachable("it has exited"))
+        self.reports.append(report := Report(failed, Waits("report", done=False)))
         return report.waits
 
     def steps(self) -> list[Step]:
@@ -270,8 +267,8 @@ class World:
             self.moment,
             *(process.state() for process in self.processes.values()),
             tuple((report.failed, report.handled and report.handled.waits is None) for report in self.reports),
-            (out.outcome, out._taken, out._wanted, out._watching, out._due_at, out.side.over),
-            (into.outcome, into._reporting, into.side.refused, bool(into.side.written)),
+            (out.phase, out.outcome, out._taken, out._wanted, out._watching, out._due_at, out.side.over),
+            (into.phase, into.outcome, into._reports, into.side.refused, bool(into.side.written)),
             tuple(process.claim in holders for process in self.processes.values()),
             (self.manager, self.command is None or self.command.waits is None, self.processes["n"].owner.failed),
         )
@@ -338,28 +335,31 @@ def new_side_has_given_up_for_one_that_died(seen: Seen) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("manager", "mortal", "fails"),
+    ("manager", "mortal", "fails", "states"),
     [
-        ("", "", False),
-        pytest.param("", "o", False, marks=FULL),
-        pytest.param("", "n", False, marks=FULL),
-        pytest.param("", "", True, marks=FULL),
-        pytest.param("co", "", False, marks=FULL),
-        pytest.param("cn", "", False, marks=FULL),  # and nothing reaches the old side
-        pytest.param("kn", "", False, marks=FULL),
-        pytest.param("dn", "", False, marks=FULL),
-        pytest.param("dokn", "", False, marks=LONG),
-        pytest.param("cndn", "", False, marks=LONG),
-        pytest.param("cokn", "", False, marks=LONG),
-        pytest.param("cnco", "", False, marks=LONG),
-        pytest.param("snso", "", False, marks=LONG),
-        pytest.param("cn", "n", True, marks=LONG),
-        pytest.param("", "on", True, marks=LONG),
+        ("", "", False, 2279),
+        pytest.param("", "o", False, 4940, marks=FULL),
+        pytest.param("", "n", False, 5536, marks=FULL),
+        pytest.param("", "", True, 10444, marks=FULL),
+        pytest.param("co", "", False, 9474, marks=FULL),
+        pytest.param("cn", "", False, 16111, marks=FULL),  # and nothing reaches the old side
+        pytest.param("kn", "", False, 7815, marks=FULL),
+        pytest.param("dn", "", False, 13364, marks=FULL),
+        pytest.param("dokn", "", False, 19630, marks=LONG),
+        pytest.param("cndn", "", False, None, marks=LONG),
+        pytest.param("cokn", "", False, None, marks=LONG),
+        pytest.param("cnco", "", False, None, marks=LONG),
+        pytest.param("snso", "", False, 20864, marks=LONG),
+        pytest.param("cn", "n", True, None, marks=LONG),
+        pytest.param("", "on", True, None, marks=LONG),
     ],
 )
-def test_two_sides_can_never_both_write_and_one_does(manager: str, mortal: str, fails: bool) -> None:
+def test_two_sides_can_never_both_write_and_one_does(
+    manager: str, mortal: str, fails: bool, states: int | None
+) -> None:
+    """Another number of ``states`` means that the protocol has changed, or that the exploration has missed some."""
     found = explore(manager=manager, mortal=mortal, fails=fails)
-    assert len(found) > 1000
+    assert len(found) == states or (states is None and len(found) > 1000)
     for seen in found:
         assert len(seen.writes) < 2, seen
         if seen.settled and (old_side_can_write(seen) or ("n" in seen.alive and "n" in seen.attached)):
@@ -368,10 +368,11 @@ def test_two_sides_can_never_both_write_and_one_does(manager: str, mortal: str, 
     assert mortal or {seen.writes for seen in found if seen.settled} >= {"o"}
 
 
-@pytest.mark.parametrize("manager", ["", pytest.param("kn", marks=FULL)])
-def test_between_two_hosts_an_old_side_that_knows_writes_on_command_only(manager: str) -> None:
+@pytest.mark.parametrize(("manager", "states"), [("", 2256), pytest.param("kn", 6768, marks=FULL)])
+def test_between_two_hosts_an_old_side_that_knows_writes_on_command_only(manager: str, states: int) -> None:
     """They share no claim, so it cannot know that the new side has ended."""
     found = explore(manager=manager, hosts=2)
+    assert len(found) == states
     assert all(seen.writes != "on" for seen in found if seen.confirmed and seen.outcomes[0] == "done")
     assert not any("o" in seen.writes for seen in found if seen.outcomes[0] == "done")
     assert any(seen.confirmed and not seen.writes for seen in found if seen.settled) == bool(manager)

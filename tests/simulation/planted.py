@@ -168,7 +168,7 @@ def _lease_forgotten(patch: pytest.MonkeyPatch) -> None:
 
 def _superseded_goes_on(patch: pytest.MonkeyPatch) -> None:
     """A superseded manager begins no further step, and goes on to change components otherwise."""
-    plant_value(patch, component_client.ComponentClient, "superseded", lambda: False)
+    plant_value(patch, component_client.ComponentClient, "superseded", lambda: lambda: False)
 
 
 def _saved_by_superseded(patch: pytest.MonkeyPatch) -> None:
@@ -230,7 +230,7 @@ def _repetition_carried_out(patch: pytest.MonkeyPatch) -> None:
 
 def _pending_forgotten(patch: pytest.MonkeyPatch) -> None:
     """A functionality that could not be degraded is not tried again."""
-    plant_value(patch, reconciler.Reconciler, "pending", {})
+    plant_value(patch, reconciler.Reconciler, "pending", dict)
 
 
 def _lost_reply_not_repeated(patch: pytest.MonkeyPatch) -> None:

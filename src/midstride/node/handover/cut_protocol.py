@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import abc
 import asyncio
+import enum
 import math
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
@@ -35,14 +36,25 @@ SLOW_TICK: Final = 0.05
 LONGEST_WAIT: Final = 0.01
 
 
+class CutPhase(enum.Enum):
+    """How far a side is. A command may give it its outcome in any phase."""
+
+    APPROACHING = "approaching"  # waits for T
+    CROSSING = "crossing"  # T has come: the old side writes the rest, the new one its first message
+    REPORTING = "reporting"  # the new side reports that message
+    CONCLUDING = "concluding"  # messages from before T may still be in transit to the new side
+    WATCHING = "watching"  # until nothing of the hand-over can be taken back: see `watch_successor`
+
+
 @dataclass(eq=False)
 class _CutTask(abc.ABC):
-    """What both sides share: an outcome, and cancellation."""
+    """What both sides share: a phase, an outcome, and cancellation."""
 
     new: ClassVar[bool]
     host: Host
     changed: Callable[[], None]
     side: OutgoingSide | IncomingSide
+    phase: CutPhase = field(default=CutPhase.APPROACHING, init=False)
     outcome: CutOutcome | None = field(default=None, init=False)
     finished: asyncio.Event = field(default_factory=asyncio.Event, init=False)
     _latest: int = field(default=0, init=False)  # what the clock of the cut has shown
@@ -105,12 +117,13 @@ class CutOutTask(_CutTask):
 
     async def run(self) -> None:
         await self._pass()
+        self.phase = CutPhase.WATCHING
         await self.watch_successor()
 
     async def _pass(self) -> None:
         """Do this side's part, until there is an outcome."""
         await self._until(self.side.at)
-        self._due_at = self.host.steady()
+        self.phase, self._due_at = CutPhase.CROSSING, self.host.steady()
         while self._going():
             if self.side.arbiter.passed_on:
                 self._note_taken()
@@ -255,7 +268,7 @@ class CutInTask(_CutTask):
     report: Callable[[float, bool], Awaitable[bool]] | None
     state: StateImport | None = None
     patience: float = math.inf
-    _reporting: bool = field(default=False, init=False)
+    _reports: int = field(default=0, init=False)  # how often it has reported to its peer
     _begun_at: int = field(default=0, init=False)  # steady, ns
 
     async def run(self) -> None:
@@ -265,6 +278,7 @@ class CutInTask(_CutTask):
         await self._until(self.side.at)
         if self.state is not None and self._going():
             await self.state.settled()
+        self.phase = CutPhase.CROSSING
         waited_from = self.host.steady()
         while self.side.links and self._going() and not self._is_decided():
             # A message in transit at T may still make the new side write; nothing else will.
@@ -276,16 +290,17 @@ class CutInTask(_CutTask):
                 await self.host.sleep(TICK)
         if (self._failed() or self.side.refused) and await self._abandon(report=not self.side.refused):
             return
-        self._reporting = True
+        self.phase = CutPhase.REPORTING
         if self._going() and await self._resumed(failed=False):
             await self._end("cancelled", self._close)
         if self._going():
-            self.outcome = "done"
+            self.phase, self.outcome = CutPhase.CONCLUDING, "done"
             self.finished.set()
             self.changed()
             if self.side.grace:
                 await self.host.sleep(self.side.grace)  # messages from before T may still be in transit to here
             await self.host.on_data(self._conclude)
+            self.phase = CutPhase.WATCHING
             while not self.side.arbiter.settled:
                 await self.host.sleep(SLOW_TICK)
             self.side.arbiter.leave()
@@ -326,9 +341,10 @@ class CutInTask(_CutTask):
         """Report to the old side until it answers; whether it has resumed. One that cannot be reached has not."""
         if self.report is None:
             return False
-        for _ in range(REPORT_ATTEMPTS):
+        while self._reports < REPORT_ATTEMPTS:
             if not failed and not self._going():
                 return False
+            self._reports += 1
             try:
                 return await self.report(REPORT_TIMEOUT, failed)
             except BackendError:
@@ -341,7 +357,7 @@ class CutInTask(_CutTask):
         await self._end("cancelled", self._close)
 
     async def settle(self) -> None:
-        if self._going() and not self._reporting:
+        if self._going() and self.phase in (CutPhase.APPROACHING, CutPhase.CROSSING):
             await self._abandon(report=False)
         await self.finished.wait()
 
