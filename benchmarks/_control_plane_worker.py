@@ -209,7 +209,7 @@ class Session:
         return self.events(last)
 
     def pids(self) -> list[int]:
-        return [handle.pid for handle in self.manager._launcher.handles.values()]
+        return [handle.pid for handle in self.manager.system.life.handles.values()]
 
 
 def steps(events: list[Happened]) -> list[tuple[str, float, float]]:
@@ -244,7 +244,7 @@ async def life(plane: Any, name: str, folder: Path, times: int) -> Samples:
         for _ in range(times):
             seen = session.events()[-1].n
             killed = time.time()
-            os.kill(session.manager._launcher.handles["source"].pid, signal.SIGKILL)
+            os.kill(session.manager.system.life.handles["source"].pid, signal.SIGKILL)
             while not any(event.kind == "exited" for event in session.events(seen)):
                 await asyncio.sleep(0.001)
             begun, done = creation(await session.change(to=session.manager.specification))
@@ -340,7 +340,7 @@ async def paused(plane: Any, name: str, folder: Path, nodes: int, seconds: float
             planes.append(type(plane)())
             session = await stack.enter_async_context(Session(planes[-1], name, folder / str(number), chain(size)))
             pids += session.pids()
-            pings += [(planes[-1], instance) for instance in session.manager._launcher.handles]
+            pings += [(planes[-1], instance) for instance in session.manager.system.life.handles]
         await asyncio.sleep(2.0)
         for pid in pids:
             os.kill(pid, signal.SIGSTOP)

@@ -107,7 +107,6 @@ class Reports:
         """One node reports, as its control connection would hand it over."""
         from msgspec import structs
 
-        from midstride.runtime.process.component_client import LatestState
         from midstride.wire.state import FunctionalityState
 
         state = self._states[index]
@@ -124,8 +123,7 @@ class Reports:
             parameters={"gain": 0.5, "count": count},
         )
         self._states[index] = state
-        client = self._watched.client
-        client._latest[state.instance] = LatestState(state, client.clock.steady())
+        self._watched.system.life.reported(state)
         self._watched.on_report(state)
 
     async def run(self) -> None:
@@ -169,9 +167,9 @@ class Manager:
         self.specification = decode_specification(document(nodes))
         self.events, clock = EventLog(), SystemClock()
         client = ComponentClient(cast(Any, None), clock, "token")
-        none = cast(Any, SimpleNamespace(handles={}, ending=(), status=lambda _: None))
-        monitor = SilenceMonitor(client, clock, self.events, (), ())
-        system = RunningSystem(self.specification, initial(self.specification))
+        none = cast(Any, SimpleNamespace(status=lambda _: None))
+        monitor = SilenceMonitor(client.life, clock, self.events)
+        system = RunningSystem(self.specification, initial(self.specification), client.life)
         self.watched = WatchedSystem(
             system, client, monitor, none, none, none, self.events, clock, CommandQueue(clock, self.events)
         )

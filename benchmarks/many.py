@@ -67,7 +67,7 @@ async def components(nodes: int, seconds: float, replacements: int, spares: int,
         session = worker.Session(worker.Plane(), "ros2", Path(folder), system(nodes), options=options)
         async with session:
             # The pair is what the replacement is about; it is not idle.
-            handles = session.manager._launcher.handles
+            handles = session.manager.system.life.handles
             pids = [handle.pid for name, handle in handles.items() if name not in ("source", "sink")]
             figures = {"up, s": session.up, "processor time of up, s": worker.processor_time(session.pids())}
             figures["memory, MiB"] = memory(pids)

@@ -54,12 +54,12 @@ async def crash(manager: Manager, heard: list[float]) -> dict[str, float]:
     """Kill the publisher; the figures of its restart, in seconds from the kill."""
 
     def mode() -> str:
-        latest = manager._client.latest("sink")
+        latest = manager.system.life.latest("sink")
         return "" if latest is None else latest.state.functionalities["listen"].mode
 
     await until(lambda: mode() == "normal" and heard and time.monotonic() - heard[-1] < 0.1, "it does not run")
     killed = time.monotonic()
-    os.kill(manager._launcher.handles["source"].pid, signal.SIGKILL)
+    os.kill(manager.system.life.handles["source"].pid, signal.SIGKILL)
     safe = await until(lambda: mode() == "degraded", "the dependant is not safe")
     restored = await until(lambda: mode() == "normal", "the dependant is not restored")
     # What had been sent before the kill is received within 50 ms.

@@ -44,6 +44,9 @@ os.environ["ROS_DOMAIN_ID"] = str(_claimed_domain())
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ.setdefault("ROS_LOG_DIR", os.path.join(tempfile.gettempdir(), "midstride-ros-log"))
 
+# In this process and in the managers that tests start, a state that changes as it must not raises.
+os.environ["MIDSTRIDE_STRICT_TRANSITIONS"] = "1"
+
 # Processes that tests start are ended with SIGINT as well, which a script's background job ignores, and so do its
 # children.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -17,8 +17,8 @@ import pytest
 
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
+from midstride.runtime.instance_life import STOPPED
 from midstride.runtime.manager import Manager
-from midstride.runtime.process.component_client import STOPPED
 from midstride.runtime.records.reports import Event, Outcome
 from midstride.wire.replies import Receipt
 from tests.acceptance.support import BENCHMARKS, PERIOD, Recorder, ended, managed, swap_specification
@@ -152,5 +152,5 @@ def test_a_new_publisher_that_is_stopped_costs_a_bounded_time_and_the_old_one_go
 
 def pids(manager: Manager) -> dict[str, int]:
     """The processes of the components that run."""
-    found = {name: handle.pid for name, handle in manager._launcher.handles.items()}
+    found = {name: handle.pid for name, handle in manager.system.life.handles.items()}
     return {name: pid for name, pid in found.items() if pid is not None}

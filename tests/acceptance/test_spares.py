@@ -123,7 +123,7 @@ def test_a_component_that_is_forked_is_as_one_that_is_started(tmp_path: Path, mo
         manager = new_manager()
         await manager.up()
         (component,) = (await manager.status()).components
-        log = Path(str(manager._launcher.handles["talker0"].log))
+        log = Path(str(manager.system.life.handles["talker0"].log))
         assert (component.pid in forked) == bool(spares)
         await manager.close()
         manager = new_manager()  # which finds what has outlived the other one

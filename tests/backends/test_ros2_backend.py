@@ -239,7 +239,7 @@ def test_a_component_that_fails_on_its_way_up_is_reported_with_its_log(
             await until(lambda: r.exits)
             assert r.exits[0].status == status
             assert words in r.exits[0].log_tail
-            assert r.client.latest("talker") is None
+            assert r.client.life.latest("talker") is None
 
     run(scenario())
 
@@ -323,12 +323,12 @@ def test_a_component_that_was_paused_answers_and_works_within_a_second(tmp_path:
             await r.modes("talker", talk="normal")
             r.kill("talker", signal.SIGSTOP)
             await asyncio.sleep(3.0)
-            before = r.client.latest("talker")
-            assert before is not None and r.client.responsive("talker") is None
+            before = r.client.life.latest("talker")
+            assert before is not None and r.client.life.responsive("talker") is None
             r.kill("talker", signal.SIGCONT)
             begun = time.monotonic()
             state = await r.client.observe("talker")
-            await until(lambda: r.client.responsive("talker"), 1.0)
+            await until(lambda: r.client.life.responsive("talker"), 1.0)
             assert state.functionalities["talk"].mode == "normal"
             while (await r.link("talker", "out", "/chatter")).gated <= before.state.ports["out"]["/chatter"].gated + 2:
                 await asyncio.sleep(0.005)

@@ -113,7 +113,7 @@ class Nodes:
         return outgoing
 
     def reported(self, instance: str) -> str | None:
-        latest = self.client.latest(instance)
+        latest = self.client.life.latest(instance)
         return None if latest is None else latest.state.ports["out"][TOPIC].gate
 
     async def gate(self, instance: str) -> str | None:

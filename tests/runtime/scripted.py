@@ -38,8 +38,9 @@ from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.change_observer import ChangeObserver
 from midstride.runtime.command_queue import CommandQueue
 from midstride.runtime.handover.fences import DEFAULT_WAIT
+from midstride.runtime.instance_life import ConnectionEvent, LatestState, LifeTable
 from midstride.runtime.manager_clock import Clock
-from midstride.runtime.process.component_client import ComponentClient, LatestState
+from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.process.launcher import Launcher
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.journal import Journal, JournalEntry
@@ -124,6 +125,21 @@ class Sent(NamedTuple):
     command: Command[Any]
 
 
+class ScriptedLife(LifeTable):
+    """A component is in the state that ``states`` has, and never silent, however much virtual time passes."""
+
+    def __init__(self, clock: Clock, states: dict[str, ComponentState]) -> None:
+        super().__init__(clock)
+        self.states = states
+
+    def latest(self, name: str) -> LatestState | None:
+        state = self.states.get(name)
+        return None if state is None else LatestState(state, 0.0)
+
+    def responsive(self, name: str) -> ComponentState | None:
+        return self.states.get(name)
+
+
 class ScriptedClient(ComponentClient):
     """Records each command, and replies as the test says: a value, an exception, or a function of the command.
 
@@ -138,7 +154,7 @@ class ScriptedClient(ComponentClient):
         self.present: dict[str, tuple[Greeting, Registration]] = {}
         self.disconnected: list[str] = []
         self.accepted: list[str] = []
-        self.lost: set[str] = set()  # the connections that their components have ended
+        self.life = ScriptedLife(clock, self.states)
         self._replies: dict[tuple[str, type[Command[Any]]], list[Any]] = {}
         self._registered: dict[str, asyncio.Event] = {}
 
@@ -153,6 +169,10 @@ class ScriptedClient(ComponentClient):
         self.states[state.instance] = state
         for listener in self.listeners:
             listener(state)
+
+    def lose(self, instance: str) -> None:
+        """The component has ended its connection, and does not listen any more."""
+        self.life.record(instance, ConnectionEvent.REFUSED)
 
     def register(self, instance: Instance, *, token: str = TOKEN, **options: Any) -> None:
         """The component of ``instance`` is up, and has said what it is."""
@@ -233,18 +253,9 @@ class ScriptedClient(ComponentClient):
         await self._event(instance).wait()
         return self.present[instance]
 
-    def latest(self, instance: str) -> LatestState | None:
-        state = self.states.get(instance)
-        return None if state is None else LatestState(state, 0.0)
-
-    def responsive(self, instance: str) -> ComponentState | None:
-        return self.states.get(instance)
-
-    def is_lost(self, instance: str) -> bool:
-        return instance in self.lost
-
     def disconnect(self, instance: str) -> None:
         self.disconnected.append(instance)
+        self.life.record(instance, ConnectionEvent.DISCONNECTED)
         self.states.pop(instance, None)
         self.present.pop(instance, None)
         self._registered.pop(instance, None)
@@ -365,7 +376,7 @@ class Bench:
         self.backend = ScriptedBackend(self.clock, self.client)
         self.events = EventLog()
         self.launcher = Launcher(self.backend, self.client, self.path)
-        self.system = RunningSystem(self.specification, self.configuration)
+        self.system = RunningSystem(self.specification, self.configuration, self.client.life)
         self.store = StateStore(self.path / "state.db")
         self.store.begin(self.backend.name, TOKEN, self.specification)
         self.journal = Journal(self.path / "journal.db", self.backend.name)
@@ -415,9 +426,11 @@ class Bench:
             live = instance.name in self.configuration.instances
             self.client.report(reported(instance, self.configuration if live else None))
             self.client.register(instance)
-            if instance.component.run is not None:
+            by_hand = instance.component.run is None
+            self.client.life.adopted(instance.name, None if by_hand else Handle(instance.name, 7, 1.0))
+            self.client.life.record(instance.name, ConnectionEvent.OPENED)
+            if not by_hand:
                 self.backend.running.add(instance.name)
-                self.launcher.handles[instance.name] = Handle(instance.name, 7, 1.0)
 
     def startable(self, *instances: Instance) -> None:
         """These register as soon as they are started."""
@@ -425,7 +438,7 @@ class Bench:
 
     def crash(self, name: str) -> None:
         """The process of an instance has exited unexpectedly; the model still has it."""
-        self.system.crashed[name] = Exited(name, -9)
+        self.system.life.exited(Exited(name, -9))
 
     def words(self, kind: str | None = None) -> list[str]:
         """What the events say, of that kind where given."""
@@ -451,7 +464,7 @@ class ReconcilingBench(Bench):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.commands = CommandQueue(self.clock, self.events)
-        self.monitor = SilenceMonitor(self.client, self.clock, self.events, self.launcher.ending, self.system.crashed)
+        self.monitor = SilenceMonitor(self.client.life, self.clock, self.events)
         self.reconciler = Reconciler(
             self.system,
             self.client,
@@ -463,7 +476,7 @@ class ReconcilingBench(Bench):
         )
         self.client.listeners.append(self.reconciler.on_component_event)
         for live in self.configuration.instances.values():
-            self.store.write_instance(live, self.launcher.handles.get(live.name))
+            self.store.write_instance(live, self.client.life[live.name].handle)
 
     @property
     def busy(self) -> bool:

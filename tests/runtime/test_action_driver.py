@@ -24,7 +24,6 @@ from midstride.model.action import (
 )
 from midstride.model.component import Connector
 from midstride.model.configuration import Configuration, SystemContext, configure
-from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.mode_changes import DRAIN_TIMEOUT, HELD_LONGER, lower_modes
 from midstride.runtime.change_observer import ChangeObserver
 from midstride.runtime.handover.fences import DEFAULT_WAIT
@@ -131,7 +130,7 @@ def test_a_port_does_not_wait_for_the_other_side_where_its_process_has_exited(tm
 
     async def body(b: Bench) -> None:
         b.crash("second")
-        b.client.lost.add("third")
+        b.client.lose("third")
         await perform(b, Attach(IN, "/chatter"))
         [attach] = b.client.of(AttachCommand)
         assert attach.peers == 1
@@ -218,7 +217,7 @@ def test_nothing_is_taken_from_a_process_that_has_ended(action: Action, tmp_path
 @pytest.mark.parametrize("action", [Detach(OUT, "/chatter"), Degrade(Map({work("talker"): 1}))])
 def test_the_end_of_its_connection_is_known_before_the_end_of_a_process(action: Action, tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        b.client.lost.add("talker")
+        b.client.lose("talker")
         await perform(b, action)
         assert await lower_modes({work("talker"): 1}, "", b.client, b.system, b.events) == {}
         assert b.client.sent == []
@@ -410,6 +409,7 @@ def test_a_state_that_is_refused_fails_the_step_but_not_a_roll_back(tmp_path: Pa
         await perform(b, Remove("talker"))
         with pytest.raises(CommandRefused):
             await perform(b, Create(NEW))
+        await b.launcher.abandon("talker_2")
         b.driver.rolling_back = True
         await perform(b, Create(NEW))
         assert b.words("note") == [f"talker_2 did not restore its state: {REFUSED}"]
@@ -672,7 +672,7 @@ def test_a_replacement_answers_requests_although_the_old_one_cannot_say_which_it
     async def body(b: Bench) -> None:
         standing_by(b, "listener_2")
         if how == "it has crashed":
-            b.system.crashed["listener"] = Exited("listener", -9)
+            b.crash("listener")
         else:
             b.client.reply("listener_2", AnswerCommand, REFUSED)
         await perform(b, Remove("listener"))

@@ -360,14 +360,14 @@ def test_a_role_that_is_filled_again_is_missing_no_longer(tmp_path: Path) -> Non
         s.busy = False
         s.exits(Exited("talker", -9))
         await asyncio.sleep(0.1)
-        assert list(s.system.missing) == ["talker"]
+        assert list(s.system.life.missing) == ["talker"]
         s.busy = True
         for instance in (TALKER.instance("talker"), TALKER.instance("talker", "talker_2")):
             s.startable(instance)
         outcome = await s.session.change(PlanRequest(to=TALKER))
         assert outcome.outcome == "done", outcome.because
         assert outcome.unexpected_exits == [], "that was before"
-        assert s.system.missing == {}
+        assert s.system.life.missing == {}
 
     session(tmp_path, body)
 

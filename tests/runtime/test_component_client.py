@@ -11,10 +11,9 @@ import pytest
 from midstride.backends.simulator.virtual_clock import SimulatedClock
 from midstride.backends.simulator.virtual_loop import run
 from midstride.errors import CallTimeout, CommandRefused, ProtocolError, RevisionChanged, Superseded, Unreachable
+from midstride.runtime.instance_life import ANSWER_TIMEOUT, SILENCE
 from midstride.runtime.process.component_client import (
-    ANSWER_TIMEOUT,
     REOPEN_INTERVAL,
-    SILENCE,
     UNDO_ATTEMPTS,
     ComponentClient,
     ComponentEvent,
@@ -207,7 +206,7 @@ def test_a_reported_state_that_is_accepted_is_the_one_expected() -> None:
         await c.client.observe("talker")
         c.component.move()
         await settled()
-        assert c.client.latest("talker") is not None
+        assert c.client.life.latest("talker") is not None
         c.client.accept("talker")
         await c.client.change("talker", GATE)
         assert c.component.names() == ["observe", "gate"]
@@ -328,13 +327,13 @@ def test_undoing_gives_up_silently() -> None:
 
 def test_states_are_kept_as_they_come() -> None:
     async def body(c: Control) -> None:
-        assert c.client.latest("talker") is None
+        assert c.client.life.latest("talker") is None
         greeting = await c.client.connect("talker")
         assert (greeting.instance, greeting.uuid) == ("talker", "first")
         c.component.move()
         c.component.move()
         await settled()
-        latest = c.client.latest("talker")
+        latest = c.client.life.latest("talker")
         assert latest is not None and latest.state == c.component.state() and c.events[-1] == latest.state
 
     play(body)
@@ -345,18 +344,18 @@ def test_a_component_that_reports_nothing_for_some_time_is_silent() -> None:
         await c.client.connect("talker")
         c.component.move()
         await settled()
-        state = c.client.responsive("talker")
+        state = c.client.life.responsive("talker")
         assert state == c.component.state()
-        latest = c.client.latest("talker")
+        latest = c.client.life.latest("talker")
         assert latest is not None
         await asyncio.sleep(latest.at + SILENCE - c.clock.steady())
-        assert c.client.responsive("talker") == state
+        assert c.client.life.responsive("talker") == state
         await asyncio.sleep(0.001)
-        assert c.client.responsive("talker") is None
-        assert c.client.latest("talker") == latest, "it is known what it said last"
+        assert c.client.life.responsive("talker") is None
+        assert c.client.life.latest("talker") == latest, "it is known what it said last"
         c.component.move()
         await settled()
-        assert c.client.responsive("talker") == c.component.state()
+        assert c.client.life.responsive("talker") == c.component.state()
 
     play(body)
 
@@ -366,11 +365,11 @@ def test_the_end_of_a_component_is_reported_once() -> None:
         await c.client.observe("talker")
         c.component.move()
         await settled()
-        assert not c.client.is_lost("talker")
+        assert not c.client.life.is_gone("talker")
         await c.stop()
-        assert c.client.is_lost("talker")
+        assert c.client.life.is_gone("talker")
         assert c.events == [c.component.state(), Disconnected("talker")]
-        assert c.client.latest("talker") is None and c.client.responsive("talker") is None
+        assert c.client.life.latest("talker") is None and c.client.life.responsive("talker") is None
 
     play(body)
 
@@ -386,9 +385,11 @@ def test_a_connection_that_a_protocol_error_has_closed_is_reopened_at_once() -> 
             await asyncio.sleep(REOPEN_INTERVAL)  # the next attempt is not made before
             c.component.move()
             await settled()
-            assert c.client.responsive("talker") == c.component.state(), "it reports again, and no command was sent"
+            assert c.client.life.responsive("talker") == c.component.state(), (
+                "it reports again, and no command was sent"
+            )
             assert c.clock.steady() - began < REOPEN_INTERVAL + 0.1
-        assert not c.client.is_lost("talker") and not any(isinstance(event, Disconnected) for event in c.events)
+        assert not c.client.life.is_gone("talker") and not any(isinstance(event, Disconnected) for event in c.events)
 
     play(body)
 
@@ -416,12 +417,12 @@ def test_the_end_of_a_forwarded_connection_is_not_that_of_the_component() -> Non
         c.network.opened[-1].other.close()
         await asyncio.sleep(5.5)
         assert c.events == [Disconnected("talker", exited=False)], "it is reported once"
-        assert not c.client.is_lost("talker") and c.client.responsive("talker") is None
+        assert not c.client.life.is_gone("talker") and c.client.life.responsive("talker") is None
         c.network.listeners["talker"] = listening
         await asyncio.sleep(REOPEN_INTERVAL)
         c.component.move()
         await settled()
-        assert c.client.responsive("talker") == c.component.state()
+        assert c.client.life.responsive("talker") == c.component.state()
 
     play(body)
 
@@ -432,14 +433,14 @@ def test_a_component_that_accepts_no_connection_has_not_exited() -> None:
         c.network.overloaded = True
         c.network.opened[-1].other.close()
         await asyncio.sleep(5.5)
-        assert c.events == [Disconnected("talker", exited=False)] and not c.client.is_lost("talker")
+        assert c.events == [Disconnected("talker", exited=False)] and not c.client.life.is_gone("talker")
         with pytest.raises(CallTimeout, match=r"talker cannot be reached for `grid`: .* accepts no connection"):
             await c.client.read("talker", GRID)
         c.network.overloaded = False
         await asyncio.sleep(REOPEN_INTERVAL)
         c.component.move()
         await settled()
-        assert c.client.responsive("talker") == c.component.state()
+        assert c.client.life.responsive("talker") == c.component.state()
 
     play(body)
 
@@ -452,7 +453,7 @@ def test_another_component_that_took_the_name_shows_that_the_first_has_exited(su
         await c.component.server.close(0.0)
         await c.start(successor)
         await settled()
-        assert c.client.is_lost("talker") and c.events == [Disconnected("talker", exited=True)]
+        assert c.client.life.is_gone("talker") and c.events == [Disconnected("talker", exited=True)]
 
     play(body)
 
@@ -477,7 +478,7 @@ def test_what_the_manager_disconnects_is_no_news() -> None:
         c.client.disconnect("talker")
         c.client.disconnect("talker")
         await c.stop()
-        assert c.events == [] and not c.client.is_lost("talker")
+        assert c.events == [] and not c.client.life.is_gone("talker")
 
     play(body)
 
@@ -526,10 +527,10 @@ def test_a_component_that_comes_back_under_its_name_is_another_one() -> None:
         await c.stop()
         again = Component("second")
         await c.start(again)
-        assert c.client.latest("talker") is None
+        assert c.client.life.latest("talker") is None
         await c.client.change("talker", GATE)
         assert again.names() == ["observe", "gate"], "its revisions are its own"
-        assert not c.client.is_lost("talker")
+        assert not c.client.life.is_gone("talker")
         assert (await c.client.peek("talker")).uuid == "second"
 
     play(body)

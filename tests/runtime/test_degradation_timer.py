@@ -16,7 +16,7 @@ from midstride.plan.change_builder import change_between
 from midstride.plan.disruption import Levels
 from midstride.plan.plan import Plan
 from midstride.plan.strategies.registry import STRATEGIES, planner
-from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.instance_life import LifeTable
 from midstride.runtime.watch.degradation_timer import DegradationTimer
 from tests.plan.cases import replacing
 from tests.runtime.systems import example
@@ -45,7 +45,7 @@ def walked(change: Change, visited: list[tuple[float, Configuration]], end: floa
 def carried_out(plan: Plan, steps: int) -> tuple[dict[str, float], dict[str, float]]:
     """So many steps of ``plan``, and then their roll-back: as the timer has it, and as the walk has it."""
     clock = Clock()
-    timer = DegradationTimer(plan.change, ComponentClient(cast(Any, None), cast(Any, clock), "token"), ())
+    timer = DegradationTimer(plan.change, cast(Any, clock), LifeTable(cast(Any, clock)))
     configuration = plan.change.start
     visited = [(0.0, configuration)]
     done: list[tuple[Action, Configuration]] = []

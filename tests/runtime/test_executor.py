@@ -291,11 +291,12 @@ def test_creations_in_a_row_are_started_at_once(tmp_path: Path) -> None:
     third = instance("third", TALKER)
 
     async def body(b: Bench) -> None:
+        b.client.life.adopted("third", None)
         b.crash("third")
         running = asyncio.ensure_future(b.carry_out([Create(SECOND), Create(third)]))
         await asyncio.sleep(1)
         assert [launch.instance for launch in b.backend.launches] == ["second", "third"]
-        assert b.system.crashed == {}, "another process has the name"
+        assert b.system.life.exits == {}, "another process has the name"
         assert b.system.configuration == talking(), "none of them has registered"
         b.client.register(third)
         b.client.register(SECOND)

@@ -20,8 +20,8 @@ from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.backend_protocol import Handle, Launch
 from midstride.runtime.handover.fences import DEFAULT_WAIT, PATIENCE
+from midstride.runtime.instance_life import STOPPED
 from midstride.runtime.manager import Manager
-from midstride.runtime.process.component_client import STOPPED
 from midstride.runtime.process.launcher import STOP_GRACE
 from midstride.runtime.records.reports import Event, Outcome
 from midstride.runtime.workspace import Workspace

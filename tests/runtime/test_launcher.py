@@ -72,7 +72,7 @@ def test_a_process_is_started_as_its_command_says_and_welcomed(tmp_path: Path) -
         await registering
         [(how, name, welcome)] = [sent for sent in b.client.sent if sent.how == "change"]
         assert (how, name) == ("change", "front/camera") and isinstance(welcome, WelcomeCommand) and welcome.manager
-        assert b.launcher.handles == {"front/camera": Handle("front/camera", 101, 1.0, "/logs/front/camera.log")}
+        assert b.client.life.handles == {"front/camera": Handle("front/camera", 101, 1.0, "/logs/front/camera.log")}
         assert len(b.backend.launches) == 1
 
     bench(NOTHING, tmp_path, body)
@@ -86,7 +86,7 @@ def test_a_component_has_the_time_to_end_that_it_asks_for(stopping: float, grace
         await b.launcher.registered(CAMERA)
         await b.launcher.end("front/camera")
         assert b.backend.ended == [("front/camera", grace)]
-        assert b.client.disconnected == ["front/camera"] and b.launcher.handles == {}
+        assert b.client.disconnected == ["front/camera"] and b.client.life.handles == {}
 
     bench(NOTHING, tmp_path, body)
 
@@ -97,7 +97,7 @@ def test_a_command_that_is_none_is_refused(run: str, words: str, tmp_path: Path)
         for _ in range(2):  # the first try leaves nothing in the way of another
             with pytest.raises(StartFailed, match=words):
                 await b.launcher.start(instance("camera", started(build.source("Camera"), run)))
-        assert b.backend.launches == [] and b.launcher.handles == {}
+        assert b.backend.launches == [] and b.client.life.handles == {}
 
     bench(NOTHING, tmp_path, body)
 
@@ -108,7 +108,7 @@ def test_a_back_end_that_cannot_start_it_can_be_tried_again(error: BaseException
         b.backend.fail_start["front/camera"] = error
         with pytest.raises(type(error)):
             await b.launcher.start(CAMERA)
-        assert b.launcher.handles == {}
+        assert b.client.life.handles == {}
         del b.backend.fail_start["front/camera"]
         b.startable(CAMERA)
         await b.launcher.registered(CAMERA)
@@ -128,7 +128,7 @@ def test_a_component_that_does_not_register_is_ended(started_: Instance, words: 
         with pytest.raises(StartFailed, match=rf"{started_.name} did not register within .* s .*{words}"):
             await b.launcher.registered(started_)
         assert b.clock.steady() == pytest.approx(REGISTRATION_TIMEOUT)
-        assert b.backend.running == set() and b.launcher.handles == {}
+        assert b.backend.running == set() and b.client.life.handles == {}
         assert [name for name, _ in b.backend.ended] == [launch.instance for launch in b.backend.launches]
 
     bench(NOTHING, tmp_path, body)
@@ -171,7 +171,7 @@ def test_one_that_was_started_by_hand_has_no_token(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.client.register(BY_HAND, token="")
         await b.launcher.registered(BY_HAND)
-        assert (b.backend.launches, b.launcher.handles) == ([], {})
+        assert (b.backend.launches, b.client.life.handles) == ([], {})
 
     bench(NOTHING, tmp_path, body)
 
@@ -263,7 +263,7 @@ def test_abandoning_never_fails_and_keeps_what_could_not_be_ended(tmp_path: Path
         await b.launcher.start(CAMERA)
         b.backend.fail_end["front/camera"] = BackendError("the kernel keeps it")
         await b.launcher.abandon("front/camera")
-        assert list(b.launcher.handles) == ["front/camera"]
+        assert list(b.client.life.handles) == ["front/camera"]
         with pytest.raises(BackendError, match="the kernel keeps it"):
             await b.launcher.end("front/camera")
 
@@ -293,13 +293,13 @@ HANDLE = Handle("front/camera", 4711, 12.5)
 def test_a_component_that_still_runs_is_adopted(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         assert await b.launcher.adopt(HANDLE) is None, "its process has ended"
-        assert b.launcher.handles == {}
+        assert b.client.life.handles == {}
         b.backend.running.add("front/camera")
         b.client.register(CAMERA)
         state = reported(CAMERA, stopping=8.0)
         b.client.report(state)
         assert await b.launcher.adopt(HANDLE) == state
-        assert b.launcher.handles == {"front/camera": HANDLE}
+        assert b.client.life.handles == {"front/camera": HANDLE}
         await b.launcher.end("front/camera")
         assert b.backend.ended == [("front/camera", 8.0)]
 
@@ -326,7 +326,7 @@ def test_a_component_of_another_system_is_not_adopted(tmp_path: Path) -> None:
         b.client.register(instance("listener", LISTENER), token="another system's")
         b.client.reply("listener", ObserveCommand, REFUSED)
         assert await b.launcher.adopt(Handle("listener"), owned=False) is None
-        assert b.launcher.handles == {}
+        assert b.client.life.handles == {}
 
     bench(NOTHING, tmp_path, body)
 

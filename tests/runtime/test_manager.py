@@ -155,8 +155,8 @@ def test_a_crash_lowers_what_can_be_reached_and_later_the_others(tmp_path: Path)
     """The source is gone; the sink, which the filter feeds, does not answer. The filter is lowered all the same."""
 
     async def body(manager: Manager, simulator: Simulator) -> None:
-        handles = manager._launcher.handles
-        handles["sink"] = changed(handles["sink"], pid=4711)  # the simulator's have none
+        life = manager.system.life
+        life.adopted("sink", changed(life.handles["sink"], pid=4711))  # the simulator's have none
         simulator.faults.freeze("sink", 60)
         simulator.faults.kill("source")
         await asyncio.sleep(30)

@@ -104,7 +104,8 @@ def kill(manager: Manager) -> None:
     async def dead(*_: object, **__: object) -> NoReturn:
         raise Unreachable("the manager has been killed")
 
-    manager._client._send = manager._launcher.end = manager._launcher.abandon = dead  # type: ignore[method-assign]
+    launcher = manager._launcher
+    manager._client._send = launcher.end = launcher.kill = launcher.abandon = dead  # type: ignore[method-assign]
     manager._launcher.start = dead  # type: ignore[method-assign]
 
 

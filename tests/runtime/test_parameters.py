@@ -214,9 +214,9 @@ def test_a_value_set_as_the_old_one_is_being_ended_is_not_lost(folder: Path) -> 
     async def body(manager: Manager, simulator: Simulator) -> None:
         end = manager._launcher.end
 
-        async def ending(name: str, grace: float | None = None) -> None:
+        async def ending(name: str) -> None:
             await set_by_a_tool(simulator, name, "gain", 1.9)
-            await end(name, grace)
+            await end(name)
 
         manager._launcher.end = ending  # type: ignore[method-assign]
         outcome = await manager.change(RESTART)
@@ -297,13 +297,13 @@ def test_what_is_set_on_the_new_side_before_a_roll_back_returns_to_the_old_one(f
 
         end, failed = manager._launcher.end, False
 
-        async def ending(name: str, grace: float | None = None) -> None:
+        async def ending(name: str) -> None:
             nonlocal failed
             if name == "talker" and not failed:
                 failed = True
                 await set_by_a_tool(simulator, "talker_2", "gain", 3.0)
                 raise BackendError("a fault of the test")
-            await end(name, grace)
+            await end(name)
 
         manager._launcher.end = ending  # type: ignore[method-assign]
         outcome = await manager.change(REPLACE)

@@ -66,9 +66,9 @@ def test_a_crash_takes_the_instance_out_of_the_model_and_lowers_what_relied_on_i
         ]
         [event] = [event for event in r.events.since() if event.kind == "exited"]
         assert (event.words, event.log) == ("talker exited unexpectedly (status -9)", "no device")
-        assert "talker" not in r.launcher.handles and r.client.disconnected == ["talker"]
+        assert "talker" not in r.client.life.handles and r.client.disconnected == ["talker"]
         assert r.saved() == ["listener"]
-        assert {**r.system.missing, **r.system.crashed} == {"talker": TALKER_EXITED}
+        assert {**r.system.life.missing, **r.system.life.exits} == {"talker": TALKER_EXITED}
 
     reconciling(talking(), tmp_path, body)
 
@@ -367,7 +367,7 @@ def test_waiting_for_crashes_includes_those_that_are_being_reconciled(tmp_path: 
         await r.reconciler.reconcile_crashes()
         r.exits(TALKER_EXITED)
         await moment()
-        assert r.system.crashed == {}
+        assert r.system.life.exits == {}
         waiting = asyncio.ensure_future(r.reconciler.reconcile_crashes())
         await moment()
         assert not waiting.done()
@@ -382,11 +382,11 @@ def test_an_error_while_it_works_alone_is_reported_and_the_next_crash_is_handled
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     async def body(r: ReconcilingBench) -> None:
-        lost, r.client.lost = r.client.lost, None  # type: ignore[assignment]
+        is_gone, r.client.life.is_gone = r.client.life.is_gone, None  # type: ignore[method-assign, assignment]
         r.exits(TALKER_EXITED)
         await moment()
         assert "reconciling failed: internal error: TypeError" in r.words("note")[0]
-        r.client.lost = lost
+        r.client.life.is_gone = is_gone  # type: ignore[method-assign]
         r.exits(Exited("listener", 1))
         await moment()
         assert list(r.system.configuration.instances) == []

@@ -40,7 +40,8 @@ def entry(live: Instance) -> SavedInstance:
 
 async def recovered(b: Bench, *saved: Instance) -> Configuration:
     known = saved or tuple(b.configuration.instances[name] for name in sorted(b.configuration.instances))
-    b.launcher.handles.clear()
+    for name in b.client.life.handles:  # this manager does not know yet that another one has started them
+        b.client.life.adopted(name, None)
     entries: Sequence[SavedInstance] = [entry(instance) for instance in known]
     return await recover(entries, SPECIFICATION, b.launcher, b.client, b.events)
 
@@ -49,7 +50,7 @@ def test_what_still_runs_is_in_the_model_as_it_reports_it(tmp_path: Path) -> Non
     async def body(b: Bench) -> None:
         b.client.report(reported(b.configuration.instances["listener"], b.configuration, modes={"work": "degraded"}))
         assert await recovered(b) == RUNNING.with_modes({work("listener"): 1})
-        assert sorted(b.launcher.handles) == ["listener", "talker"]
+        assert sorted(b.client.life.handles) == ["listener", "talker"]
         assert b.words("adopted") == ["listener was reattached unchanged", "talker was reattached unchanged"]
         assert b.client.of(GateCommand) == [] and b.backend.ended == []
 
@@ -203,7 +204,7 @@ def test_a_half_done_instance_that_cannot_be_ended_is_left_out(tmp_path: Path) -
     async def body(b: Bench) -> None:
         b.backend.fail_end["talker_2"] = BackendError("the kernel keeps it")
         assert await recovered(b) == RUNNING
-        assert "talker_2" in b.launcher.handles, "`down` tries again"
+        assert "talker_2" in b.client.life.handles, "`down` tries again"
 
     bench(RUNNING.with_instance(NEW), tmp_path, body)
 
@@ -249,7 +250,7 @@ def test_a_component_that_was_started_by_hand_is_found_again(tmp_path: Path) -> 
     async def body(b: Bench) -> None:
         b.backend.running.add("talker")
         assert await recovered(b) == BY_HAND
-        assert list(b.launcher.handles) == ["listener"], "it is not this manager's to end"
+        assert list(b.client.life.handles) == ["listener"], "it is not this manager's to end"
 
     bench(BY_HAND, tmp_path, body)
 

@@ -23,7 +23,7 @@ class Reports:
 
     def __init__(self, b: Bench) -> None:
         self.b = b
-        self.monitor = SilenceMonitor(b.client, b.clock, b.events, (), ())
+        self.monitor = SilenceMonitor(b.client.life, b.clock, b.events)
         self.counts = {"talker": 0, "listener": 0}
         self.gate: Any = "open"
         self.changed: dict[str, Any] = {}
@@ -224,7 +224,7 @@ def test_of_a_component_that_has_exited_it_is_not_said_that_it_does_not_answer(t
         await r.half_seconds(4)
         del r.b.client.states["listener"]
         assert r.kinds() == [("not_answering", "listener")]
-        r.monitor.crashed = {"listener"}
+        r.b.crash("listener")
         assert r.kinds() == []
 
     reporting(tmp_path, body)

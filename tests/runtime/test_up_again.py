@@ -157,7 +157,7 @@ async def change_until(manager: Manager, op: str) -> None:
     change = asyncio.ensure_future(manager.change(replace("talker", "NewTalker")))
     await asyncio.wait({change, asyncio.ensure_future(reached.wait())}, return_when=asyncio.FIRST_COMPLETED)
     assert reached.is_set(), op
-    launcher.end = launcher.abandon = dead  # type: ignore[method-assign]
+    launcher.end = launcher.kill = launcher.abandon = dead  # type: ignore[method-assign]
     for name in ("write_instance", "remove_instance"):
         plant(pytest.MonkeyPatch(), manager._store, name, lambda *_, **__: None)
     with suppress(MidstrideError):
@@ -183,7 +183,7 @@ def test_a_component_that_hangs_is_named_with_what_to_do_and_nothing_is_changed(
     async def main() -> None:
         first = Manager(example("filter"), simulator, Workspace(tmp_path), EXAMPLES / "filter")
         await first.up()
-        for name, handle in first._launcher.handles.items():  # the simulator's have no process number
+        for name, handle in first.system.life.handles.items():  # the simulator's have no process number
             first._store.write_instance(first.configuration.instances[name], changed(handle, pid=4711))
         await first.close()
         simulator.faults.kill("source")

@@ -20,8 +20,8 @@ from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
 from midstride.runtime.change import runtime_verification
 from midstride.runtime.change.runtime_verification import Verifier
+from midstride.runtime.instance_life import SILENCE
 from midstride.runtime.manager import Manager
-from midstride.runtime.process.component_client import SILENCE
 from midstride.runtime.records.reports import Event, LiveConfiguration, Outcome
 from midstride.verify.checking import AlloyOptions
 from midstride.verify.verdict import Answer, Finding, Verdict

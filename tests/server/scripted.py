@@ -27,10 +27,11 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 def watched_system(specification: Specification, events: EventLog) -> WatchedSystem:
     """What the manager of a system knows before any of its components has reported."""
-    system, clock = RunningSystem(specification, initial(specification)), SystemClock()
+    clock = SystemClock()
     client = ComponentClient(cast(Any, None), clock, "token")
-    nothing = SimpleNamespace(handles={}, ending=(), status=lambda _: None)
-    monitor = SilenceMonitor(client, clock, events, (), ())
+    system = RunningSystem(specification, initial(specification), client.life)
+    nothing = SimpleNamespace(status=lambda _: None)
+    monitor = SilenceMonitor(client.life, clock, events)
     parts = cast(Any, nothing)
     return WatchedSystem(system, client, monitor, parts, parts, parts, events, clock, CommandQueue(clock, events))
 

@@ -74,7 +74,6 @@ class Manager:
     ) -> None:
         """``file`` is the one that ``specification`` was read from, and ``directory`` where programs are started."""
         named = None if file is None else str(file)
-        self.system = system = RunningSystem(specification, Configuration(context=specification.context), named)
         self._backend, self._workspace, self._options, self._spares = backend, workspace, options, options.spares
         # What the parts have in common: records, commands, and the way to components.
         clock, self.events = backend.clock, (events := EventLog())
@@ -84,13 +83,13 @@ class Manager:
         self._client = client = ComponentClient(
             backend.transport, clock, secrets.token_hex(16), lambda: journal.superseded or store.superseded
         )
+        nothing = Configuration(context=specification.context)
+        self.system = system = RunningSystem(specification, nothing, client.life, named)
         self._launcher = launcher = Launcher(backend, client, directory, options)
         # What is known of components.
         self._programs = Programs(client, directory)
         self._watch = DiscoveryWatch(backend, client, events, system, commands)
-        self._monitor = monitor = SilenceMonitor(
-            client, clock, events, launcher.ending, system.crashed, self._watch.stopped
-        )
+        self._monitor = monitor = SilenceMonitor(client.life, clock, events, self._watch.stopped)
         # What changes the system, each part by the one before it.
         self._reconciler = reconciler = Reconciler(system, client, monitor, launcher, events, store, commands)
         self._session = session = ChangeSession(
@@ -167,14 +166,14 @@ class Manager:
                 if saved is None or not await bring_up.finish(absent, interrupted):
                     missing = await bring_up.restore_missing(absent, is_new=saved is None)
             except BaseException:
-                if saved is None and not self._launcher.handles:
+                if saved is None and not self.system.life.handles:
                     self._store.forget()
                 raise
             for change in interrupted:
                 await self._journal.settle(change, None if saved is None else self.specification)
             many = counted(len(self.configuration.instances), "component")
             intended = initial(self.specification)
-            lowered = lowered_functionalities(self.system, self._client, Configuration(), intended)
+            lowered = lowered_functionalities(self.system, Configuration(), intended)
             degraded = f"; degraded: {in_words(lowered)}" if lowered else ""
             without = f" without {', '.join(missing)}" if missing else ""
             self.events.add("up", f"{self.specification.name} is up{without}: {many}{degraded}")
@@ -214,7 +213,7 @@ class Manager:
         self._respawner.stop()  # also a restart in progress: it is rolled back
         async with self._reconciler.command("down"):
             self._spares = 0
-            names = sorted({*self._launcher.handles, *self.configuration.instances})
+            names = sorted({*self.system.life.handles, *self.configuration.instances})
             ended = await asyncio.gather(*(self._end(name) for name in names))
             if faults := [fault for fault in ended if fault is not None]:
                 raise ManagerError("; ".join(faults))
@@ -223,7 +222,7 @@ class Manager:
             self.events.add("down", f"{self.specification.name} is down")
 
     async def _end(self, name: str) -> str | None:
-        if name not in self._launcher.handles:
+        if self.system.life[name].handle is None:
             try:
                 await self._launcher.release(name)
                 result = "it is released, and left running"
@@ -261,7 +260,7 @@ class Manager:
 
     async def live(self) -> LiveConfiguration:
         """The configuration as its components report it; ``silent`` are those that have reported nothing lately."""
-        found, silent = observe(self.configuration, self._client, self.system.crashed)
+        found, silent = observe(self.configuration, self.system.life)
         return LiveConfiguration(revision=self.revision, silent=silent, configuration=ConfigurationForm.of(found))
 
     async def peek(self, instance: str) -> ComponentState:

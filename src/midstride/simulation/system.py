@@ -14,6 +14,7 @@ from midstride.model.specification import Specification
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Event
 from midstride.runtime.records.state_store import SavedState, StateStore
+from midstride.runtime.transitions import POLICY, reject
 from midstride.runtime.workspace import Workspace
 from midstride.simulation.invariants import Invariants
 from midstride.simulation.killable_manager import Life
@@ -45,6 +46,7 @@ class System:
         self.platform.network.on_publish = self.invariants.on_publish
         self.loop.observer = self.invariants
         self.disk = SimulatedDisk()
+        self._policy, POLICY.on_forbidden = POLICY.on_forbidden, self._reject
         self.lives: list[Life] = []
         self.manager: Manager | None = None
         self.on_event: Callable[[Life, Event], None] = lambda life, event: None
@@ -100,6 +102,12 @@ class System:
             finally:
                 self.loop.end()
         gc.enable()
+        POLICY.on_forbidden = self._policy
+
+    def _reject(self, words: str) -> None:
+        """A violation, even where what is raised is caught."""
+        self.invariants.violated(words)
+        reject(words)
 
     def _on_change(self, process: StandIn) -> None:
         self.invariants.on_change(process)

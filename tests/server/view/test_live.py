@@ -15,7 +15,6 @@ from msgspec import structs
 
 from midstride.errors import MidstrideError
 from midstride.plan.request import PlanRequest
-from midstride.runtime.process.component_client import LatestState
 from midstride.server.view import timing
 from midstride.server.view.live import LiveView
 from midstride.server.view.timing import LOOK, SOON, TOGETHER
@@ -163,11 +162,13 @@ def test_a_mode_is_sent_at_once_and_values_of_parameters_seldom(
     monkeypatch.setattr(timing, "REFRESHED", refreshed)
 
     async def body(v: Viewed) -> None:
-        client, reader = v.manager.watched.client, Reader(v.live)
+        life, reader = v.manager.watched.system.life, Reader(v.live)
 
         def report(**changes: Any) -> None:
-            state = structs.replace(client._latest["talker"].state, **changes)
-            client._latest["talker"] = LatestState(state, client.clock.steady())
+            latest = life.latest("talker")
+            assert latest is not None
+            state = structs.replace(latest.state, **changes)
+            life.reported(state)
             v.manager.watched.on_report(state)
 
         def shown() -> Any:
@@ -183,7 +184,9 @@ def test_a_mode_is_sent_at_once_and_values_of_parameters_seldom(
             values = [value["value"] for each in patches if "talker" in each for value in each["talker"]["parameters"]]
             assert fewest <= len(values) <= len(patches) <= most and values[-1] >= 80
             await asyncio.sleep(2 * SOON)  # nothing has been sent just before
-            (name, known), *_ = client._latest["talker"].state.functionalities.items()
+            latest = life.latest("talker")
+            assert latest is not None
+            (name, known), *_ = latest.state.functionalities.items()
             report(functionalities={name: structs.replace(known, mode="other", since=0.0)})
             await asyncio.sleep(2 * TOGETHER)
             assert shown()["functionalities"][0]["mode"] == "other"

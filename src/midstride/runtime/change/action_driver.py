@@ -83,8 +83,9 @@ class ActionDriver:
 
     def __post_init__(self) -> None:
         change = self.change.plan.change
-        self.fences = Fences(self.client, self.launcher, self.system, self.events, self.change.patience)
-        self.modes = ModeChanges(self.client, self.system, self.fences, self._is_gone)
+        self.system.life.begin_change()
+        self.fences = Fences(self.client, self.launcher, self.events, self.change.patience)
+        self.modes = ModeChanges(self.client, self.system)
         self._moves = StateMoves(self.client, self._move_state, self._keeps_own_state, without_outputs(change))
         self._keeping = {name for name in change.replaced if keeps_state(self.client, name)}
         predecessors = {new: old for old, new in change.replaced.items()}
@@ -105,7 +106,7 @@ class ActionDriver:
         if any(self.fences.hangs_already(name) for name in action.instances()):
             await self._fence_leaving(action, self.fences.now())
         try:
-            gone = {name for name in self.configuration.instances if self._is_gone(name)} | {*self.fences.fenced}
+            gone = {*filter(self.system.life.is_gone_or_fenced, self.configuration.instances)}
             await self._moves.before(action, self.configuration.instances, gone)
             try:
                 await self._perform(action, because, budget, turn)
@@ -144,7 +145,7 @@ class ActionDriver:
         found = []
         expected = action.modes if isinstance(action, Degrade) else {}
         for name in sorted(action.instances()):
-            if self.client.responsive(name) is None:
+            if self.system.life.responsive(name) is None:
                 continue
             try:
                 state = await self.client.peek(name)
@@ -194,7 +195,7 @@ class ActionDriver:
                 await self._set_parameters(instance, dict(parameters))
             # The others need no command where a process has exited, or where a port keeps its endpoint because it is
             # attached to another connector of the same topic.
-            case Remove(instance) if instance not in self.system.crashed:
+            case Remove(instance) if not self.system.life.has_exited(instance):
                 await self._change_answering(instance, runs=True)
                 await self._remove(action, budget)
                 await self._change_answering(instance, runs=False)  # if it did not respond
@@ -203,9 +204,7 @@ class ActionDriver:
             case Attach(port, connector) if not self._has_endpoint(port, connector):
                 await self._attach(action)
             case Detach(port, connector) if not (
-                self._is_gone(port.instance)
-                or port.instance in self.fences.fenced
-                or self._has_endpoint(port, connector)
+                self.system.life.is_gone_or_fenced(port.instance) or self._has_endpoint(port, connector)
             ):
                 await self._detach(action, budget)
 
@@ -235,10 +234,6 @@ class ActionDriver:
             self.own_state[new] = own_state(old, new, because)
             self.events.add("note", f"{new} keeps its own state: {because}")
 
-    def _is_gone(self, instance: str) -> bool:
-        """Whether its process has exited, or is about to: the end of its connection is known first."""
-        return instance in self.system.crashed or self.client.is_lost(instance)
-
     def _has_endpoint(self, port: PortRef, connector: str) -> bool:
         """Whether ``port`` is attached to another connector of the same topic, as while a topic's contract changes.
 
@@ -267,7 +262,7 @@ class ActionDriver:
             except MidstrideError as error:
                 if not fenced:
                     raise
-                self.client.disconnect(action.instance)
+                self.launcher.leave(action.instance)
                 self.events.add("note", f"{action.instance} could not be released: {error}; end its process")
             self.events.add("note", f"{action.instance} was started elsewhere: it is released, and left running")
         else:
@@ -278,7 +273,7 @@ class ActionDriver:
         """If another instance has the role of one that leaves, have it answer requests from now on."""
         role = self.configuration.instances[leaving].role
         for other in self.configuration.instances_of(role):
-            if other.name != leaving and not self._is_gone(other.name):
+            if other.name != leaving and not self.system.life.is_gone(other.name):
                 try:
                     await have_answer(self.client, other.name, instead_of=leaving if runs else None)
                 except MidstrideError as error:
@@ -296,7 +291,7 @@ class ActionDriver:
         port, topic, configuration = action.port, self.configuration.topic(action.connector), self.configuration
         output = configuration.is_output(port)
         others = (configuration.subscribers_on if output else configuration.publishers_on)(action.connector)
-        peers = sum(not self._is_gone(other.instance) for other in others)
+        peers = sum(not self.system.life.is_gone(other.instance) for other in others)
         attach = commands.AttachCommand(
             port=port.port, topic=topic, peers=peers, timeout=ATTACH_TIMEOUT, settle=False, **self._relied_on(port)
         )
@@ -363,7 +358,7 @@ class ActionDriver:
             self.configuration,
             swaps,
             lingering_readers,
-            self._is_gone,
+            self.system.life.is_gone,
             states,
             self.fences,
             self._carry_parameters,

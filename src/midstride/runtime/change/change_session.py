@@ -194,11 +194,11 @@ class ChangeSession:
         recording = Recording(self.client, self.clock, hurried, self._measured_until)
         transfer = ParameterTransfer(self.client, system.values, plan.change, plan.parameters, keep)
         change = RunningChange(
-            plan, target, preview, entry, recording, transfer, wait, system.configuration, {**system.missing}, verdict
+            plan, target, preview, entry, recording, transfer, wait, system.configuration, system.life.missing, verdict
         )
         if verdict is not UNSET:
             seen = tuple(plan.configurations())
-            change.observers.append(StepVerifier(self.verifier, seen, self.client, system.crashed, self.events))
+            change.observers.append(StepVerifier(self.verifier, seen, system.life, self.events))
         return change
 
     async def carry_out(self, change: RunningChange) -> Outcome:
@@ -235,7 +235,7 @@ class ChangeSession:
         recorder = ModeRecorder(self.system.configuration, created, time.time)
         now, steady = time.time(), self.clock.steady()
         for name in self.system.configuration.instances:
-            if (latest := self.client.latest(name)) is not None:
+            if (latest := self.system.life.latest(name)) is not None:
                 recorder.reported(latest.state, now - (steady - latest.at))
         return recorder
 
@@ -253,7 +253,7 @@ class ChangeSession:
         driver = ActionDriver(self.client, self.launcher, self.backend, system, self.events, change)
         taken = await self._take_steps(driver)
         fenced = driver.fences.fenced
-        exited = {name for name in system.crashed if name in change.before.instances and name not in fenced}
+        exited = {name for name in system.life.exits if name in change.before.instances and name not in fenced}
         await self.reconciler.reconcile_crashes()  # before measuring: dependent functionalities must not wait for it
         await change.entry.end(taken.outcome, taken.because, taken.seconds)
         swaps = await self._measure(driver, taken)
@@ -263,11 +263,12 @@ class ChangeSession:
         if swaps:
             self.events.add("measured", f"measured at {counted(len(swaps), 'subscriber')}", swaps=swaps)
         planned = plan.change.settled(plan.change.final) if taken.outcome == "done" else change.before
-        lowered = lowered_functionalities(system, self.client, change.before, planned)
+        lowered = lowered_functionalities(system, change.before, planned)
         said = f"{taken.outcome}: {taken.because}" if taken.because else taken.outcome
         words = f"{said}; afterwards {in_words(lowered)}" if lowered else said
         self.events.add("outcome", words, outcome=taken.outcome)
-        missing = {name for name, event in system.missing.items() if change.missing_before.get(name) is not event}
+        before = change.missing_before
+        missing = {name for name, event in system.life.missing.items() if before.get(name) is not event}
         return Outcome(
             outcome=taken.outcome,
             plan=PlanForm.of(plan, change.preview),
@@ -298,7 +299,7 @@ class ChangeSession:
         system, change, plan = self.system, driver.change, driver.change.plan
         started = self.clock.steady()
         system.configuration = plan.change.start
-        timer = DegradationTimer(plan.change, self.client, system.crashed)
+        timer = DegradationTimer(plan.change, self.clock, system.life)
         response = CrashResponse(change, self.reconciler)
         change.observers += [timer, response]
         executor = Executor(driver, self.store)
@@ -317,7 +318,7 @@ class ChangeSession:
                 system.forget_filled_roles()
             except StepFailed as error:
                 outcome, because = cast("OutcomeKind", error.outcome), str(error)
-                system.missing = {**change.missing_before, **system.missing}  # those that it has tried to restore
+                system.life.miss_again(change.missing_before, system.configuration.instances)
                 system.forget_filled_roles()
                 if outcome == "rolled_back":
                     system.configuration = change.before

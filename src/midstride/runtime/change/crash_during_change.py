@@ -16,6 +16,7 @@ from midstride.runtime.change.mode_changes import lower_modes
 from midstride.runtime.change.reconciler import Reconciler, respond
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.change_observer import ChangeObserver
+from midstride.runtime.instance_life import why_exited
 
 
 @dataclass(slots=True)
@@ -41,7 +42,7 @@ class CrashResponse(ChangeObserver):
 
     async def performed(self, action: Action) -> None:
         """An action of the change has been performed, or undone: it may have raised what a crash had lowered."""
-        if not self.reconciler.system.crashed:
+        if not self.reconciler.system.life.exits:
             return
         for ref in getattr(action, "modes", ()):
             self._lowered.pop(ref, None)
@@ -56,14 +57,14 @@ class CrashResponse(ChangeObserver):
             if isinstance(action, (Create, Remove, Handover))
             for name in action.instances()
         }
-        gone = [name for name in system.crashed if name in configuration.instances and name not in own]
+        gone = [name for name in system.life.exits if name in configuration.instances and name not in own]
         _, needed = respond(configuration, gone, {})
         wanted = {ref: index for ref, index in needed.items() if ref.instance not in own}
         live = (ref for ref in self._lowered if ref not in wanted and ref in configuration.modes)
         # A step has given these other support.
         changes = {ref: configuration.modes[ref] for ref in live}
         changes |= {ref: index for ref, index in wanted.items() if self._lowered.get(ref) != index}
-        because = "; ".join(f"{each} exited unexpectedly" for each in gone)
+        because = "; ".join(map(why_exited, gone))
         await lower_modes(changes, because, reconciler.client, system, reconciler.events)
         self._lowered = wanted
         reconciler.pending |= dict.fromkeys(wanted)

@@ -46,8 +46,7 @@ class EarlyStarts:
         instance, system = action.instance, self.driver.system
         if instance.name in system.configuration.instances or not await self.driver.start(instance):
             return False
-        system.started(instance.name)
-        self.store.write_instance(instance, self.driver.launcher.handles.get(instance.name))
+        self.store.write_instance(instance, system.life[instance.name].handle)
         return True
 
     async def _start_ahead(self, action: Create) -> None:

@@ -19,7 +19,6 @@ from midstride.model.action import Action, Create, Handover, Remove, SetParamete
 from midstride.model.configuration import Configuration
 from midstride.model.wording import counted
 from midstride.plan.overlap import Overlap, one_by_one
-from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.cancellation import run_to_completion
 from midstride.runtime.change.action_driver import ActionDriver
 from midstride.runtime.change.early_starts import EarlyStarts, StartFailedEarly
@@ -261,7 +260,7 @@ class Executor:
             case Remove(instance):
                 self.store.remove_instance(instance)
             case SetParameters(instance):
-                self.store.write_instance(after.instances[instance], self.driver.launcher.handles.get(instance))
+                self.store.write_instance(after.instances[instance], self.system.life[instance].handle)
         return before
 
     async def _roll_back(self, done: DoneActions) -> list[str]:
@@ -275,7 +274,7 @@ class Executor:
         self.driver.events.add("rollback", f"rolling back {counted(len(done), 'step')}", total=len(done))
         self.driver.rolling_back = True
         created = {action.instance.name for action, _ in done if isinstance(action, Create)}
-        await self._kill(name for name in sorted(created) if self.driver.client.responsive(name) is None)
+        await self._kill(name for name in sorted(created) if self.system.life.responsive(name) is None)
         problems = list(self.driver.fences.problems())
         kept = self._taken_over(done)
         undoing = (
@@ -324,14 +323,13 @@ class Executor:
         """Kill the processes of ``instances``, which then count as crashed; whether there was one."""
         killed = False
         for name in instances:
-            if name in self.system.crashed or name not in self.driver.launcher.handles:
+            if self.system.life.has_exited(name) or self.system.life[name].handle is None:
                 continue
             try:
-                await self.driver.launcher.end(name, grace=0.0)
+                await self.driver.launcher.kill(name)
             except BackendError as error:
                 self.driver.events.add("note", f"{name} could not be killed: {error}")
                 continue
-            self.system.crashed[name] = Exited(name, None)
             self.driver.events.add("note", f"{name} was created by this change and does not answer: it was killed")
             killed = True
         return killed

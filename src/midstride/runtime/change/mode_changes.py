@@ -6,7 +6,7 @@ One whose user code does not return in time refuses, and the others go back to t
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -16,7 +16,7 @@ from midstride.errors import CommandRefused, MidstrideError, RevisionChanged
 from midstride.model.action import Degrade, Upgrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
-from midstride.runtime.handover.fences import Fences, StepBudget
+from midstride.runtime.handover.fences import StepBudget
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.reports import ModeSkew
@@ -33,12 +33,10 @@ HELD_LONGER: Final = 2.0
 
 @dataclass(slots=True)
 class ModeChanges:
-    """Those of one change. ``is_gone(instance)``: whether its process has exited."""
+    """Those of one change."""
 
     client: ComponentClient
     system: RunningSystem
-    fences: Fences
-    is_gone: Callable[[str], bool]
     # How far apart the functionalities of several instances changed their modes that were to do so at once.
     skews: list[ModeSkew] = field(default_factory=list)
 
@@ -50,7 +48,7 @@ class ModeChanges:
         """The functionalities of all instances at once; those of several are held between two calls before that."""
         groups = _by_instance(action.modes)
         if isinstance(action, Degrade):
-            gone = [name for name in groups if self.is_gone(name) or name in self.fences.fenced]
+            gone = [*filter(self.system.life.is_gone_or_fenced, groups)]
             groups = {name: modes for name, modes in groups.items() if name not in gone}
         if len(groups) > 1:
             await self._hold(groups, budget)
@@ -125,7 +123,7 @@ async def lower_modes(
         words = Degrade(Map(group)).describe(system.configuration)
         command = _command(system.configuration, group, because, DRAIN_TIMEOUT)
         try:
-            if name not in system.crashed and not client.is_lost(name):
+            if not system.life.is_gone(name):
                 try:
                     await client.change(name, command)
                 except RevisionChanged:  # one that was stopped may just have carried out what it was sent before

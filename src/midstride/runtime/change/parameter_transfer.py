@@ -100,7 +100,7 @@ class ParameterTransfer:
 
     async def _observe(self, instance: str) -> None:
         """Request the values of an instance that answers; of any other, those that it last reported count."""
-        if self.client.responsive(instance) is not None:
+        if self.client.life.responsive(instance) is not None:
             with suppress(MidstrideError):
                 self.reported.report(await self.client.peek(instance))
 
@@ -139,7 +139,7 @@ class ParameterTransfer:
         """
         await self._observe(name)
         partner = self.change.replaced.get(name) or self._predecessors.get(name)
-        if partner in configuration.instances and self.client.responsive(str(partner)) is not None:
+        if partner in configuration.instances and self.client.life.responsive(str(partner)) is not None:
             await self._compare(name, configuration.instances[str(partner)], late=True)
 
     async def _compare(self, old: str, new: Instance, late: bool = False) -> None:

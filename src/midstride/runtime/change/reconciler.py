@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator, Container, Coroutine, Iterable, Iterator, Mapping
+from collections.abc import AsyncIterator, Coroutine, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -22,6 +22,7 @@ from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.mode_changes import lower_modes
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.command_queue import CommandQueue
+from midstride.runtime.instance_life import why_exited
 from midstride.runtime.process.component_client import ComponentClient, ComponentEvent, Disconnected
 from midstride.runtime.process.launcher import Launcher
 from midstride.runtime.records.events import EventLog
@@ -101,7 +102,7 @@ class Reconciler:
     def on_exit(self, event: Exited) -> None:
         """A process has exited without being asked to."""
         self.launcher.exited(event)
-        if event.instance in self.launcher.handles:
+        if self.system.life[event.instance].handle is not None:
             self._record_exit(event)
 
     def on_component_event(self, event: ComponentEvent) -> None:
@@ -113,7 +114,7 @@ class Reconciler:
                 if not exited:
                     self.events.add("note", f"{instance} cannot be reached any more; its process may still run")
                 # The only sign of exit for a component started by hand; for others the back end reports it.
-                elif instance not in self.launcher.handles:
+                elif self.system.life[instance].handle is None:
                     self.launcher.disconnected(instance)
                     self._record_exit(Exited(instance, None))
             case state:
@@ -145,9 +146,9 @@ class Reconciler:
             self.store.write_values(role, values)
 
     def _record_exit(self, event: Exited) -> None:
-        self.system.crashed[event.instance] = event
+        self.system.life.exited(event)
         status = "" if event.status is None else f" (status {event.status})"
-        self.events.add("exited", f"{event.instance} exited unexpectedly{status}", log=event.log_tail)
+        self.events.add("exited", f"{why_exited(event.instance)}{status}", log=event.log_tail)
         if event.instance in self.system.configuration.instances and self._change is not None:
             self._change.moved(self.system.configuration, (event.instance,))
         if self.commands.is_changing and self._change is not None:
@@ -166,7 +167,7 @@ class Reconciler:
                 await self.reconcile()
             finally:
                 # Something happened after that, or the command failed.
-                if self.system.crashed or own_degradations(self.system.configuration, self.client, ()):
+                if self.system.life.exits or own_degradations(self.system.configuration, self.system.life):
                     self._start_reconciling()
                 self._tell_observers()
 
@@ -181,7 +182,7 @@ class Reconciler:
         """
         configuration = self.system.configuration
         for name in sorted(configuration.instances):
-            state = self.client.responsive(name)
+            state = self.system.life.responsive(name)
             if state is None or own_degradations_in(configuration, state) or differs(configuration, state):
                 continue
             self.client.accept(name)
@@ -209,7 +210,7 @@ class Reconciler:
 
     async def reconcile_crashes(self) -> None:
         """Reconcile if a component has crashed, and wait for a reconciliation in progress."""
-        if self.system.crashed or self._reconciling.locked():
+        if self.system.life.exits or self._reconciling.locked():
             await self.reconcile()
 
     async def reconcile_all(self, because: str) -> None:
@@ -225,16 +226,15 @@ class Reconciler:
         """
         async with self._reconciling:
             configuration = self.system.configuration
-            crashed = self.system.take_crashed()
+            crashed = self.system.life.take_exited(configuration.instances)
             for name in crashed:
-                self.launcher.handles.pop(name, None)
                 self.client.disconnect(name)
                 self.store.remove_instance(name)
-            degraded = own_degradations(configuration, self.client, crashed)
-            configuration, touched, because = self._take_over_reported(configuration, crashed)
+            degraded = own_degradations(configuration, self.system.life)
+            configuration, touched, because = self._take_over_reported(configuration)
             if not crashed and not degraded and not self.pending and not because:
                 return
-            because += [f"{name} exited unexpectedly" for name in crashed]
+            because += map(why_exited, crashed)
             for name in {ref.instance for ref in degraded}:
                 self.client.accept(name)
             for ref, index in sorted(degraded.items()):
@@ -256,7 +256,7 @@ class Reconciler:
             self._unanswered = {ref.instance for ref, error in failed.items() if not isinstance(error, CommandRefused)}
 
     def _take_over_reported(
-        self, configuration: Configuration, crashed: Container[str]
+        self, configuration: Configuration
     ) -> tuple[Configuration, list[FunctionalityRef], list[str]]:
         """The configuration with the attachments that components report, what they concern, and what differed.
 
@@ -266,7 +266,7 @@ class Reconciler:
         touched: list[FunctionalityRef] = []
         because: list[str] = []
         for name in sorted(configuration.instances):
-            state = None if name in crashed else self.client.responsive(name)
+            state = self.system.life.responsive(name)
             lacking, besides = ([], []) if state is None else changed_attachments(configuration, state)
             for port, connector in lacking:
                 because.append(f"{port} is not attached to {connector} any more")

@@ -8,7 +8,7 @@ with these, and Alloy runs again only if it is none of them.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Container
+from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Event
 from typing import Final
@@ -17,7 +17,7 @@ from midstride.errors import VerificationError
 from midstride.model.configuration import Configuration
 from midstride.plan.plan import Plan
 from midstride.runtime.change_observer import ChangeObserver
-from midstride.runtime.process.component_client import SILENCE, ComponentClient
+from midstride.runtime.instance_life import SILENCE, LifeTable
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.watch.observed_configuration import observe
 from midstride.verify.checking import AlloyOptions, verify_configuration, verify_plan
@@ -52,13 +52,12 @@ class StepVerifier(ChangeObserver):
 
     verifier: Verifier
     judged: tuple[Configuration, ...]
-    client: ComponentClient
-    exited: Container[str]
+    life: LifeTable
     events: EventLog
 
     async def step_done(self, configuration: Configuration) -> None:
         """Raises VerificationError if the live configuration is unknown, or is not known to be valid."""
-        found, silent = observe(configuration, self.client, self.exited)
+        found, silent = observe(configuration, self.life)
         if silent:
             raise VerificationError(
                 f"the live configuration is unknown: {', '.join(silent)} has reported nothing for more than "

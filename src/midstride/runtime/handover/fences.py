@@ -8,18 +8,17 @@ whatever its user code is doing; where that thread does not answer either, its p
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass, field
-from typing import Final
+from dataclasses import dataclass
+from typing import Final, Literal
 
 from midstride.errors import BackendError, CallTimeout, CommandRefused, MidstrideError, StepFailed, Unreachable
 from midstride.model.component import PortRef
-from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.handover.state_transfers import keeps_state
+from midstride.runtime.instance_life import FenceEvent, FenceState
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.process.launcher import Launcher
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.reports import FencedInstance
-from midstride.runtime.running_system import RunningSystem
 from midstride.wire.commands import AwaitIdleCommand, FenceCommand
 
 # For how long a change tries without a fence, unless the request says otherwise (s).
@@ -49,15 +48,17 @@ class StepBudget:
 
 @dataclass(slots=True)
 class Fences:
-    """Those of one change. ``wait``: how long it tries without (s). ``fenced``: by instance, what was done and why."""
+    """Those of one change. ``wait``: how long it tries without (s)."""
 
     client: ComponentClient
     launcher: Launcher
-    system: RunningSystem
     events: EventLog
     wait: float = DEFAULT_WAIT
-    fenced: dict[str, FencedInstance] = field(default_factory=dict)
-    _attachments: dict[str, list[tuple[str, str]]] = field(default_factory=dict)  # of those fenced by their gates
+
+    @property
+    def fenced(self) -> dict[str, FencedInstance]:
+        """By instance, what was done and why."""
+        return self.client.life.fenced
 
     def now(self) -> float:
         return self.client.clock.steady()
@@ -68,13 +69,13 @@ class Fences:
 
     def hangs_already(self, instance: str) -> bool:
         """Whether it reports a call that has been running for longer than this change would wait."""
-        state = self.client.responsive(instance)
+        state = self.client.life.responsive(instance)
         return state is not None and any((each.busy or 0.0) > self.wait for each in state.functionalities.values())
 
     async def unresponsive(self, instance: str, deadline: float) -> str | None:
         """Why ``instance`` is not free until ``deadline`` (steady s); None as soon as it is free, or has exited."""
         while True:
-            if self.now() >= deadline and self.client.is_stopped(instance):
+            if self.now() >= deadline and self.client.life.is_stopped(instance):
                 return f"{instance} does not answer (stopped, or hanging outside of Python)"
             try:
                 idle = AwaitIdleCommand(timeout=max(PATIENCE, deadline - self.now()))
@@ -98,32 +99,30 @@ class Fences:
         last: dict[str, int] = {}
         killed = False
         try:
-            if self.client.responsive(instance) is None:
+            if self.client.life.responsive(instance) is None:
                 raise CallTimeout(f"{instance} does not answer")
             last = (await self.client.read(instance, FenceCommand(attachments=links))).last
-            self._attachments[instance] = links
         except MidstrideError as error:
             await self._kill(instance, error)
             killed = True
         what = "its process was killed" if killed else "its outputs were closed inside a call"
         lost = ", and its state could not be exported" if keeps_state(self.client, instance) else ""
         words = f"{because}; {what}{lost}"
-        self.fenced[instance] = FencedInstance(
-            instance=instance, how="killed" if killed else "gate", because=because, words=words
-        )
+        how: Literal["gate", "killed"] = "killed" if killed else "gate"
+        fenced = FencedInstance(instance=instance, how=how, because=because, words=words)
+        self.client.life.fence(fenced, [] if killed else links)
         self.events.add("fenced", words, instance=instance)
         return {PortRef(instance, port): last.get(f"{port} {topic}") for port, topic in links}
 
     async def _kill(self, instance: str, error: MidstrideError) -> None:
-        if instance not in self.launcher.handles:
+        if self.client.life[instance].handle is None:
             raise StepFailed(
                 f"{instance} was started elsewhere, so it cannot be killed: {error}; end its process, then try again"
             ) from error
         try:
-            await self.launcher.end(instance, grace=0.0)
+            await self.launcher.kill(instance)
         except BackendError as failure:
             raise StepFailed(f"{instance} could neither be fenced ({error}) nor killed: {failure}") from failure
-        self.system.crashed[instance] = Exited(instance, None)
 
     def problems(self) -> Iterator[str]:
         """Why a roll-back is incomplete."""
@@ -133,12 +132,12 @@ class Fences:
     async def lift(self, instances: Collection[str]) -> None:
         """No successor took over: let these publish again, if they live."""
         for name in sorted(self.fenced.keys() & set(instances)):
-            links = self._attachments.pop(name, None)
-            if links is None:
+            life = self.client.life[name]
+            if life.fence is not FenceState.GATE:
                 continue  # it was killed
             try:
-                await self.client.read(name, FenceCommand(attachments=links, lift=True))
-                del self.fenced[name]
+                await self.client.read(name, FenceCommand(attachments=life.closed, lift=True))
+                self.client.life.record(name, FenceEvent.LIFTED)
                 self.events.add("note", f"{name} may publish again")
             except MidstrideError as error:
                 self.events.add("note", f"{name} could not be let publish again: {error}")

@@ -291,7 +291,7 @@ class LiveHandover:
         for _ in range(EXIT_ATTEMPTS):
             if self.is_gone(instance):
                 return True
-            if self.client.responsive(instance) is None and self.client.latest(instance) is not None:
+            if self.client.life.responsive(instance) is None and self.client.life.latest(instance) is not None:
                 return False  # it is connected, and silent
             try:
                 await self.client.peek(instance)

@@ -29,7 +29,7 @@ BULK_TIMEOUT: Final = 30.0
 
 def keeps_state(client: ComponentClient, instance: str) -> bool:
     """Whether the component exports state, as it last reported."""
-    latest = client.latest(instance)
+    latest = client.life.latest(instance)
     return latest is not None and latest.state.keeps_state
 
 

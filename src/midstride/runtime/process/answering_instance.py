@@ -15,10 +15,10 @@ async def have_answer(client: ComponentClient, instance: str, instead_of: str | 
 
     ``instead_of`` is the running instance that has answered until now; None if there is none.
     """
-    latest = client.latest(instance)
+    latest = client.life.latest(instance)
     if latest is not None and latest.state.answers:
         return
-    if latest is not None and client.responsive(instance) is None:
+    if latest is not None and client.life.responsive(instance) is None:
         raise CallTimeout(f"{instance} reports nothing")  # what waits for it would only be late
     address = None if instead_of is None else client.address(instead_of)
     await client.change(instance, AnswerCommand(peer=instead_of or "", address=address))

@@ -22,6 +22,7 @@ from midstride.errors import (
     Superseded,
     Unreachable,
 )
+from midstride.runtime.instance_life import ANSWER_TIMEOUT, STOPPED, ConnectionEvent, LifeTable
 from midstride.runtime.manager_clock import Clock
 from midstride.wire.channel import Channel, ComponentReport, result_of
 from midstride.wire.commands import Command, ObserveCommand
@@ -31,14 +32,8 @@ from midstride.wire.transport import Transport
 
 R = TypeVar("R")
 
-# How long a component may take to answer what needs no user code (s), on top of a command's own time-out.
-ANSWER_TIMEOUT: Final = 3.0
 # How often an undo is tried if the component's revision changes meanwhile.
 UNDO_ATTEMPTS: Final = 2
-# A component that has reported nothing for this long (s) is silent; components report twice a second.
-SILENCE: Final = 2.0
-# After so long (s) it counts as stopped, and a command has failed, however long that may take itself.
-STOPPED: Final = SILENCE + ANSWER_TIMEOUT
 # The interval between attempts to connect to a component that is starting (s).
 CONNECT_INTERVAL: Final = 0.005
 CONNECT_INTERVAL_LONGEST: Final = 0.1
@@ -62,21 +57,14 @@ class Disconnected:
 ComponentEvent = ComponentState | Disconnected
 
 
-@dataclass(frozen=True, slots=True)
-class LatestState:
-    """The last state a component reported, and when it arrived (steady s)."""
-
-    state: ComponentState
-    at: float
-
-
 @dataclass
 class ComponentClient:
     """Sends commands to components, each change with the revision that the component is expected to be at.
 
     A component refuses a change at any other revision. It recognizes its manager by ``token``. Each listener is called
     with every reported state and every disconnection. Once another manager has taken over, as ``superseded`` says,
-    nothing is changed or undone any more. Not thread-safe: use it on one event loop.
+    nothing is changed or undone any more. What becomes of the connections, and what components report, is recorded in
+    ``life``. Not thread-safe: use it on one event loop.
     """
 
     transport: Transport
@@ -84,14 +72,16 @@ class ComponentClient:
     token: str
     superseded: Callable[[], bool] = lambda: False
     listeners: list[Callable[[ComponentEvent], object]] = field(default_factory=list)
+    life: LifeTable = field(init=False)
     _revisions: dict[str, int] = field(default_factory=dict)
     _channels: dict[str, Channel] = field(default_factory=dict)
     _connecting: dict[str, asyncio.Lock] = field(default_factory=dict)
-    _latest: dict[str, LatestState] = field(default_factory=dict)
-    _lost: set[str] = field(default_factory=set)
     _reopening: dict[str, asyncio.Task[None]] = field(default_factory=dict)
     _reopened_at: dict[str, float] = field(default_factory=dict)
     _registrations: dict[str, asyncio.Future[Registration]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.life = LifeTable(self.clock)
 
     def address(self, instance: str) -> str:
         """Where the component listens, for its peer of a hand-over."""
@@ -141,7 +131,7 @@ class ComponentClient:
                 report=lambda frame: self._on_report(instance, frame),
                 ended=lambda: self._on_closed(instance, channel),
             )
-            self._lost.discard(instance)
+            self.life.record(instance, ConnectionEvent.OPENED)
             self._channels[instance] = channel
             return channel
 
@@ -151,7 +141,7 @@ class ComponentClient:
             if not registration.done():
                 registration.set_result(frame)
             return
-        self._latest[instance] = LatestState(frame.state, self.clock.steady())
+        self.life.reported(frame.state)
         self._tell_listeners(frame.state)
 
     def _tell_listeners(self, event: ComponentEvent) -> None:
@@ -160,7 +150,7 @@ class ComponentClient:
 
     def _on_closed(self, instance: str, channel: Channel) -> None:
         if self._channels.get(instance) is channel:
-            self._drop(instance)
+            self._drop(instance, ConnectionEvent.BROKEN)
             reopening = self._reopening.get(instance)
             if reopening is None or reopening.done():
                 loop = asyncio.get_running_loop()
@@ -184,33 +174,10 @@ class ComponentClient:
             except ProtocolError:
                 exited = True  # its name is another component's by now
             if exited:
-                self._lost.add(instance)
+                self.life.record(instance, ConnectionEvent.REFUSED)
             if exited or not reported:
                 reported = True
                 self._tell_listeners(Disconnected(instance, exited))
-
-    def latest(self, instance: str) -> LatestState | None:
-        """The state that the component last reported, while it is connected."""
-        return self._latest.get(instance)
-
-    def is_lost(self, instance: str) -> bool:
-        """Whether the component has exited, as far as its connection shows, and has not returned."""
-        return instance in self._lost
-
-    def responsive(self, instance: str) -> ComponentState | None:
-        """The state that the component last reported; None if it is not connected or silent for over ``SILENCE``."""
-        latest = self._latest.get(instance)
-        return None if latest is None or self._is_silent(instance) else latest.state
-
-    def _is_silent(self, instance: str) -> bool:
-        """Whether a component that is connected has not reported for over ``SILENCE``."""
-        latest = self._latest.get(instance)
-        return latest is not None and self.clock.steady() - latest.at > SILENCE
-
-    def is_stopped(self, instance: str) -> bool:
-        """Whether a component that is connected has reported nothing for so long that it counts as stopped."""
-        latest = self._latest.get(instance)
-        return latest is not None and self.clock.steady() - latest.at >= STOPPED
 
     def disconnect(self, instance: str) -> None:
         """Close the connection: the component was released or has exited. The listeners are not called."""
@@ -218,13 +185,13 @@ class ComponentClient:
             reopening.cancel()
         self._reopened_at.pop(instance, None)
         channel = self._channels.get(instance)
-        self._drop(instance)
+        self._drop(instance, ConnectionEvent.DISCONNECTED)
         if channel is not None:
             channel.close()
 
-    def _drop(self, instance: str) -> None:
+    def _drop(self, instance: str, event: ConnectionEvent) -> None:
         self.forget(instance)
-        self._latest.pop(instance, None)
+        self.life.record(instance, event)
         self._channels.pop(instance, None)
         registration = self._registrations.pop(instance, None)
         if registration is not None and not registration.done():
@@ -263,7 +230,9 @@ class ComponentClient:
 
     def accept(self, instance: str) -> None:
         """The last reported state has been taken into the model. Later changes expect its revision."""
-        self._revisions[instance] = self._latest[instance].state.revision
+        latest = self.life.latest(instance)
+        assert latest is not None
+        self._revisions[instance] = latest.state.revision
 
     async def undo(self, instance: str, command: Command[Any]) -> None:
         """Send a change that undoes another one, at whatever revision the component is; failures are ignored.
@@ -272,7 +241,7 @@ class ComponentClient:
         so a refused undo is sent again. A silent component is not waited for. Nothing is sent once another manager has
         taken over.
         """
-        if self._is_silent(instance) or self.superseded():
+        if self.life.is_silent(instance) or self.superseded():
             return
         for _ in range(UNDO_ATTEMPTS):
             self.forget(instance)
@@ -296,7 +265,7 @@ class ComponentClient:
             if instance not in self._channels:
                 raise CallTimeout(f"{instance} cannot be reached for `{command.name}`: {error}") from None
             how = f"within {command.timeout + ANSWER_TIMEOUT:g} s and, asked again, {ANSWER_TIMEOUT:g} s more"
-            if (latest := self._latest.get(instance)) is not None and self._is_silent(instance):
+            if (latest := self.life.latest(instance)) is not None and self.life.is_silent(instance):
                 how = f"and has reported nothing for {self.clock.steady() - latest.at:.1f} s"
             raise CallTimeout(f"{instance} did not answer `{command.name}` {how}") from None
         except Unreachable as error:
@@ -317,7 +286,7 @@ class ComponentClient:
         try:
             return await self._unless_stopped(instance, command, revision, timeout, id)
         except CallTimeout:
-            if self._is_silent(instance):
+            if self.life.is_silent(instance):
                 raise
             return await self._unless_stopped(instance, command, revision, ANSWER_TIMEOUT, id)
 
@@ -331,7 +300,7 @@ class ComponentClient:
         try:
             while not exchange.done():
                 given_up = sent + timeout
-                if (latest := self._latest.get(instance)) is not None:  # None: it has not registered yet
+                if (latest := self.life.latest(instance)) is not None:  # None: it has not registered yet
                     given_up = min(given_up, max(latest.at + STOPPED, sent + ANSWER_TIMEOUT))
                 left = given_up - self.clock.steady()
                 if left <= 0:

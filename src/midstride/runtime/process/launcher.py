@@ -25,8 +25,9 @@ from midstride.errors import (
 from midstride.model.component import GATES, Gate
 from midstride.model.configuration import Instance
 from midstride.runtime.backend_protocol import RELAY_SUFFIX, Backend, Exited, Handle, Launch
+from midstride.runtime.instance_life import STOPPED, ProcessEvent
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
-from midstride.runtime.process.component_client import STOPPED, ComponentClient, ComponentEvent
+from midstride.runtime.process.component_client import ComponentClient, ComponentEvent
 from midstride.runtime.process.registration import mismatches, unexpected_endpoints
 from midstride.runtime.timeouts import within
 from midstride.wire.commands import ReleaseCommand, WelcomeCommand
@@ -50,7 +51,7 @@ RELEASE_TIMEOUT: Final = 5.0
 
 
 class Launcher:
-    """Starts, adopts and terminates the processes of components; ``handles`` has those that a manager started.
+    """Starts, adopts and terminates the processes of components; what becomes of them is recorded in the client's life.
 
     The back end's exit events are passed to :meth:`exited`.
     """
@@ -66,8 +67,7 @@ class Launcher:
         self._exits: dict[str, asyncio.Future[Exited]] = {}
         self._graces: dict[str, float] = {}
         self._last_registration = -REGISTRATION_TIMEOUT  # steady s
-        self.handles: dict[str, Handle] = {}
-        self.ending: set[str] = set()
+        self._life = client.life
 
     def exited(self, event: Exited) -> None:
         """A process has exited: if its registration is awaited, the start fails."""
@@ -108,6 +108,7 @@ class Launcher:
         self._starting[name].add_done_callback(self._registration_done)
         command, gate = instance.component.run, instance.component.gate
         if command is None:
+            self._life.started(name, None)
             return True
         known = GATES_OF.get(self._backend.name, ())
         if gate is not None and gate not in known:
@@ -144,7 +145,7 @@ class Launcher:
                 {**topics},
                 package,
             )
-            self.handles[name] = await self._backend.start(launch)
+            self._life.started(name, await self._backend.start(launch))
         except ValueError as error:
             self._forget_start(name)
             raise StartFailed(f"{name}: the `run` command {command!r} cannot be split: {error}") from None
@@ -197,6 +198,7 @@ class Launcher:
             greeting, registration = await self._registration(instance)
             self._verify(instance, greeting, registration)
             self._remember_grace(await self._welcome(name))
+            self._life.record(name, ProcessEvent.REGISTERED)
         except (Exception, asyncio.CancelledError) as error:
             await self.abandon(name)
             if isinstance(error, MidstrideError) and not isinstance(error, StartFailed):
@@ -222,7 +224,8 @@ class Launcher:
         if stopped.done():
             raise StartFailed(f"{name} was stopped (SIGSTOP) before it registered, and not continued for {STOPPED:g} s")
         where = f"was started with `{run}`" if run else "is started elsewhere"
-        log = f" Its log: {self.handles[name].log}" if name in self.handles and self.handles[name].log else ""
+        handle = self._life[name].handle
+        log = f" Its log: {handle.log}" if handle is not None and handle.log else ""
         raise StartFailed(
             f"{name} did not register within {timeout.result():g} s (it {where}); does its program "
             f"create a Component and call start()?{log}"
@@ -285,27 +288,38 @@ class Launcher:
     async def abandon(self, name: str) -> BackendError | None:
         """Stop waiting for ``name``, and terminate its process if there is one; returns why that failed."""
         self._forget_start(name)
-        if name in self.handles:
+        if self._life[name].handle is not None:
             try:
                 await self.end(name)
             except BackendError as error:
                 return error
+        else:
+            self._life.record(name, ProcessEvent.RELEASED)
         return None
 
-    async def end(self, name: str, grace: float | None = None) -> None:
+    async def end(self, name: str) -> None:
         """Terminate a component that a manager started. Raises BackendError; then its handle is kept.
 
-        It is killed if it has not ended after ``grace`` (s), by default as long as it asks for.
+        It is killed if it has not ended after as long as it asks for.
         """
+        await self._end(name, self._graces.get(name, STOP_GRACE))
+        self._life.record(name, ProcessEvent.ENDED)
+
+    async def kill(self, name: str) -> None:
+        """Kill a component that does not answer: it counts as one that has exited. Raises as ``end``."""
+        await self._end(name, 0.0)
+        self._life.exited(Exited(name, None), ProcessEvent.KILLED)
+
+    async def _end(self, name: str, grace: float) -> None:
         self._client.forget(name)
-        self.ending.add(name)
+        self._life.record(name, ProcessEvent.END_BEGUN)
         try:
-            await self._backend.end(name, self._graces.get(name, STOP_GRACE) if grace is None else grace)
-        finally:
-            self.ending.discard(name)
+            await self._backend.end(name, grace)
+        except BaseException:
+            self._life.record(name, ProcessEvent.END_FAILED)
+            raise
         self._client.disconnect(name)
         self._graces.pop(name, None)
-        self.handles.pop(name, None)
 
     async def release(self, name: str) -> None:
         """Release a component that was started by hand: degraded and unattached, it waits for the next manager.
@@ -315,7 +329,12 @@ class Launcher:
         """
         with contextlib.suppress(Unreachable):
             await self._client.change(name, ReleaseCommand(timeout=RELEASE_TIMEOUT))
+        self.leave(name)
+
+    def leave(self, name: str) -> None:
+        """Have nothing more to do with a component that was started by hand."""
         self._client.disconnect(name)
+        self._life.record(name, ProcessEvent.RELEASED)
 
     async def adopt(self, handle: Handle, *, owned: bool = True) -> ComponentState | None:
         """Connect to a component of an earlier manager. None if it has exited or belongs to another system.
@@ -325,8 +344,7 @@ class Launcher:
         """
         if not await self._backend.adopt(handle):
             return None
-        if owned:
-            self.handles[handle.instance] = handle
+        self._life.adopted(handle.instance, handle if owned else None)
         try:
             async with within(ADOPT_TIMEOUT):
                 await self._client.connect(handle.instance)

@@ -15,6 +15,7 @@ from midstride.plan.change_builder import change_between
 from midstride.plan.runtime_values import of_change
 from midstride.plan.strategies.registry import planner
 from midstride.plan.strategies.restore import restore
+from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.change_session import ChangeSession
 from midstride.runtime.change.reconciler import Reconciler
 from midstride.runtime.options import SystemOptions
@@ -139,7 +140,7 @@ class BringUp:
         gone = [each.instance for each in saved.instances if each.instance.name not in running]
         for instance in gone:
             self.store.remove_instance(instance.name)
-            self.system.lost(instance)
+            self.system.life.missed(instance.name, instance.role, Exited(instance.name, None))
         self.system.forget_filled_roles()
         self.reconciler.save_values()
         names = ", ".join(instance.name for instance in gone)

@@ -53,7 +53,7 @@ async def recover(
                 hanging.append(str(error))
                 continue
             events.add("note", f"{error}; it is left out until it does")
-            client.disconnect(instance.name)
+            launcher.leave(instance.name)
             continue
         if state is None:
             events.add("gone", f"{instance.name} is no longer running")
@@ -113,7 +113,7 @@ async def _settled(
             try:
                 answer = await ask(name)
             except Unreachable:  # the earlier manager had just told it to exit, or it has crashed
-                handle = launcher.handles.get(name)
+                handle = client.life[name].handle
                 if await launcher.adopt(handle or Handle(name), owned=handle is not None) is None:
                     events.add("gone", f"{name} is no longer running")
                     await launcher.abandon(name)

@@ -17,6 +17,7 @@ from midstride.plan.request import PlanRequest
 from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.change_session import ChangeSession
 from midstride.runtime.change.reconciler import Reconciler, ReconciliationObserver
+from midstride.runtime.instance_life import why_exited
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.status_forms import RespawnStatus
@@ -82,12 +83,12 @@ class Respawner(ReconciliationObserver):
             record.crashes = crashes
             if new and record.task is None and record.left is None:
                 self._records[role] = record
-                self._on_crash(role, record, policy, f"{new[-1].instance} exited unexpectedly")
+                self._on_crash(role, record, policy, why_exited(new[-1].instance))
 
     def _crashes(self) -> dict[str, list[Exited]]:
         """The crashed instances of each role of the specification."""
         found: dict[str, list[Exited]] = {}
-        for name, exited in self.system.missing.items():
+        for name, exited in self.system.life.missing.items():
             if (role := self.system.role_of_missing(name)) is not None:
                 found.setdefault(role, []).append(exited)
         return found

@@ -23,8 +23,9 @@ from midstride.model.wording import counted
 from midstride.plan.request import PlanRequest
 from midstride.runtime.change.change_session import ChangeSession
 from midstride.runtime.change.reconciler import Reconciler, ReconciliationObserver
+from midstride.runtime.instance_life import SILENCE
 from midstride.runtime.manager_clock import Clock
-from midstride.runtime.process.component_client import SILENCE, ComponentClient, ComponentEvent, Disconnected
+from midstride.runtime.process.component_client import ComponentClient, ComponentEvent, Disconnected
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.restore.attempts import Attempts
 from midstride.runtime.running_system import RunningSystem
@@ -101,7 +102,7 @@ class Restorer(ReconciliationObserver):
 
     def degraded(self, ref: FunctionalityRef, index: int) -> None:
         """``ref`` has entered that mode, which no command of this manager has asked for."""
-        latest = self.client.latest(ref.instance)
+        latest = self.client.life.latest(ref.instance)
         if latest is None or not latest.state.functionalities[ref.functionality].reflex:
             self._held[ref] = index
 
@@ -116,7 +117,7 @@ class Restorer(ReconciliationObserver):
                 continue
             since = record.attempts.runs_since
             lasts = not record.fallen and since is not None and now - since > POLICY.window
-            raised = record.fallen and self.client.latest(ref.instance) is not None and not self._is_fallen(ref)
+            raised = record.fallen and self.client.life.latest(ref.instance) is not None and not self._is_fallen(ref)
             if ref not in modes or lasts or raised:
                 del self._records[ref]
 
@@ -131,7 +132,7 @@ class Restorer(ReconciliationObserver):
 
     def _is_fallen(self, ref: FunctionalityRef) -> bool:
         """Whether the local reflex has degraded it, or it was left out, and the model has followed."""
-        latest, configuration = self.client.latest(ref.instance), self.system.configuration
+        latest, configuration = self.client.life.latest(ref.instance), self.system.configuration
         if latest is None or ref not in configuration.modes:
             return False
         view = latest.state.functionalities[ref.functionality]
@@ -224,7 +225,7 @@ class Restorer(ReconciliationObserver):
         is up to its own reflex.
         """
         configuration, record = self.system.configuration, self._records.get(ref)
-        now, state = configuration.modes[ref], self.client.responsive(ref.instance)
+        now, state = configuration.modes[ref], self.client.life.responsive(ref.instance)
         if now and state is None and not asked:
             self._left_out.add(ref)
         if not now or ref in self._held or state is None or state.waiting is not None:
@@ -238,7 +239,7 @@ class Restorer(ReconciliationObserver):
 
     def status(self, ref: FunctionalityRef) -> str | None:
         """Whether and when ``ref`` is restored, in words; None where that is up to commands."""
-        record, latest = self._records.get(ref), self.client.latest(ref.instance)
+        record, latest = self._records.get(ref), self.client.life.latest(ref.instance)
         if record is None or not record.fallen or latest is None or not self.enabled:
             return None
         if record.left is not None:

@@ -80,7 +80,7 @@ def crashed(watched: WatchedSystem) -> list[status_forms.CrashedInstance]:
             respawner.status(role),
             role,
         )
-        for name, exited in sorted({**system.missing, **system.crashed}.items())
+        for name, exited in sorted({**system.life.missing, **system.life.exits}.items())
         if name not in system.configuration.instances
         for role in [system.role_of_missing(name)]
     ]
@@ -89,8 +89,8 @@ def crashed(watched: WatchedSystem) -> list[status_forms.CrashedInstance]:
 def _component(
     watched: WatchedSystem, instance: Instance, program: status_forms.ProgramStatus | None
 ) -> status_forms.ComponentStatus:
-    configuration, launcher = watched.system.configuration, watched.launcher
-    state, handle = watched.client.responsive(instance.name), launcher.handles.get(instance.name)
+    configuration, life = watched.system.configuration, watched.system.life
+    state, handle = life.responsive(instance.name), life[instance.name].handle
     process = state or handle
     reported = {} if state is None else state.functionalities
     functionalities = [
@@ -105,7 +105,7 @@ def _component(
         node=None if state is None else state.node,
         answers=state is not None and state.answers,
         reachable=state is not None,
-        ending=instance.name in launcher.ending,
+        ending=life.is_ending(instance.name),
         waiting=None if state is None else state.waiting,
         differences=[] if state is None else state.differences,
         undeclared=[] if state is None else state.undeclared,

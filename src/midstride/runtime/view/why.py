@@ -10,6 +10,7 @@ from midstride.model.component import FunctionalityRef, InputAlternatives, PortR
 from midstride.model.configuration import Configuration
 from midstride.model.diagnostics import suggestion
 from midstride.model.rules import Evaluator
+from midstride.runtime.instance_life import why_exited
 from midstride.runtime.records.status_forms import Why
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.view.watched_system import WatchedSystem
@@ -29,7 +30,7 @@ class Explainer:
         """Why ``functionality`` (of a role or an instance) is in its mode. Raises PlanRefused for an unknown one."""
         ref = self._find(functionality)
         configuration, evaluator = self.system.configuration, Evaluator(self.system.configuration)
-        declared, state = configuration.functionality(ref), self.watched.client.responsive(ref.instance)
+        declared, state = configuration.functionality(ref), self.watched.client.life.responsive(ref.instance)
         reported = None if state is None else state.functionalities[ref.functionality]
         mode = configuration.mode(ref).name if reported is None else reported.mode
         inputs = [PortRef(ref.instance, name) for name in declared.inputs]
@@ -97,7 +98,7 @@ class Explainer:
         """What to do about a functionality that is not lowered because of what it relies on alone."""
         configuration = self.system.configuration
         role = configuration.instances[ref.instance].role
-        if self.watched.client.responsive(ref.instance) is None:
+        if self.watched.client.life.responsive(ref.instance) is None:
             return f"it does not answer; `midstride restart {role}` replaces it"
         if restoring := self.watched.restorer.status(ref):
             return restoring
@@ -126,7 +127,7 @@ class Explainer:
 
     def _roles_missing_on(self, topic: str) -> list[str]:
         """The roles without an instance that publish on ``topic``."""
-        specification, roles = self.system.specification, map(self.system.role_of_missing, self.system.missing)
+        specification, roles = self.system.specification, map(self.system.role_of_missing, self.system.life.missing)
         return [
             role
             for role in dict.fromkeys(filter(None, roles))
@@ -138,14 +139,14 @@ class Explainer:
 
     def _missing(self, node: str) -> str | None:
         """Why a role or an instance that has exited is missing, and what comes next; None for any other."""
-        for name in reversed(self.system.missing):
+        for name in reversed(self.system.life.missing):
             role = self.system.role_of_missing(name)
             if role is None or node not in (name, role) or self.system.has_instance(role):
                 continue
             respawn = self.watched.respawner.status(role)
             next_ = None if respawn is None else respawn.words
             remedy = None if respawn is not None and respawn.restarting else self.system.remedy(role)
-            return "; ".join(filter(None, [f"{name} exited unexpectedly", next_, remedy]))
+            return "; ".join(filter(None, [why_exited(name), next_, remedy]))
         return None
 
 

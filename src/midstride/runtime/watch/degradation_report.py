@@ -8,13 +8,12 @@ from midstride.model import wording
 from midstride.model.component import FunctionalityRef, FunctionalitySpec, PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
-from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.records.reports import DegradedFunctionality
 from midstride.runtime.running_system import RunningSystem
 
 
 def lowered_functionalities(
-    system: RunningSystem, client: ComponentClient, start: Configuration, planned: Configuration
+    system: RunningSystem, start: Configuration, planned: Configuration
 ) -> list[DegradedFunctionality]:
     """The functionalities that are in a worse mode now than in ``start``, and new ones below their normal mode.
 
@@ -39,7 +38,7 @@ def lowered_functionalities(
                     before=functionality.modes[0].name if was is None else start.mode(was).name,
                     after=None if current is None else now.mode(current).name,
                     planned=not unexpected,
-                    because=_because(system, client, role, current) if unexpected else None,
+                    because=_because(system, role, current) if unexpected else None,
                 )
             )
     return found
@@ -63,10 +62,10 @@ def _level(configuration: Configuration, ref: FunctionalityRef | None) -> float:
     return float("inf") if ref is None else configuration.modes[ref]
 
 
-def _because(system: RunningSystem, client: ComponentClient, role: str, ref: FunctionalityRef | None) -> str | None:
+def _because(system: RunningSystem, role: str, ref: FunctionalityRef | None) -> str | None:
     if ref is None:
         return system.why_missing(role)
-    latest = client.latest(ref.instance)
+    latest = system.life.latest(ref.instance)
     return None if latest is None else latest.state.functionalities[ref.functionality].because.strip()
 
 

@@ -7,30 +7,31 @@ of the last one counts.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Container, Iterable
+from collections.abc import Iterable
 
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.plan.change import Change
 from midstride.plan.disruption import Levels
 from midstride.runtime.change_observer import ChangeObserver
-from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.instance_life import LifeTable
+from midstride.runtime.manager_clock import Clock
 from midstride.runtime.watch.observed_configuration import with_failures
 
 
 class DegradationTimer(ChangeObserver):
     """Sums the seconds below the baseline; :meth:`moved` must be called with each configuration as it is reached.
 
-    What has degraded unexpectedly, as it reports to ``client``, or is in ``exited`` counts as well. The cost of a step
+    What has exited or degraded unexpectedly, by ``life``, counts as well. The cost of a step
     depends on what it changes: at the start, only functionalities that the change lowered beforehand are below.
     """
 
-    def __init__(self, change: Change, client: ComponentClient, exited: Container[str]) -> None:
+    def __init__(self, change: Change, clock: Clock, life: LifeTable) -> None:
         self._change = change
-        self._client = client
-        self._exited = exited
+        self._clock = clock
+        self._life = life
         self._levels = Levels(change)
-        self._since = client.clock.steady()
+        self._since = clock.steady()
         lowered = dict.fromkeys(change.start.instances[ref.instance].role for ref in change.lowered)
         self._below = set(self._levels.fallen(change.start, lowered))
         self._seconds: defaultdict[FunctionalityRef, float] = defaultdict(float)
@@ -40,12 +41,12 @@ class DegradationTimer(ChangeObserver):
         self._count()
         for role in {self._change.role_of(instance) for instance in instances}:
             instances_of = configuration.instances_by_role.get(role, ())
-            actual = with_failures(configuration, instances_of, self._client, self._exited)
+            actual = with_failures(configuration, instances_of, self._life)
             self._below -= {counted.ref for counted in self._levels.counted(role)}
             self._below |= self._levels.below(actual, role).keys()
 
     def _count(self) -> None:
-        now = self._client.clock.steady()
+        now = self._clock.steady()
         for ref in self._below:
             self._seconds[ref] += now - self._since
         self._since = now

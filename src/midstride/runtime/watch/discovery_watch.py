@@ -130,5 +130,5 @@ class DiscoveryWatch:
         async with self.backend.probe() as topic:
             if topic is None:
                 return {}
-            asked = [name for name in sorted(names) if self.client.responsive(name) is not None]
+            asked = [name for name in sorted(names) if self.client.life.responsive(name) is not None]
             return dict(zip(asked, await asyncio.gather(*(shows(name, topic) for name in asked)), strict=True))

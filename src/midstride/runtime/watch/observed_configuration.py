@@ -2,38 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable
+from collections.abc import Iterable
 
 from midstride.model.best import lowered
 from midstride.model.component import ComponentSpec, FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
-from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.instance_life import LifeTable
 from midstride.wire.state import ComponentState
 
 
-def observe(
-    configuration: Configuration, client: ComponentClient, exited: Container[str]
-) -> tuple[Configuration, list[str]]:
-    """``configuration`` with the modes and attachments that its components report, without those in ``exited``.
+def observe(configuration: Configuration, life: LifeTable) -> tuple[Configuration, list[str]]:
+    """``configuration`` with the modes and attachments that its components report, without those that have exited.
 
     The second value names the silent ones, which have reported nothing lately: they are as in ``configuration``.
     """
     silent = []
     for name in sorted(configuration.instances):
-        if name in exited:
+        if life.has_exited(name):
             configuration = configuration.without_instance(name)
-        elif (state := client.responsive(name)) is None:
+        elif (state := life.responsive(name)) is None:
             silent.append(name)
         else:
             configuration = _as_reported(configuration, name, state)
     return configuration, silent
 
 
-def own_degradations(
-    configuration: Configuration, client: ComponentClient, exited: Container[str]
-) -> dict[FunctionalityRef, int]:
-    """The functionalities that report a worse mode than the model has, except those of ``exited``."""
-    latest = [client.latest(name) for name in sorted(configuration.instances) if name not in exited]
+def own_degradations(configuration: Configuration, life: LifeTable) -> dict[FunctionalityRef, int]:
+    """The functionalities that report a worse mode than the model has."""
+    latest = [life.latest(name) for name in sorted(configuration.instances)]
     found = [own_degradations_in(configuration, each.state) for each in latest if each is not None]
     return {ref: index for degraded in found for ref, index in degraded.items()}
 
@@ -46,14 +42,12 @@ def own_degradations_in(configuration: Configuration, state: ComponentState) -> 
     return {ref: index for ref, index in reported.items() if index > configuration.modes[ref]}
 
 
-def with_failures(
-    configuration: Configuration, instances: Iterable[str], client: ComponentClient, exited: Container[str]
-) -> Configuration:
-    """``configuration`` with what ``instances`` have degraded by themselves, and without those in ``exited``."""
+def with_failures(configuration: Configuration, instances: Iterable[str], life: LifeTable) -> Configuration:
+    """``configuration`` with what ``instances`` have degraded by themselves, and without those that have exited."""
     for name in instances:
-        if name in exited:
+        if life.has_exited(name):
             configuration = configuration.without_instance(name)
-        elif (latest := client.latest(name)) is not None:
+        elif (latest := life.latest(name)) is not None:
             configuration = configuration.with_modes(own_degradations_in(configuration, latest.state))
     return configuration
 

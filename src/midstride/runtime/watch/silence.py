@@ -7,14 +7,14 @@ during which they began (docs/protocols/faults.md).
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Mapping, Set
+from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass, field
 from typing import Final
 
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
+from midstride.runtime.instance_life import SILENCE, LifeTable
 from midstride.runtime.manager_clock import Clock
-from midstride.runtime.process.component_client import SILENCE, ComponentClient
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.status_forms import SilenceFault, SilenceKind
 from midstride.runtime.watch.simulated_time import stretch
@@ -60,11 +60,9 @@ class _Report:
 
 @dataclass(slots=True)
 class SilenceMonitor:
-    client: ComponentClient
+    life: LifeTable
     clock: Clock
     events: EventLog
-    ending: Container[str]  # the instances that have been asked to end, and do not answer any more
-    crashed: Container[str]  # those that have exited: that is known, and has its own events
     # Those whose middleware stands still, and since when that is known (steady s).
     undiscovering: Mapping[str, float] = field(default_factory=dict)
     _links: dict[str, dict[PortRef, _Link]] = field(default_factory=dict)  # by topic
@@ -129,9 +127,9 @@ class SilenceMonitor:
         return [fault for name in sorted(configuration.instances) for fault in self._faults_of(name, configuration)]
 
     def _faults_of(self, instance: str, configuration: Configuration) -> Iterator[SilenceFault]:
-        state, latest = self.client.responsive(instance), self.client.latest(instance)
+        state, latest = self.life.responsive(instance), self.life.latest(instance)
         if state is None:
-            if instance in self.ending or instance in self.crashed:
+            if self.life.is_ending(instance) or self.life.has_exited(instance):  # which has its own events
                 return
             seconds = None if latest is None else round(self.clock.steady() - latest.at, 3)
             words = f"{instance} does not answer"

@@ -136,7 +136,7 @@ class Recording(ChangeObserver):
 
     async def _grid(self, old: PortRef) -> Grid | None:
         """That of an old publisher; None if it does not answer: the hand-over reports that."""
-        if self.client.responsive(old.instance) is None:
+        if self.client.life.responsive(old.instance) is None:
             return None
         try:
             return await self.client.read(old.instance, GridCommand(port=old.port))

@@ -97,9 +97,9 @@ def component_view(
 ) -> ComponentView:
     """The entry of the instance of ``shape`` at ``now`` (UNIX time), where ``shown`` is the one before."""
     instance = shape.instance
-    latest = watched.client.latest(instance.name)
-    state = watched.client.responsive(instance.name)
-    handle = watched.launcher.handles.get(instance.name)
+    latest = watched.system.life.latest(instance.name)
+    state = watched.system.life.responsive(instance.name)
+    handle = watched.system.life[instance.name].handle
     process = state or handle
     reported = now if latest is None else now - (watched.clock.steady() - latest.at)
     modes = list(_functionalities(watched, configuration, shape, state, reported, shown))
@@ -112,7 +112,7 @@ def component_view(
         node=None if state is None else state.node,
         pid=None if process is None else process.pid,
         answers=state is not None,
-        ending=instance.name in watched.launcher.ending,
+        ending=watched.system.life.is_ending(instance.name),
         waiting=None if state is None else state.waiting,
         as_modelled=all(each.mode == each.modelled for each in modes),
         differences=[] if state is None else state.differences,

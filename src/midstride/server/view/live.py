@@ -133,8 +133,8 @@ class LiveView:
 
     def _look(self) -> None:
         """Find what no report shows."""
-        client = self._watched.client
-        silent = {name for name, each in self._shown.items() if each.answers != (client.responsive(name) is not None)}
+        life = self._watched.system.life
+        silent = {name for name, each in self._shown.items() if each.answers != (life.responsive(name) is not None)}
         if silent or self._wakers:
             self._dirty |= silent
             self._silences = None
@@ -242,7 +242,7 @@ class LiveView:
         client, steady = self._watched.client, self._watched.clock.steady()
         for name in sorted(names):
             part, shown = ("components", name), self._shown.get(name)
-            instance, latest = configuration.instances.get(name), client.latest(name)
+            instance, latest = configuration.instances.get(name), client.life.latest(name)
             if latest is None or instance is None:
                 self._reported.pop(name, None)
             else:
@@ -262,7 +262,7 @@ class LiveView:
             refresh = steady - self._figures_of.get(name, -math.inf) >= self._interval
             if refresh:
                 self._figures_of[name] = steady
-            ports = port_views(shape, client.responsive(name), before, refresh=refresh)
+            ports = port_views(shape, client.life.responsive(name), before, refresh=refresh)
             if before and name not in dirty and all(map(operator.is_, ports, before)):
                 continue
             view = component_view(self._watched, configuration, shape, baseline, now, shown, ports)

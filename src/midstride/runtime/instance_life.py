@@ -1,0 +1,393 @@
+"""The life of each instance, as the manager knows it: the one place that answers whether an instance is alive.
+
+Three facts are independent of each other: a process that runs may be cut off from the manager, and fenced as well. So
+each has a state, and a table of the events that change it (docs/protocols/life.md):
+
+- the *process*, known from the manager's own commands, the back end and the model;
+- the *connection*, known from the control connection;
+- the *fence* of the change in progress.
+
+Silence is a fourth fact and no state: it is the time since the last report of a component that is connected. Up to
+``SILENCE`` it is responsive, then silent, and from ``STOPPED`` on it counts as stopped. That an instance has a handle
+is a fifth: this manager or an earlier one has started its process, and may terminate it.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Container, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Final, NamedTuple
+
+from midstride.model.configuration import Instance
+from midstride.runtime.backend_protocol import Exited, Handle
+from midstride.runtime.manager_clock import Clock
+from midstride.runtime.records.reports import FencedInstance
+from midstride.runtime.transitions import Transitions
+from midstride.wire.state import ComponentState
+
+log = logging.getLogger(__name__)
+
+# How long a component may take to answer what needs no user code (s), on top of a command's own time-out.
+ANSWER_TIMEOUT: Final = 3.0
+# A component that has reported nothing for this long (s) is silent; components report twice a second.
+SILENCE: Final = 2.0
+# After so long (s) it counts as stopped, and a command has failed, however long that may take itself.
+STOPPED: Final = SILENCE + ANSWER_TIMEOUT
+# How many transitions of an instance are kept, for the log.
+KEPT: Final = 8
+
+
+class ProcessState(Enum):
+    ABSENT = "no process of that name is known"
+    STARTING = "it has been started, here or by hand, and has not been accepted"
+    RUNNING = "it runs, as far as is known"
+    STOPPING = "it has been asked to exit"
+    EXITED = "it has exited unexpectedly, and the model may still have it"
+    MISSING = "it has exited unexpectedly, and its role has no instance"
+
+
+class ProcessEvent(Enum):
+    STARTED = "its process was started, or is awaited"
+    REGISTERED = "it has registered, and was accepted"
+    ADOPTED = "an earlier manager knew it, and it still runs"
+    END_BEGUN = "it was asked to exit"
+    END_FAILED = "it could not be terminated"
+    ENDED = "it has exited as it was asked to"
+    KILLED = "it was killed, since it did not answer"
+    RELEASED = "it was started by hand, and is left to the next manager"
+    EXITED = "it exited unexpectedly"
+    MISSED = "its role is without it"
+    REPLACED = "its role has an instance again, or needs none"
+
+
+class ConnectionState(Enum):
+    NONE = "there is no control connection"
+    OPEN = "the control connection is open"
+    CLOSED = "it has closed, and is being reopened"
+    LOST = "it has closed, and the component has exited, as far as that shows"
+
+
+class ConnectionEvent(Enum):
+    OPENED = "connected"
+    BROKEN = "the component, or what forwards the connection, has closed it"
+    REFUSED = "nothing listens there any more, or another component"
+    DISCONNECTED = "the manager has closed it"
+
+
+class FenceState(Enum):
+    NONE = "not fenced"
+    GATE = "its outputs were closed inside a call"
+    KILLED = "its process was killed"
+
+
+class FenceEvent(Enum):
+    CLOSED = "it hangs, and its outputs were closed"
+    KILLED = "it does not answer, and was killed"
+    LIFTED = "no successor took over, and it may publish again"
+    CHANGE_BEGUN = "another change begins"
+
+
+def _processes() -> Transitions[ProcessState, ProcessEvent]:
+    state, event = ProcessState, ProcessEvent
+    ending = {event.END_BEGUN, event.END_FAILED, event.ENDED}
+    return Transitions(
+        {
+            state.ABSENT: {
+                event.STARTED: state.STARTING,
+                event.ADOPTED: state.RUNNING,
+                event.MISSED: state.MISSING,
+                **dict.fromkeys(ending, state.ABSENT),  # what an earlier manager left of it
+                event.RELEASED: state.ABSENT,
+            },
+            state.STARTING: {
+                event.REGISTERED: state.RUNNING,
+                event.END_BEGUN: state.STOPPING,
+                event.RELEASED: state.ABSENT,
+                event.EXITED: state.EXITED,
+            },
+            state.RUNNING: {
+                event.ADOPTED: state.RUNNING,
+                event.END_BEGUN: state.STOPPING,
+                event.RELEASED: state.ABSENT,
+                event.EXITED: state.EXITED,
+                event.MISSED: state.MISSING,  # it should have ended, and could not be terminated
+            },
+            state.STOPPING: {
+                event.END_FAILED: state.RUNNING,
+                event.ENDED: state.ABSENT,
+                event.KILLED: state.EXITED,
+                event.EXITED: state.EXITED,  # the back end notices late
+            },
+            # What is left of its process group is ended all the same.
+            state.EXITED: {
+                event.STARTED: state.STARTING,
+                event.REGISTERED: state.EXITED,  # the back end was quicker than the control connection
+                **dict.fromkeys(ending, state.EXITED),
+                event.KILLED: state.EXITED,
+                event.RELEASED: state.EXITED,
+                event.EXITED: state.EXITED,
+                event.MISSED: state.MISSING,
+                event.REPLACED: state.ABSENT,
+            },
+            state.MISSING: {
+                event.STARTED: state.STARTING,
+                **dict.fromkeys(ending, state.MISSING),
+                event.RELEASED: state.MISSING,
+                event.EXITED: state.MISSING,
+                event.REPLACED: state.ABSENT,
+            },
+        }
+    )
+
+
+def _connections() -> Transitions[ConnectionState, ConnectionEvent]:
+    state, event = ConnectionState, ConnectionEvent
+    anyway = {event.OPENED: state.OPEN, event.DISCONNECTED: state.NONE}
+    return Transitions(
+        {
+            state.NONE: anyway,
+            state.OPEN: {**anyway, event.BROKEN: state.CLOSED, event.REFUSED: state.LOST},  # to another process
+            state.CLOSED: {**anyway, event.REFUSED: state.LOST},
+            state.LOST: {**anyway, event.BROKEN: state.LOST, event.REFUSED: state.LOST},
+        }
+    )
+
+
+def _fences() -> Transitions[FenceState, FenceEvent]:
+    state, event = FenceState, FenceEvent
+    return Transitions(
+        {
+            state.NONE: {event.CLOSED: state.GATE, event.KILLED: state.KILLED},
+            state.GATE: {
+                event.CLOSED: state.GATE,  # other outputs of it, in another step
+                event.KILLED: state.KILLED,
+                event.LIFTED: state.NONE,
+                event.CHANGE_BEGUN: state.NONE,
+            },
+            state.KILLED: {event.CHANGE_BEGUN: state.NONE},
+        }
+    )
+
+
+PROCESSES: Final = _processes()
+CONNECTIONS: Final = _connections()
+FENCES: Final = _fences()
+
+LifeEvent = ProcessEvent | ConnectionEvent | FenceEvent
+
+
+class Transition(NamedTuple):
+    """``at``: when it happened (steady s)."""
+
+    at: float
+    event: LifeEvent
+    because: str
+
+
+@dataclass(frozen=True, slots=True)
+class LatestState:
+    """The last state a component reported, and when it arrived (steady s)."""
+
+    state: ComponentState
+    at: float
+
+
+@dataclass(slots=True)
+class InstanceLife:
+    """What is known of one instance.
+
+    ``handle``: how its process is found, if a manager started it. ``latest``: what it reported last, while it is
+    connected. ``exit``: of one that has exited or is missing; ``role``: of one that is missing, or was. ``fenced``: of
+    one that is, what was done and why; ``closed``: the ports and topics of its outputs that were closed. ``history``:
+    the latest transitions, with their reasons.
+    """
+
+    process: ProcessState = ProcessState.ABSENT
+    connection: ConnectionState = ConnectionState.NONE
+    fence: FenceState = FenceState.NONE
+    handle: Handle | None = None
+    latest: LatestState | None = None
+    exit: Exited | None = None
+    role: str | None = None
+    fenced: FencedInstance | None = None
+    closed: list[tuple[str, str]] = field(default_factory=list)
+    history: deque[Transition] = field(default_factory=lambda: deque(maxlen=KEPT))
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing of it is left that matters."""
+        states = self.process is ProcessState.ABSENT, self.connection is ConnectionState.NONE
+        return all(states) and self.fence is FenceState.NONE and self.handle is None and self.role is None
+
+
+class LifeTable:
+    """The lives of the instances of one system, by name, in the order in which their processes have changed.
+
+    What has happened is passed to :meth:`record`, or to one of the methods that record more than the event. Each raises
+    ForbiddenTransition where that is the policy (:mod:`.transitions`).
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._lives: dict[str, InstanceLife] = {}
+
+    # -- what has happened -------------------------------------------------------------------------------
+
+    def record(self, name: str, event: LifeEvent, because: str | None = None) -> None:
+        """``event`` has happened to an instance; ``because``: more than the event says."""
+        life, because = self._of(name), because or f"{name}: {event.value}"
+        life.history.append(Transition(self._clock.steady(), event, because))
+        match event:
+            case ProcessEvent():
+                before, life.process = life.process, PROCESSES.after(life.process, event, name)
+                if event in {ProcessEvent.ENDED, ProcessEvent.KILLED}:
+                    life.handle = None
+                if event is ProcessEvent.REPLACED:
+                    life.role = None
+                if life.process is not before:
+                    self._lives[name] = self._lives.pop(name)
+            case ConnectionEvent():
+                life.connection = CONNECTIONS.after(life.connection, event, name)
+                if event in {ConnectionEvent.BROKEN, ConnectionEvent.DISCONNECTED}:
+                    life.latest = None
+            case FenceEvent():
+                life.fence = FENCES.after(life.fence, event, name)
+                if life.fence is FenceState.NONE:
+                    life.fenced = None
+        log.debug("%s (process %s, connection %s)", because, life.process.name, life.connection.name)
+        if life.is_over:
+            del self._lives[name]
+
+    def started(self, name: str, handle: Handle | None) -> None:
+        """Its process was started, or, without ``handle``, is started by hand and awaited."""
+        self._of(name).handle = handle
+        self.record(name, ProcessEvent.STARTED)
+
+    def adopted(self, name: str, handle: Handle | None) -> None:
+        """It still runs; with ``handle``, an earlier manager has started it, and this one may terminate it."""
+        self._of(name).handle = handle
+        self.record(name, ProcessEvent.ADOPTED)
+
+    def exited(self, exit: Exited, event: ProcessEvent = ProcessEvent.EXITED) -> None:
+        """It has exited without being asked to, or was ``KILLED``."""
+        self._of(exit.instance).exit = exit
+        self.record(exit.instance, event, why_exited(exit.instance))
+
+    def missed(self, name: str, role: str | None, exit: Exited) -> None:
+        """Its role is without an instance, since it has exited unexpectedly."""
+        life = self._of(name)
+        life.role, life.exit = role, exit
+        self.record(name, ProcessEvent.MISSED, why_exited(name))
+
+    def miss_again(self, exits: Mapping[str, Exited], instances: Container[str]) -> None:
+        """What was to restore these missing ones has been undone: but for the ``instances`` of the model, they are."""
+        for name, exit in exits.items():
+            if name not in instances and self[name].process is not ProcessState.MISSING:
+                self.missed(name, self[name].role, exit)
+        self._lives = {name: self._lives[name] for name in exits if name in self._lives} | self._lives
+
+    def take_exited(self, instances: Mapping[str, Instance]) -> list[str]:
+        """Those that have exited, of the ``instances`` of the model, by name: their roles miss them from now on.
+
+        The caller takes them out of the model.
+        """
+        found = self.exits
+        for name, exit in found.items():
+            if name in instances:
+                self._of(name).handle = None
+                self.missed(name, instances[name].role, exit)
+            else:
+                self.record(name, ProcessEvent.REPLACED)
+        return sorted(found.keys() & instances.keys())
+
+    def fence(self, fenced: FencedInstance, closed: list[tuple[str, str]]) -> None:
+        """The change in progress has fenced it; ``closed``: these of its outputs, or none where it was killed."""
+        life = self._of(fenced.instance)
+        life.fenced, life.closed = fenced, closed
+        self.record(fenced.instance, FenceEvent.CLOSED if fenced.how == "gate" else FenceEvent.KILLED, fenced.words)
+
+    def begin_change(self) -> None:
+        """Another change begins, which may fence again what the one before has fenced."""
+        for name in self.fenced:
+            self.record(name, FenceEvent.CHANGE_BEGUN)
+
+    def reported(self, state: ComponentState) -> None:
+        """A component has reported its state."""
+        self._of(state.instance).latest = LatestState(state, self._clock.steady())
+
+    # -- what is the case --------------------------------------------------------------------------------
+
+    def __getitem__(self, name: str) -> InstanceLife:
+        """What is known of an instance; nothing of one that was never heard of."""
+        return self._lives.get(name) or InstanceLife()
+
+    @property
+    def handles(self) -> dict[str, Handle]:
+        """Those of the processes that a manager started, which this one may terminate."""
+        return {name: life.handle for name, life in self._lives.items() if life.handle is not None}
+
+    @property
+    def exits(self) -> dict[str, Exited]:
+        """How instances have exited unexpectedly that the model may still have, the earliest first."""
+        return self._exits(ProcessState.EXITED)
+
+    @property
+    def missing(self) -> dict[str, Exited]:
+        """How instances have exited unexpectedly whose roles have none since, the earliest first."""
+        return self._exits(ProcessState.MISSING)
+
+    @property
+    def fenced(self) -> dict[str, FencedInstance]:
+        """What the change in progress has fenced, or the last one, and why."""
+        return {name: life.fenced for name, life in self._lives.items() if life.fenced is not None}
+
+    def is_ending(self, name: str) -> bool:
+        """Whether it has been asked to exit, and does not answer any more."""
+        return self[name].process is ProcessState.STOPPING
+
+    def has_exited(self, name: str) -> bool:
+        """Whether it is known to have exited unexpectedly, while the model may still have it."""
+        return self[name].process is ProcessState.EXITED
+
+    def is_gone(self, name: str) -> bool:
+        """Whether its process has exited, or is about to: the end of its connection is known first."""
+        life = self[name]
+        return life.process is ProcessState.EXITED or life.connection is ConnectionState.LOST
+
+    def is_gone_or_fenced(self, name: str) -> bool:
+        """Whether nothing is asked of it any more."""
+        return self.is_gone(name) or self[name].fence is not FenceState.NONE
+
+    def latest(self, name: str) -> LatestState | None:
+        """The state that the component last reported, while it is connected."""
+        return self[name].latest
+
+    def responsive(self, name: str) -> ComponentState | None:
+        """The state that the component last reported; None if it is not connected or silent for over ``SILENCE``."""
+        latest = self.latest(name)
+        return None if latest is None or self.is_silent(name) else latest.state
+
+    def is_silent(self, name: str) -> bool:
+        """Whether a component that is connected has not reported for over ``SILENCE``."""
+        latest = self.latest(name)
+        return latest is not None and self._clock.steady() - latest.at > SILENCE
+
+    def is_stopped(self, name: str) -> bool:
+        """Whether a component that is connected has reported nothing for so long that it counts as stopped."""
+        latest = self.latest(name)
+        return latest is not None and self._clock.steady() - latest.at >= STOPPED
+
+    def _of(self, name: str) -> InstanceLife:
+        return self._lives.setdefault(name, InstanceLife())
+
+    def _exits(self, state: ProcessState) -> dict[str, Exited]:
+        lives = self._lives.items()
+        return {name: life.exit for name, life in lives if life.process is state and life.exit is not None}
+
+
+def why_exited(name: str) -> str:
+    """Why an instance is missing."""
+    return f"{name} exited unexpectedly"
