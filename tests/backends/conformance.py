@@ -23,7 +23,7 @@ ESSENTIAL = {
     "hands_over_on_the_grid",
     "hands_over_what_messages_drive",
     "hands_over_a_latched_topic",
-    "resumes_unless_relieved",
+    "resumes_unless_confirmed",
     "cancels_a_cut",
 }
 assert {check.__name__ for check in CHECKS} >= ESSENTIAL

@@ -216,7 +216,7 @@ async def hands_over_to_one_that_writes_once(lab: Lab) -> None:
 
 
 @check
-async def resumes_unless_relieved(lab: Lab) -> None:
+async def resumes_unless_confirmed(lab: Lab) -> None:
     """The new side never learns of the cut: the old one resumes by itself, after the agreed time and not before."""
     await _two_talkers(lab)
     await lab.change("sink", "record", inputs=["in"], on=True)

@@ -158,7 +158,7 @@ class Report:
 
 
 class World:
-    """``manager``: its commands; it may end before each. `c` cancels and `s` settles a side, `o` or `n`, `k` kills it,
+    """``manager``: its commands; it may end before each. `c` cancels and `s` resolves a side, `o` or `n`, `k` kills it,
     `d` takes it off its topic.
 
     ``mortal``: the sides that may die. ``fails``: the code of the new side may raise. ``hosts``: one, with one claim
@@ -239,7 +239,7 @@ class World:
                     self.processes[name].do("die", 0)
                 elif self.processes[name].alive:
                     task = self.outgoing if name == "o" else self.incoming
-                    doing = {"c": self.cancel, "d": self.detach, "s": type(task).settle}[what]
+                    doing = {"c": self.cancel, "d": self.detach, "s": type(task).resolve}[what]
                     self.command = self.processes[name].start(doing(cast(Any, task)))
             case "manager", _, _:
                 self.manager = ""

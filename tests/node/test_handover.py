@@ -338,7 +338,7 @@ def test_an_old_side_that_has_done_its_part_writes_again_when_the_new_one_cannot
         else:
             await lab.change("new", "cancel_cut", cut="cut")
         if how == "is settled":  # by the next manager, which goes by what is then open
-            await lab.read("old", "settle_cuts", new=False)
+            await lab.read("old", "resolve_cuts", new=False)
             assert await reopened(lab)
         await lab.eventually("the old side writes again", lambda: reopened(lab))
         await lab.sleep(0.2)
@@ -593,8 +593,8 @@ def test_a_cut_that_resumes_late_leaves_the_next_cut_alone(tmp_path: Path) -> No
 
 
 async def settle(lab: Lab) -> None:
-    await lab.read("new", "settle_cuts", new=True)
-    await lab.read("old", "settle_cuts", new=False)
+    await lab.read("new", "resolve_cuts", new=True)
+    await lab.read("old", "resolve_cuts", new=False)
 
 
 def test_the_next_manager_settles_a_cut_that_nothing_has_passed(tmp_path: Path) -> None:
@@ -602,7 +602,7 @@ def test_the_next_manager_settles_a_cut_that_nothing_has_passed(tmp_path: Path) 
         await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
         await cut_at(lab, await next_slot(lab, 0.5))
         for name, other in (("new", False), ("old", True)):
-            await lab.read(name, "settle_cuts", new=other)  # not its side
+            await lab.read(name, "resolve_cuts", new=other)  # not its side
         assert await outcomes(lab, timeout=0.0) == ("waiting", "waiting")
         await settle(lab)
         assert await outcomes(lab, timeout=0.0) == ("cancelled", "cancelled")

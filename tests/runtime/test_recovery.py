@@ -16,7 +16,7 @@ from midstride.model.specification import Node, Specification
 from midstride.runtime.backend_protocol import Handle
 from midstride.runtime.records.state_store import SavedInstance
 from midstride.runtime.restore.recovery import recover
-from midstride.wire.commands import AnswerCommand, GateCommand, ObserveCommand, RecordCommand, SettleCutsCommand
+from midstride.wire.commands import AnswerCommand, GateCommand, ObserveCommand, RecordCommand, ResolveCutsCommand
 from tests.model import build
 from tests.model.build import work
 from tests.runtime.scripted import REFUSED, TALKER, TIMEOUT, UNREACHABLE, Bench, bench, instance, reported, talking
@@ -128,10 +128,10 @@ def test_cuts_under_way_are_settled_before_one_of_two_instances_is_ended(tmp_pat
         for name, order in (("talker", gates), ("talker_2", gates[::-1])):
             states = (reported(b.configuration.instances[name], b.configuration, gates=each) for each in order)
             b.client.reply(name, ObserveCommand, *states)
-        b.client.reply("talker", SettleCutsCommand, REFUSED)  # a node without Midstride's API
+        b.client.reply("talker", ResolveCutsCommand, REFUSED)  # a node without Midstride's API
         assert await recovered(b) == RUNNING
         settled = [
-            (sent.instance, sent.command.new) for sent in b.client.sent if isinstance(sent.command, SettleCutsCommand)
+            (sent.instance, sent.command.new) for sent in b.client.sent if isinstance(sent.command, ResolveCutsCommand)
         ]
         assert settled == [(name, new) for new in (True, False) for name in ("listener", "talker", "talker_2")]
         assert [name for name, _ in b.backend.ended] == ["talker_2"]

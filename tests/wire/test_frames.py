@@ -45,10 +45,10 @@ from midstride.wire.commands import (
     RecordCommand,
     RecordsCommand,
     ReleaseCommand,
+    ResolveCutsCommand,
     SeatCommand,
     SeatPort,
     SetParametersCommand,
-    SettleCutsCommand,
     StateTransfer,
     StopCommand,
     WelcomeCommand,
@@ -72,6 +72,7 @@ from midstride.wire.frames import (
 from midstride.wire.program import FileFingerprint, Program
 from midstride.wire.replies import (
     Attached,
+    Confirmed,
     CutResult,
     Detached,
     Discovered,
@@ -89,7 +90,6 @@ from midstride.wire.replies import (
     Receipt,
     RecordingSwitched,
     Records,
-    Relieved,
     Seat,
     StateOffer,
     Yielded,
@@ -231,15 +231,15 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (AnswerCommand(peer="old", address="unix:/x", timeout=1.5), Done()),
     (ReleaseCommand(timeout=1.5), Done()),
     (StopCommand(timeout=1.5), Done()),
-    (CutTakenCommand(cut="c", failed=True, claim="here", timeout=1.5), Relieved(resumed=True)),
+    (CutTakenCommand(cut="c", failed=True, claim="here", timeout=1.5), Confirmed(resumed=True)),
     (YieldCommand(timeout=1.5), Yielded(handled=["1 2", "1 3"])),
-    (SettleCutsCommand(new=True, timeout=1.5), Done()),
+    (ResolveCutsCommand(new=True, timeout=1.5), Done()),
     (OfferStateCommand(changes=True, timeout=1.5), StateOffer(exports="nothing")),
     (
         FetchStateCommand(transfer="t", timeout=1.5),
         FetchedState(state=b"\x00\xff\n", handled={"p": 10**18}, since=1, requests=["r"]),
     ),
-    (ImportingCommand(transfer="t", done=True, timeout=1.5), Relieved(resumed=False)),
+    (ImportingCommand(transfer="t", done=True, timeout=1.5), Confirmed(resumed=False)),
 ]
 ids = [command.name for command, _ in SAMPLES]
 

@@ -15,12 +15,13 @@ from msgspec import structs
 from midstride.errors import CommandRefused
 from midstride.foreign.gates import Gates, share_baton
 from midstride.foreign.node import TICK, ForeignNode
-from midstride.foreign.outputs import AgentHandler, UngatedOutputs
+from midstride.foreign.outputs import UngatedOutputs
 from midstride.foreign.page import OPEN, OUTPUT
 from midstride.node.control.attachments import SETTLE, not_matched
 from midstride.node.control.rate_watch import RateWatch
 from midstride.node.handover.baton import BatonStep
 from midstride.wire import commands, replies
+from midstride.wire.command_server import CommandHandler
 from midstride.wire.commands import Command
 
 # How long a call that is publishing may take to return (s).
@@ -50,7 +51,7 @@ class GatedOutputs(UngatedOutputs):
         self._cuts: dict[str, _Cut] = {}
         self._seats: dict[str, int] = {}  # by cut: the part in the page of a peer that uses Midstride's API
 
-    def handlers(self) -> dict[type[Command[Any]], AgentHandler]:
+    def handlers(self) -> dict[type[Command[Any]], CommandHandler]:
         return {
             **super().handlers(),
             commands.GateCommand: self.set_gate,

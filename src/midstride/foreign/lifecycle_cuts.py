@@ -15,9 +15,10 @@ from typing import Any
 from midstride.errors import CommandRefused
 from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.node import WATCH
-from midstride.foreign.outputs import AgentHandler, UngatedOutputs
+from midstride.foreign.outputs import UngatedOutputs
 from midstride.foreign.services import NoAnswer
 from midstride.wire import commands, replies
+from midstride.wire.command_server import CommandHandler
 from midstride.wire.commands import Command
 from midstride.wire.state import GateState
 
@@ -40,7 +41,7 @@ class LifecycleOutputs(UngatedOutputs):
         self._cuts: dict[str, tuple[str | None, list[str]]] = {}  # the old side, None on that side, and the ports
         peers.nodes[own.node.record.instance] = own
 
-    def handlers(self) -> dict[type[Command[Any]], AgentHandler]:
+    def handlers(self) -> dict[type[Command[Any]], CommandHandler]:
         return {
             **super().handlers(),
             commands.GateCommand: self.set_gate,

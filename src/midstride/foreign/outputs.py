@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Awaitable, Callable
-from typing import Any, NoReturn, TypeAlias
+from typing import Any, NoReturn
 
 from midstride.errors import CommandRefused
 from midstride.foreign.node import ForeignNode
 from midstride.wire import commands, replies
+from midstride.wire.command_server import CommandHandler
 from midstride.wire.commands import Command
-from midstride.wire.state import WireValue
-
-AgentHandler: TypeAlias = Callable[[Any], Awaitable[WireValue]]
 
 
 class UngatedOutputs:
@@ -21,7 +18,7 @@ class UngatedOutputs:
     def __init__(self, node: ForeignNode) -> None:
         self._node = node
 
-    def handlers(self) -> dict[type[Command[Any]], AgentHandler]:
+    def handlers(self) -> dict[type[Command[Any]], CommandHandler]:
         held = (
             commands.GateCommand,
             commands.FenceCommand,

@@ -1,6 +1,6 @@
 """Which steps of a plan commute, and how long it takes when those that do overlap.
 
-Each step leaves *marks*: what it claims of an instance, an attachment, a mode, a functionality's support, a cap or a
+Each step leaves *marks*: what it does to an instance, an attachment, a mode, a functionality's support, a cap or a
 capacity. Two steps commute unless two of their marks clash. The table relies on monotonicity (docs/semantics.md
 section 5, F2 and F3): support that arrives earlier, or is withdrawn later, does no harm. So every order that preserves
 the order of clashing pairs is valid, step by step.
@@ -29,7 +29,7 @@ from midstride.plan.disruption import DIGITS, LevelChange, Levels, follow
 from midstride.plan.step import Step
 
 
-class Claim(Enum):
+class Access(Enum):
     """What a step does to the thing it marks."""
 
     OWN = auto()
@@ -46,17 +46,17 @@ class Claim(Enum):
     __hash__ = object.__hash__
 
 
-# A step with the second claim on a thing waits for each earlier step with one of the first on it.
-_WAITS_FOR: Final[dict[Claim, tuple[Claim, ...]]] = {
-    Claim.OWN: (Claim.OWN, Claim.USE),
-    Claim.USE: (Claim.OWN,),
-    Claim.DEPEND: (Claim.SUPPORT,),
-    Claim.WITHDRAW: (Claim.SUPPORT, Claim.DEPEND),
-    Claim.ACQUIRE: (Claim.RELEASE,),
-    Claim.AFTER: (Claim.BEFORE,),
+# A step with the second access to a thing waits for each earlier step with one of the first to it.
+_WAITS_FOR: Final[dict[Access, tuple[Access, ...]]] = {
+    Access.OWN: (Access.OWN, Access.USE),
+    Access.USE: (Access.OWN,),
+    Access.DEPEND: (Access.SUPPORT,),
+    Access.WITHDRAW: (Access.SUPPORT, Access.DEPEND),
+    Access.ACQUIRE: (Access.RELEASE,),
+    Access.AFTER: (Access.BEFORE,),
 }
 
-Mark = tuple[Hashable, Claim]
+Mark = tuple[Hashable, Access]
 
 
 class _Marker:
@@ -82,56 +82,56 @@ class _Marker:
         if step.is_structural:
             for order in self.orders:
                 if order.first in step.roles:
-                    yield ("order", order), Claim.BEFORE
+                    yield ("order", order), Access.BEFORE
                 if order.then in step.roles:
-                    yield ("order", order), Claim.AFTER
+                    yield ("order", order), Access.AFTER
         match action:
             case Create():
-                yield ("live", action.instance.name), Claim.OWN
+                yield ("live", action.instance.name), Access.OWN
                 yield from self._role(action.instance.role)
                 for resource in action.instance.component.resource_usage:
-                    yield ("resource", resource), Claim.ACQUIRE
+                    yield ("resource", resource), Access.ACQUIRE
             case Remove():
-                yield ("live", action.instance), Claim.OWN
+                yield ("live", action.instance), Access.OWN
                 yield from self._role(self.change.role_of(action.instance))
                 for resource in self.change.component_of(action.instance).resource_usage:
-                    yield ("resource", resource), Claim.RELEASE
+                    yield ("resource", resource), Access.RELEASE
             case Attach():
-                yield from self._attachment(action.port, action.connector, Claim.SUPPORT)
-                yield from self._slot(action.port, action.connector, Claim.ACQUIRE)
+                yield from self._attachment(action.port, action.connector, Access.SUPPORT)
+                yield from self._slot(action.port, action.connector, Access.ACQUIRE)
             case Detach():
-                yield from self._attachment(action.port, action.connector, Claim.WITHDRAW)
-                yield from self._slot(action.port, action.connector, Claim.RELEASE)
+                yield from self._attachment(action.port, action.connector, Access.WITHDRAW)
+                yield from self._slot(action.port, action.connector, Access.RELEASE)
             case Handover():
                 for swap in action.swaps:
                     for port in (swap.old, swap.new):
-                        yield from self._attachment(port, swap.connector, Claim.SUPPORT)
+                        yield from self._attachment(port, swap.connector, Access.SUPPORT)
                     owner = self.change.component_of(swap.new.instance).owner(swap.new.port)
-                    yield ("mode", FunctionalityRef(swap.new.instance, owner.name)), Claim.USE
+                    yield ("mode", FunctionalityRef(swap.new.instance, owner.name)), Access.USE
             case Degrade() | Upgrade():
                 for ref in action.modes:
                     yield from self._mode(ref, isinstance(action, Upgrade))
             case SetParameters():
-                yield ("live", action.instance), Claim.USE
-                yield ("parameters", action.instance), Claim.OWN
+                yield ("live", action.instance), Access.USE
+                yield ("parameters", action.instance), Access.OWN
 
     def _role(self, role: str) -> Iterator[Mark]:
         if role in self.moving:
-            yield ("role", role), Claim.OWN
+            yield ("role", role), Access.OWN
 
-    def _attachment(self, port: PortRef, connector: str, claim: Claim) -> Iterator[Mark]:
-        yield ("live", port.instance), Claim.USE
-        yield ("attachment", port, connector), Claim.OWN
+    def _attachment(self, port: PortRef, connector: str, access: Access) -> Iterator[Mark]:
+        yield ("live", port.instance), Access.USE
+        yield ("attachment", port, connector), Access.OWN
         component = self.change.component_of(port.instance)
         if port.port in component.inputs:
             for functionality in component.users(port.port):
-                yield ("support", FunctionalityRef(port.instance, functionality.name)), claim
+                yield ("support", FunctionalityRef(port.instance, functionality.name)), access
         else:
             yield from self._role(self.change.role_of(port.instance))
             for ref in self._consumers_of(connector):
-                yield ("support", ref), claim
+                yield ("support", ref), access
 
-    def _slot(self, port: PortRef, connector: str, claim: Claim) -> Iterator[Mark]:
+    def _slot(self, port: PortRef, connector: str, access: Access) -> Iterator[Mark]:
         connectors = self.change.start.context.connectors
         topic = connectors[connector].topic
         capped = any(
@@ -139,20 +139,20 @@ class _Marker:
             for name in (connector, self.change.identities.get(topic, topic))
         )
         if capped and self.change.is_output(port):
-            yield ("topic", topic), claim
+            yield ("topic", topic), access
 
     def _mode(self, ref: FunctionalityRef, better: bool) -> Iterator[Mark]:
-        yield ("live", ref.instance), Claim.USE
-        yield ("mode", ref), Claim.OWN
-        yield ("support", ref), Claim.DEPEND
+        yield ("live", ref.instance), Access.USE
+        yield ("mode", ref), Access.OWN
+        yield ("support", ref), Access.DEPEND
         yield from self._role(self.change.role_of(ref.instance))
-        claim = Claim.SUPPORT if better else Claim.WITHDRAW
+        access = Access.SUPPORT if better else Access.WITHDRAW
         for output in self.change.component_of(ref.instance).functionalities[ref.functionality].outputs:
             port = PortRef(ref.instance, output)
             for connector in {*self.change.start.connectors_of.get(port, ()), *self._attached.get(port, ())}:
                 for consumer in self._consumers_of(connector):
                     if consumer != ref:
-                        yield ("support", consumer), claim
+                        yield ("support", consumer), access
 
     def _consumers_of(self, connector: str) -> Iterable[FunctionalityRef]:
         """The functionalities that use an input attached to ``connector`` at some time during the plan."""
@@ -186,8 +186,8 @@ def schedule(steps: Sequence[Step], levels: Levels) -> Schedule:
     for index, (step, (_, meter)) in enumerate(zip(steps, islice(follow(levels, steps), 1, None), strict=True)):
         marks = dict.fromkeys(marker.of(step))
         waits: set[int] = set()
-        for thing, claim in marks:
-            for awaited in _WAITS_FOR.get(claim, ()):
+        for thing, access in marks:
+            for awaited in _WAITS_FOR.get(access, ()):
                 waits.update(earlier.get((thing, awaited), ()))
         if any(shift.after > shift.before for shift in meter.changes):
             # For every earlier one: the last step by which something falls waits for those before it.

@@ -29,19 +29,19 @@ class FileClaim:
         self._descriptor: int | None = None
         self._held = self._renounced = self._shared = False
         self._holder = 0  # the process that has taken it
-        self._turn = threading.Lock()
+        self._mutex = threading.Lock()
 
     def take(self) -> bool:
-        with self._turn:
+        with self._mutex:
             return self._held or (not self._renounced and self._take())
 
     def renounce(self) -> bool:
-        with self._turn:
+        with self._mutex:
             self._renounced = not self._held
             return self._renounced
 
     def give_back(self) -> None:
-        with self._turn:
+        with self._mutex:
             held, self._held = self._held, False
             if self._descriptor is not None:
                 if held and self._holder == os.getpid():  # a child that user code has forked keeps the file open, too
@@ -53,11 +53,11 @@ class FileClaim:
 
     @property
     def place(self) -> str:
-        with self._turn:
+        with self._mutex:
             return self._place()
 
     def share(self, place: str) -> None:
-        with self._turn:
+        with self._mutex:
             self._shared = self._shared or (place != "" and place == self._place())
 
     def inherit(self) -> bool:

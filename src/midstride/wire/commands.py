@@ -17,6 +17,7 @@ import msgspec
 from midstride.wire.program import Program
 from midstride.wire.replies import (
     Attached,
+    Confirmed,
     CutClock,
     CutResult,
     Detached,
@@ -33,7 +34,6 @@ from midstride.wire.replies import (
     RateVerdict,
     RecordingSwitched,
     Records,
-    Relieved,
     Seat,
     StateOffer,
     Yielded,
@@ -393,7 +393,7 @@ class StopCommand(Command[Done], frozen=True, kw_only=True, tag="stop"):
     """End the process in order."""
 
 
-class CutTakenCommand(Command[Relieved], frozen=True, kw_only=True, tag="taken"):
+class CutTakenCommand(Command[Confirmed], frozen=True, kw_only=True, tag="taken"):
     """From the new side of a cut to the old one: it has written, or it has ``failed`` and will not.
 
     ``claim``: where the claim is that it has taken (:class:`midstride.wire.transport.CutClaim`).
@@ -411,7 +411,7 @@ class YieldCommand(Command[Yielded], frozen=True, kw_only=True, tag="yield"):
     kind = "between"
 
 
-class SettleCutsCommand(Command[Done], frozen=True, kw_only=True, tag="settle_cuts"):
+class ResolveCutsCommand(Command[Done], frozen=True, kw_only=True, tag="resolve_cuts"):
     """From the next manager: leave no cut of an earlier one under way of which this is the ``new`` side, or the old.
 
     A cut at which the new side has taken over is waited for, any other is cancelled. New sides come before old ones.
@@ -436,7 +436,7 @@ class FetchStateCommand(Command[FetchedState], frozen=True, kw_only=True, tag="f
     transfer: str
 
 
-class ImportingCommand(Command[Relieved], frozen=True, kw_only=True, tag="importing"):
+class ImportingCommand(Command[Confirmed], frozen=True, kw_only=True, tag="importing"):
     """From the new side to the old one: it is importing the state, or has ``done`` so and is about to write."""
 
     kind = "between"

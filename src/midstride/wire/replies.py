@@ -218,7 +218,7 @@ class Seat(WireValue, frozen=True, kw_only=True):
     timed: bool
 
 
-class Relieved(WireValue, frozen=True, kw_only=True):
+class Confirmed(WireValue, frozen=True, kw_only=True):
     """``resumed``: it is too late, and the old side writes again."""
 
     resumed: bool

@@ -99,7 +99,7 @@ class CommandHandlers:
             commands.CutInCommand: self._handovers.cut_in,
             commands.CancelCutCommand: self._handovers.cancel_cut,
             commands.AwaitCutCommand: self._handovers.await_cut,
-            commands.SettleCutsCommand: self._handovers.settle_cuts,
+            commands.ResolveCutsCommand: self._handovers.resolve_cuts,
             commands.CutTakenCommand: self._handovers.taken,
             commands.DiscoverCommand: partial(discover, self.host),
             commands.AwaitIdleCommand: self._fencing.await_idle,
@@ -268,7 +268,7 @@ class CommandHandlers:
         switch = ModeSwitch(targets, command.because, guard, on_settled, hold=self._take_hold())
         attempt = asyncio.ensure_future(self.host.on_data(switch.attempt))
         attempt.add_done_callback(self._log_failure)
-        if await within(self.host, settled.wait(), command.timeout) is None and switch.claim.take():
+        if await within(self.host, settled.wait(), command.timeout) is None and switch.decision.make():
             self.host.on_data(switch.release)
             raise CommandRefused(
                 f"the change of {', '.join(indices)} was withdrawn: "

@@ -51,7 +51,7 @@ class Fall:
     @property
     def waits(self) -> bool:
         """Whether the data thread has not come to it yet, and nothing shows it."""
-        return not (self.attempted or self.shown or self.switch.claim.taken())
+        return not (self.attempted or self.shown or self.switch.decision.made())
 
 
 class Watch:
@@ -306,7 +306,7 @@ class Reflex:
 
     def _withdraw(self, fall: Fall) -> bool:
         """Whether ``fall`` has not happened, and will not."""
-        withdrawn = fall.switch.claim.take()
+        withdrawn = fall.switch.decision.make()
         if withdrawn:
             self.host.on_data(fall.switch.release)
         return withdrawn
@@ -334,7 +334,7 @@ class Reflex:
             watch.fall = None
             for shortfall in watch.inputs.values():
                 shortfall.halve()
-        elif fall.switch.claim.taken():
+        elif fall.switch.decision.made():
             watch.fall = None
         elif fall.attempted:  # an asynchronous call is under way
             if not fall.shown:

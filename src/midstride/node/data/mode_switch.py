@@ -40,17 +40,17 @@ async def within(host: Host, awaitable: Awaitable[T], seconds: float) -> asyncio
     return None
 
 
-class FirstClaim:
-    """Whether something happens (data thread) or is withdrawn (control thread): the first to claim it decides."""
+class FirstDecision:
+    """Whether something happens (data thread) or is withdrawn (control thread): the first of them decides."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()  # never released
 
-    def take(self) -> bool:
+    def make(self) -> bool:
         """Returns whether the caller is the first."""
         return self._lock.acquire(blocking=False)
 
-    def taken(self) -> bool:
+    def made(self) -> bool:
         return self._lock.locked()
 
 
@@ -66,10 +66,10 @@ class DataExecutor:
 
         Raises CommandRefused where the data thread is not free within ``timeout``; then it does not run later either.
         """
-        claim = FirstClaim()
-        work = asyncio.ensure_future(self.host.on_data(lambda: function() if claim.take() else None))
+        decision = FirstDecision()
+        work = asyncio.ensure_future(self.host.on_data(lambda: function() if decision.make() else None))
         if await within(self.host, work, timeout) is None:
-            if claim.take():
+            if decision.make():
                 raise CommandRefused(f"user code did not return within {timeout:g} s{self.busy()}")
             if await within(self.host, work, timeout) is None:
                 raise CommandRefused(f"it has started, but did not end within another {timeout:g} s{self.busy()}")
@@ -92,10 +92,10 @@ class DataExecutor:
             if not loop.is_closed():
                 loop.call_soon_threadsafe(ended.set)
 
-        claim = FirstClaim()
+        decision = FirstDecision()
 
         def begin() -> bool:
-            if not claim.take():
+            if not decision.make():
                 return False
             result = function()
             if not asyncio.iscoroutine(result):
@@ -105,7 +105,7 @@ class DataExecutor:
 
         work = await within(self.host, self.host.on_data(begin), timeout)
         if work is None:
-            claim.take()
+            decision.make()
             return False
         if not work.result() and await within(self.host, ended.wait(), timeout) is None:
             return False
@@ -161,17 +161,17 @@ class ModeSwitch:
     at: int | None = None  # when the last mode was entered (steady ns)
     before: dict[str, str] = field(default_factory=dict)
     refused: str | None = None
-    claim: FirstClaim = field(default_factory=FirstClaim)
+    decision: FirstDecision = field(default_factory=FirstDecision)
 
     def attempt(self) -> None:
         """On the data thread: switch, unless an async call is under way; then this is called again at its end."""
-        if self.claim.taken():
+        if self.decision.made():
             return
         if any(runner.asynchronous for runner in self.targets):
             for runner in self.targets:
                 runner.block(self.attempt)
             return
-        if not self.claim.take():  # the control thread has just withdrawn it
+        if not self.decision.make():  # the control thread has just withdrawn it
             return
         try:
             self.refused = self.guard()

@@ -76,7 +76,7 @@ class _CutTask(abc.ABC):
     async def cancel(self) -> None: ...
 
     @abc.abstractmethod
-    async def settle(self) -> None:
+    async def resolve(self) -> None:
         """Return once it has an outcome; cancel it unless the new side has taken over."""
 
     def _jumped_back(self, by: float = JUMP) -> bool:
@@ -244,7 +244,7 @@ class CutOutTask(_CutTask):
         if not self.over and self._taken and self.side.arbiter.inherit():
             await self._end("resumed", self.side.reopen)
 
-    async def settle(self) -> None:
+    async def resolve(self) -> None:
         if self._going() and self._may_resume():
             await self._end("cancelled", self.side.reopen)
         await self.finished.wait()
@@ -277,7 +277,7 @@ class CutInTask(_CutTask):
         latched = all(link.output.owner.rate is not None for link in self.side.links)  # a time grid needs no latch
         await self._until(self.side.at)
         if self.state is not None and self._going():
-            await self.state.settled()
+            await self.state.decided()
         self.phase = CutPhase.CROSSING
         waited_from = self.host.steady()
         while self.side.links and self._going() and not self._is_decided():
@@ -356,7 +356,7 @@ class CutInTask(_CutTask):
             await self.state.cancel()
         await self._end("cancelled", self._close)
 
-    async def settle(self) -> None:
+    async def resolve(self) -> None:
         if self._going() and self.phase in (CutPhase.APPROACHING, CutPhase.CROSSING):
             await self._abandon(report=False)
         await self.finished.wait()

@@ -213,9 +213,9 @@ class HandoverCommands:
                 raise
         return replies.Done()
 
-    async def settle_cuts(self, command: commands.SettleCutsCommand) -> replies.Done:
+    async def resolve_cuts(self, command: commands.ResolveCutsCommand) -> replies.Done:
         sides = [side for sides in self._sides.values() for side in sides if side.new == command.new]
-        await within(self.host, asyncio.gather(*(side.settle() for side in sides)), command.timeout)
+        await within(self.host, asyncio.gather(*(side.resolve() for side in sides)), command.timeout)
         return replies.Done()
 
     async def await_cut(self, command: commands.AwaitCutCommand) -> replies.CutResult:
@@ -232,11 +232,11 @@ class HandoverCommands:
         because = next((result.because for result in results if result.because is not None), None)
         return replies.CutResult(outcome=outcome, because=because, last=last, first=first)
 
-    async def taken(self, command: commands.CutTakenCommand) -> replies.Relieved:
+    async def taken(self, command: commands.CutTakenCommand) -> replies.Confirmed:
         """From the new side. Where the cut is unknown, this side has not stopped writing."""
         old = [side for side in self._sides.get(command.cut, []) if isinstance(side, CutOutTask)]
         resumed = [await side.taken(command.failed, command.claim) for side in old]
-        return replies.Relieved(resumed=any(resumed) if old else True)
+        return replies.Confirmed(resumed=any(resumed) if old else True)
 
     # -- state ---------------------------------------------------------------------------------------
 
@@ -271,7 +271,7 @@ class HandoverCommands:
     async def fetch_state(self, command: commands.FetchStateCommand) -> replies.FetchedState:
         return await self._exporting(command.transfer).fetch()
 
-    async def importing(self, command: commands.ImportingCommand) -> replies.Relieved:
+    async def importing(self, command: commands.ImportingCommand) -> replies.Confirmed:
         return self._exporting(command.transfer).importing(command.done)
 
     def _exporting(self, transfer: str) -> StateExport:

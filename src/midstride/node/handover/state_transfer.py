@@ -159,7 +159,7 @@ class StateExport(_Transfer):
     _imported: bool = field(default=False, init=False)
     _resumed: bool = field(default=False, init=False)
     _held: asyncio.Event = field(default_factory=asyncio.Event, init=False)
-    _settled: asyncio.Event = field(default_factory=asyncio.Event, init=False)
+    _decided: asyncio.Event = field(default_factory=asyncio.Event, init=False)
 
     def __post_init__(self) -> None:
         self._loop = asyncio.get_running_loop()
@@ -200,7 +200,7 @@ class StateExport(_Transfer):
         except CommandRefused as error:
             self.because = self.because or str(error)
         self._heard_at = self.host.steady() + int(len(self._state or b"") * TRANSIT_PER_BYTE * 1e9)
-        self._settled.set()
+        self._decided.set()
 
     async def _requests_answered(self) -> None:
         while self.answering.gate.busy:
@@ -225,17 +225,17 @@ class StateExport(_Transfer):
 
     async def fetch(self) -> replies.FetchedState:
         """Raises CommandRefused where the state could not be exported, or the old side has resumed."""
-        await self._settled.wait()
+        await self._decided.wait()
         if self.because is not None:
             raise CommandRefused(self.because)
         requests = self.answering.gate.handled if self._answered else None
         return replies.FetchedState(state=self._state, handled=self._handled, since=self._since, requests=requests)
 
-    def importing(self, done: bool) -> replies.Relieved:
+    def importing(self, done: bool) -> replies.Confirmed:
         if not self._resumed:
             self._heard_at = max(self.host.steady(), self.heard_at)
             self._imported = self._imported or done
-        return replies.Relieved(resumed=self._resumed)
+        return replies.Confirmed(resumed=self._resumed)
 
     def end(self, cut: object, resumed: bool) -> None:
         """A cut has ended. Once all have, calls are no longer held back."""
@@ -247,7 +247,7 @@ class StateExport(_Transfer):
                 self._answered = False
                 new = self.transfer.new
                 self.start(self.answering.take_back(new, self.transfer.address, may_answer=self._imported))
-        self._settled.set()
+        self._decided.set()
         if self.over:
             self._state = None
 
@@ -274,7 +274,7 @@ class StateImport(_Transfer):
     # As the old side reports them.
     _handled: dict[str, int] = field(default_factory=dict, init=False)
     _since: int = field(default=0, init=False)
-    _settled: asyncio.Event = field(default_factory=asyncio.Event, init=False)
+    _decided: asyncio.Event = field(default_factory=asyncio.Event, init=False)
 
     def __post_init__(self) -> None:
         self._yields = self.answering.gate.yields
@@ -306,21 +306,21 @@ class StateImport(_Transfer):
                 self._handled, self._since = fetched.handled, fetched.since
                 await self._import(fetched)
         except CommandRefused as error:
-            await self._settle(str(error), self.transfer.required)
+            await self._decide(str(error), self.transfer.required)
         except Unreachable:
             self.answering.take_over(None, self._yields)
-            await self._settle(f"{self.peer} exited before it had exported its state", False)
+            await self._decide(f"{self.peer} exited before it had exported its state", False)
         else:
-            await self._settle(None, False)
+            await self._decide(None, False)
 
-    async def settled(self) -> None:
+    async def decided(self) -> None:
         """At T: wait until the state has been imported, or cannot be in time."""
         if not self.complete:
-            await self._settle("the manager has not sent every cut", True)
+            await self._decide("the manager has not sent every cut", True)
         else:
             await self._until(0.0)  # the last cut of the pair may be later
-            if await within(self.host, self._settled.wait(), self.transfer.timeout) is None:
-                await self._settle(_too_long(self.transfer), self.transfer.required)
+            if await within(self.host, self._decided.wait(), self.transfer.timeout) is None:
+                await self._decide(_too_long(self.transfer), self.transfer.required)
 
     def end(self, cut: object, done: bool) -> None:
         """On the data thread: a cut has ended. Once all have, calls from before T are no longer dropped."""
@@ -331,16 +331,16 @@ class StateImport(_Transfer):
                 mute(self.runners)
 
     async def cancel(self) -> None:
-        await self._settle("the cut was cancelled", True)
+        await self._decide("the cut was cancelled", True)
 
-    async def _settle(self, problem: str | None, failed: bool) -> None:
+    async def _decide(self, problem: str | None, failed: bool) -> None:
         """The first outcome counts."""
-        if self._settled.is_set():
+        if self._decided.is_set():
             return
         if not failed and self._arbiter is not None and not self._arbiter.admits():
             problem, failed = "the old component has resumed", True
         self.problem, self.failed = problem, failed
-        self._settled.set()
+        self._decided.set()
         if not failed:
             await self.host.on_data(self._begin)
 
@@ -354,7 +354,7 @@ class StateImport(_Transfer):
         await self._until(FETCH_LEAD)
         fetch = commands.FetchStateCommand(transfer=self.transfer.id)
         attempts = 0
-        while not self._settled.is_set():
+        while not self._decided.is_set():
             try:
                 return result_of(await self.request(fetch, FETCH_LEAD + self.transfer.timeout), fetch)
             except CallTimeout:
@@ -368,7 +368,7 @@ class StateImport(_Transfer):
 
     async def _until(self, lead: float) -> None:
         """Wait until so long (s) before the last cut, on its clock."""
-        while not self._settled.is_set() and (left := (self.transfer.at - self._now()) / 1e9 - lead) > 0:
+        while not self._decided.is_set() and (left := (self.transfer.at - self._now()) / 1e9 - lead) > 0:
             await self.host.sleep(min(max(left, 0.0001), LONGEST_WAIT))
 
     async def _import(self, fetched: replies.FetchedState) -> None:

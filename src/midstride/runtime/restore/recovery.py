@@ -23,7 +23,7 @@ from midstride.runtime.process.launcher import Launcher
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.state_store import SavedInstance
 from midstride.runtime.watch.observed_configuration import reported_modes
-from midstride.wire.commands import FenceCommand, GateCommand, RecordCommand, SettleCutsCommand
+from midstride.wire.commands import FenceCommand, GateCommand, RecordCommand, ResolveCutsCommand
 from midstride.wire.state import NOT_WELCOMED, ComponentState
 
 
@@ -105,7 +105,7 @@ async def _settled(
 
     async def settle(name: str, *, new: bool) -> None:
         with suppress(CommandRefused):  # a node without Midstride's API, whose agent has done so by itself
-            await client.read(name, SettleCutsCommand(new=new))
+            await client.read(name, ResolveCutsCommand(new=new))
 
     settled = dict(found)
     for ask in (partial(settle, new=True), partial(settle, new=False), client.observe):
