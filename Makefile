@@ -12,12 +12,11 @@ demo: ## replace a talker while a listener listens (on ROS 2 where there is one,
 	@tools/setup run
 	@tools/in-venv midstride demo $$(tools/setup backend) $(ARGS)
 
-test: ## the tests of every day, in at most 6 minutes on two cores (ARGS='-k name' for some of them)
+test: ## the tests of every day, in at most 5 minutes on two cores (ARGS='-k name' for some of them)
 	@tools/test 'not full and not long' $(ARGS)
 
 test-all: ## all tests but the long ones, and the wheel
-	@tools/test 'not long' $(ARGS)
-	@tools/wheel
+	@HYPOTHESIS_PROFILE=thorough MIDSTRIDE_TEST_BESIDE="tools/wheel;$$MIDSTRIDE_TEST_BESIDE" tools/test 'not long' $(ARGS)
 
 test-long: ## the tests that take minutes each
 	@HYPOTHESIS_PROFILE=long tools/test long --timeout=1800 -o faulthandler_timeout=1830 -o faulthandler_exit_on_timeout=false $(ARGS)

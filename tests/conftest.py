@@ -53,16 +53,17 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # A deadline per example would fail on a busy machine; pytest's time-out bounds each test instead.
-# The same examples in each run; the long one looks for new ones.
-settings.register_profile("default", deadline=None, print_blob=True, derandomize=True)
+# The same examples in each run, a third of them every day; the long one looks for new ones.
+settings.register_profile("thorough", deadline=None, print_blob=True, derandomize=True)
+settings.register_profile("daily", settings.get_profile("thorough"), max_examples=33)
 settings.register_profile(
     "long",
-    settings.get_profile("default"),
+    settings.get_profile("thorough"),
     derandomize=False,
     max_examples=2000,
     suppress_health_check=[HealthCheck.too_slow],
 )
-settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "daily"))
 
 _MODULES = {"ros2": "rclpy", "ros1": "rospy"}
 _MARKERS = (*_MODULES, "alloy", "graphviz", "browser", "rust", "arm64")

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from tools import suites
+
 ROOT = Path(__file__).parent.parent
 
 
@@ -70,6 +72,55 @@ rclpy.shutdown()
 """
 
 
+def test_each_test_in_quarantine_exists_and_has_a_reason() -> None:
+    entries = suites.quarantine(suites.QUARANTINE.read_text(encoding="utf-8"))
+    assert [test for test, reason in entries.items() if len(reason.split()) < 10] == []
+    if entries:
+        command = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider", *entries]
+        found = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        assert set(entries) <= set(found.stdout.splitlines()), found.stdout + found.stderr
+
+
+def test_the_file_of_the_quarantine_is_read_as_it_is_written() -> None:
+    text = "# why\n\ntests/a.py::test_b[0.5]\n    It is\n    late.\ntests/c.py::test_d\n"
+    assert suites.quarantine(text) == {"tests/a.py::test_b[0.5]": "It is late.", "tests/c.py::test_d": ""}
+
+
+FAILING = """
+from pathlib import Path
+
+def test_passes():
+    pass
+
+def test_fails_once():
+    tried = Path(__file__).with_name("tried")
+    if not tried.exists():
+        tried.touch()
+        raise AssertionError("once")
+"""
+
+
+@pytest.mark.parametrize("listed", [True, False])
+def test_only_what_is_in_quarantine_runs_again(
+    listed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "test_it.py").write_text(FAILING, encoding="utf-8")
+    entry = "test_it.py::test_fails_once\n    It fails once.\n" if listed else ""
+    (tmp_path / "quarantine.txt").write_text(entry, encoding="utf-8")
+    monkeypatch.setattr(suites, "QUARANTINE", tmp_path / "quarantine.txt")
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    bare = ["--disable-plugin-autoload", "-p", "xdist.plugin", "-c", os.devnull, "--rootdir", str(tmp_path)]
+    suite = suites.Suite("one", ["env"], [*bare, "test_it.py"])
+    suites.run_all([suite])
+    assert (suite.status, suite.ends()) == (1, {"passed": 1, "failed": 1})
+    again = suites.run_quarantined_again([suite])
+    assert again == (["one: test_it.py::test_fails_once (It fails once.)"] if listed else [])
+    assert suite.has_passed is listed and suite.rounds == (2 if listed else 1)
+    assert suite.ends() == ({"passed": 2} if listed else {"passed": 1, "failed": 1})
+    assert "once" in capsys.readouterr().out
+
+
 @pytest.mark.ros2
 def test_a_message_and_a_service_pass_between_two_processes() -> None:
     answering = subprocess.Popen([sys.executable, "-c", ANSWERING], stdout=subprocess.PIPE, text=True)
@@ -94,5 +145,5 @@ if "MIDSTRIDE_ROS2_ON_PATHS" in os.environ:  # a test of the second suite alone
             path=[path for path in sys.path if path.startswith(sys.prefix)]
         )
         assert not [found.name for found in in_site_packages if found.name.startswith("ros-")]
-        assert os.environ["ROS_DISTRO"] == "jazzy"
+        assert os.environ["ROS_DISTRO"] == "kilted"
         assert hasattr(rclpy, "ok")

@@ -70,6 +70,14 @@ def run(coroutine: Coroutine[Any, Any, T], seconds: float = 300.0) -> T:
     return asyncio.run(bounded())
 
 
+def publishers_are_identified() -> bool:
+    """Whether rclpy tells which publisher a message came from: that of kilted does, that of jazzy does not."""
+    from rclpy import subscription
+
+    info = getattr(subscription, "MessageInfo", None)
+    return info is not None and "publisher_gid" in info.__annotations__
+
+
 def without_midstride() -> dict[str, str]:
     """The environment of a process started by hand, with the middleware set as for one that a manager starts."""
     from midstride.backends.ros2 import dds_profiles

@@ -36,6 +36,7 @@ from tests.backends.ros2_support import (
     Bare,
     Rig,
     alive,
+    publishers_are_identified,
     rig,
     run,
     until,
@@ -794,10 +795,7 @@ def test_an_input_records_what_the_middleware_tells(tmp_path: Path) -> None:
             while len((await recorded()).rows) < 20:
                 await asyncio.sleep(0.02)
             records = await recorded()
-            from rclpy import subscription  # kilted tells the publisher's identity, jazzy does not
-
-            info = getattr(subscription, "MessageInfo", None)
-            identity = info is not None and "publisher_gid" in info.__annotations__
+            identity = publishers_are_identified()
             assert records.publisher_identity is identity
             numbers = [row.number or 0 for row in records.rows]
             assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))

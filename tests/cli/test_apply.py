@@ -172,6 +172,7 @@ class Running:
 
     midstride: Midstride
     folder: Path
+    backend: str
 
     def file(self, text: str, name: str) -> str:
         path = self.folder / name
@@ -211,7 +212,7 @@ def chains(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str],
             folder = tmp_path_factory.mktemp("chain")
             for name, text in PROGRAMS.items():
                 (folder / name).write_text(text, encoding="utf-8")
-            system = Running(stack.enter_context(contextmanager(running)()), folder)
+            system = Running(stack.enter_context(contextmanager(running)()), folder, backend)
             up = system.midstride("up", system.file(SYSTEM, "chain.stride"), "--backend", backend, "--detach")
             assert up.status == 0, up.out + up.err
             return system
@@ -256,7 +257,7 @@ def carry_out(chain: Running, change: Change) -> None:
         assert structural(done.json["plan"]["steps"]) == sorted(change.steps)
         assert not any(done.json["below_baseline_seconds"].values()), done.json["below_baseline_seconds"]
         assert bool(done.json["swaps"]) == change.swapped
-        assert not change.swapped or nothing_lost(done.json["swaps"])
+        assert not change.swapped or nothing_lost(done.json["swaps"], chain.backend)
         assert set().union(*chain.roles().values()) == {"normal"}
         deadline = time.monotonic() + 20
         while change.heard not in [words for by, words in chain.heard() if by == change.by][-1:]:

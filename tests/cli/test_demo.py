@@ -152,7 +152,7 @@ def test_on_ros_2(midstride: Midstride, name: str) -> None:
     for act in done.json["acts"]:
         assert act["outcome"] == "done"
         if any(step["action"] == "handover" for step in act["plan"]["steps"]):
-            assert nothing_lost(act["swaps"]), act["swaps"]
+            assert nothing_lost(act["swaps"], "ros2"), act["swaps"]
             assert not any(act["below_baseline_seconds"].values())
 
 

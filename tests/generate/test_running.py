@@ -88,7 +88,7 @@ def test_the_sample_is_generated_runs_and_is_changed(
         handed = midstride("replace", "lidar", "SecondLidar", "--from", str(calm), "--yes", "--json", timeout=100)
         assert handed.status == 0, handed.out + handed.err
         assert not any(handed.json["below_baseline_seconds"].values())
-        assert nothing_lost(handed.json["swaps"])
+        assert nothing_lost(handed.json["swaps"], backend)
         assert midstride("down").status == 0
 
 

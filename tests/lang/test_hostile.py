@@ -2,7 +2,8 @@
 
 Files with control characters, surrogates, extremes of numbers and deep nesting, from scratch and in the middle of the
 real examples: Stride, specifications in JSON, ROS parameter files, and the JSON forms of plans and requests. The
-examples are the same at every run of `make test`; `make test-long` looks for new ones. `test_fuzz` mutates bytes.
+examples are the same at every run of `make test-all`, of which `make test` tries some; `make test-long` looks for new
+ones. `test_fuzz` mutates bytes.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from midstride.plan.change_builder import change_between
 from midstride.plan.forms.plan_forms import decode_plan, encode_plan
 from midstride.plan.forms.request_form import decode_request
 from midstride.plan.strategies.registry import planner
+from tests import drawn
 
 from .known import Known
 
@@ -318,12 +320,12 @@ def run_documents(kind: str, examples: int, derandomize: bool) -> None:
 
 @pytest.mark.parametrize("kind", TEXTS)
 def test_no_text_is_too_hostile(kind: str) -> None:
-    run_texts(kind, 200, derandomize=True)
+    run_texts(kind, drawn.examples(200), derandomize=True)
 
 
 @pytest.mark.parametrize("kind", DOCUMENTS)
 def test_no_document_is_too_hostile(kind: str) -> None:
-    run_documents(kind, 200, derandomize=True)
+    run_documents(kind, drawn.examples(200), derandomize=True)
 
 
 @pytest.mark.long

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests import drawn
 from tests.model.properties import PROPERTIES, Property
 
 _SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
@@ -24,7 +25,7 @@ def run(prop: Property, examples: int) -> None:
 
 @pytest.mark.parametrize("prop", PROPERTIES, ids=lambda prop: prop.__name__)
 def test_briefly(prop: Property) -> None:
-    run(prop, PROPERTIES[prop])
+    run(prop, drawn.examples(PROPERTIES[prop]))
 
 
 @pytest.mark.long

@@ -138,7 +138,13 @@ def check_way(part: Part, losses: PartLosses, moves: tuple[int, ...], cost: floa
 
 @pytest.mark.parametrize(
     ("family", "seeds"),
-    [("two resources", 120), ("exclusive topics", 60), ("conflict cores", 30), ("shared topics", 30)],
+    [
+        ("two resources", 120),
+        ("exclusive topics", 60),
+        ("conflict cores", 8),
+        ("shared topics", 30),
+        pytest.param("conflict cores", 30, marks=pytest.mark.full),
+    ],
 )
 def test_the_least_cost_is_that_of_all_orders(family: str, seeds: int) -> None:
     """Whatever is known: the less is left to the known cost, the more replacements are made first or last."""

@@ -27,6 +27,7 @@ from midstride.plan.constraints import in_force
 from midstride.plan.forms.plan_forms import decode_plan, encode_plan
 from midstride.plan.plan import Plan
 from midstride.plan.strategies.registry import STRATEGIES
+from tests.drawn import examples
 from tests.plan import systems
 from tests.plan.exhaustive import Constrained, Exhaustive, TooLarge
 from tests.replay.plan_replay import replay
@@ -168,7 +169,7 @@ def test_the_makespan_is_the_longest_chain_of_dependencies(seed: int, strategy: 
     assert plan.makespan == pytest.approx(max(ends, default=0.0))
 
 
-@settings(max_examples=200)
+@settings(max_examples=examples(200))
 @given(SEEDS)
 @example(108447)  # a hand-over on one topic that had better wait for a place on another
 @example(109656)  # a place given up by one whose replacement is not there yet

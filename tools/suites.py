@@ -1,0 +1,240 @@
+"""suites.py MARKERS [--kilted] [--ros1] [--beside COMMAND;…] [-- ARGS…]: runs the tests, all suites at once.
+
+- `computing`: in .venv, the folders in COMPUTING, a test per processor, at a lower priority, so that they delay no
+  message;
+- `waiting`: in .venv, all others, more tests than processors;
+- `kilted`: with the second ROS 2, those tests marked ros2 that concern a platform;
+- `ros1`: with ROS 1, those marked ros1.
+
+ARGS go to each pytest. The progress of each suite is shown as it comes, what it prints besides when it ends. A COMMAND,
+such as a linter, runs beside them, and counts as a suite.
+
+A test that fails has failed. Only those that tests/quarantine.txt names run again, up to twice, after everything else,
+and if nothing else has failed; the summary says which did. The last line is the total; the exit status is 1 if none
+passed or any failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import resource
+import shlex
+import signal
+import subprocess
+import sys
+import threading
+import time
+import xml.etree.ElementTree as ET
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+QUARANTINE = ROOT / "tests" / "quarantine.txt"
+# How often a test in quarantine runs again.
+REPEATS = 2
+# How long suites that are interrupted have to end (s).
+GRACE = 5.0
+# The folders of tests that compute most of the time. The others wait, for processes and for messages.
+COMPUTING = tuple(
+    f"tests/{name}" for name in "capture codec examples lang model node plan runtime simulation verify wire".split()
+)
+# What concerns a platform, every day: the back ends, and ...
+PLATFORM = ("tests/backends", "tests/test_ground.py")
+# ... in `make test-all` also what rests on the rcl, rclpy and middleware of a distribution: the gate in a C library,
+# the identity of publishers, names, clocks, lifecycle and actions, and one whole system.
+SECOND_PLATFORM = (
+    *PLATFORM,
+    "tests/foreign",
+    "tests/acceptance/test_foreign_swaps.py",
+    "tests/acceptance/test_lifecycle_nodes.py",
+    "tests/acceptance/test_measure_is_true.py",
+    "tests/acceptance/test_node_name.py",
+    "tests/acceptance/test_ros_action.py",
+    "tests/acceptance/test_simulated_time.py",
+    "tests/cli/test_ros2.py",
+)
+
+_PROGRESS = re.compile(r"[.sFEx]+ +\[ *\d+%\]")
+_PASSED, _SOME_FAILED, _NONE_CHOSEN = 0, 1, 5  # pytest's exit status
+_printing = threading.Lock()
+
+
+def say(line: str) -> None:
+    with _printing:
+        print(line, flush=True)
+
+
+def quarantine(text: str) -> dict[str, str]:
+    """The tests that may run again, each with the reason: a line with its id, and indented ones with what is known."""
+    entries: dict[str, list[str]] = {}
+    for line in text.splitlines():
+        if line[:1].isspace() and line.strip():
+            entries[next(reversed(entries))].append(line.strip())
+        elif line and not line.startswith("#"):
+            entries[line] = []
+    return {test: " ".join(words) for test, words in entries.items()}
+
+
+@dataclass
+class Suite:
+    """A run of pytest in an environment of its own, or of another command."""
+
+    name: str
+    command: Sequence[str]
+    arguments: Sequence[str] = ()
+    workers: int = 1
+    variables: dict[str, str] = field(default_factory=dict)
+    status: int | None = None
+    rounds: int = 0
+    process: subprocess.Popen[str] | None = None
+
+    def run(self) -> None:
+        """Until it ends, prints its progress; then the rest of its output."""
+        again = self.rounds > 0
+        command = [*self.command]
+        if self.arguments:
+            command += ["python", "-m", "pytest", "-n", "1" if again else str(self.workers), "--dist", "worksteal"]
+            command += ["-o", f"cache_dir={self._cache}", f"--junit-xml={self._report(self.rounds)}", *self.arguments]
+            command += ["--last-failed"] if again else []
+        self.rounds += 1
+        rest = []
+        environment = {**os.environ, **self.variables}
+        with subprocess.Popen(
+            command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
+        ) as self.process:
+            assert self.process.stdout is not None
+            for line in self.process.stdout:
+                if _PROGRESS.fullmatch(line.strip()):
+                    say(f"{self.name:>9} {line.strip()}")
+                else:
+                    rest.append(line)
+        self.status = self.process.returncode
+        say(f"== {self.name}\n{''.join(rest).strip()}")
+
+    @property
+    def _cache(self) -> Path:
+        return Path(os.environ["TMPDIR"]) / f"cache-{self.name}"
+
+    def _report(self, number: int) -> Path:
+        return Path(os.environ["TMPDIR"]) / f"{self.name}.{number}.xml"
+
+    @property
+    def has_passed(self) -> bool:
+        return self.status == _PASSED or (bool(self.arguments) and self.status == _NONE_CHOSEN)
+
+    def failed_tests(self) -> set[str]:
+        """Empty where it is not tests that have failed."""
+        file = self._cache / "v" / "cache" / "lastfailed"
+        return set(json.loads(file.read_bytes())) if self.status == _SOME_FAILED and file.exists() else set()
+
+    def ends(self) -> Counter[str]:
+        """How many tests passed, failed (or could not run) and were skipped. A test counts as in its last round."""
+        ends: dict[tuple[str, str], str] = {}
+        for report in filter(Path.exists, map(self._report, range(self.rounds))):
+            tests: dict[tuple[str, str], str] = {}
+            for case in ET.parse(report).getroot().iter("testcase"):
+                test = (case.get("classname", ""), case.get("name", ""))
+                found = {child.tag for child in case}
+                end = "failed" if found & {"failure", "error"} else "skipped" if "skipped" in found else "passed"
+                tests[test] = "failed" if tests.get(test) == "failed" else end
+            ends |= tests
+        return Counter(ends.values())
+
+
+def suites(options: argparse.Namespace) -> list[Suite]:
+    """Those that have tests, where `options` name folders, files or tests."""
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 2
+    others = max(1, processors // 2)
+    tool = {name: str(ROOT / "tools" / name) for name in ("in-venv", "with-kilted", "with-ros1")}
+    markers, daily = options.markers, "not full" in options.markers
+    paths = [each for each in options.arguments if each.startswith("tests/")]
+    given = [each for each in options.arguments if each not in paths]
+    computing = [each for each in paths if each.startswith(COMPUTING)]
+    waiting = [each for each in paths if each not in computing]
+    # Where ROS 1 is there, its tests have their own suite and environment; else they are skipped, and say so.
+    first = ["-m", f"not ros1 and ({markers})" if options.ros1 else markers, *given]
+    found = []
+    if waiting or not paths:
+        chosen = waiting or [f"--ignore={folder}" for folder in COMPUTING]
+        found.append(Suite("waiting", [tool["in-venv"]], [*first, *chosen], (processors * 3 + 1) // 2))
+    if computing or not paths:
+        niced = ["nice", "-n", "10", tool["in-venv"]]
+        found.append(Suite("computing", niced, [*first, *(computing or COMPUTING)], processors))
+    if options.kilted:
+        folders = PLATFORM if daily else () if markers == "long" else SECOND_PLATFORM
+        variables = {"MIDSTRIDE_NEEDS_ROS2": "1", "MIDSTRIDE_ROS2_ON_PATHS": "1"}
+        arguments = ["-m", f"ros2 and ({markers})", *given, *(paths or folders)]
+        found.append(Suite("kilted", [tool["with-kilted"]], arguments, others, variables))
+    if options.ros1:
+        arguments = ["-m", f"ros1 and ({markers})", *given, *(paths or (PLATFORM if daily else ()))]
+        found.append(Suite("ros1", [tool["with-ros1"]], arguments, others, {"MIDSTRIDE_NEEDS_ROS1": "1"}))
+    return found + [Suite(each.strip(), shlex.split(each)) for each in options.beside.split(";") if each.strip()]
+
+
+def run_all(chosen: Sequence[Suite]) -> None:
+    threads = [threading.Thread(target=suite.run, name=suite.name, daemon=True) for suite in chosen]
+    for thread in threads:
+        thread.start()
+    try:
+        for thread in threads:
+            thread.join()
+    except BaseException:
+        # A terminal interrupts them as well; each ends what it has started.
+        threads[0].join(GRACE)
+        for suite in chosen:
+            if suite.process is not None and suite.process.poll() is None:
+                suite.process.send_signal(signal.SIGINT)
+        for thread in threads:
+            thread.join()
+        raise
+
+
+def run_quarantined_again(chosen: Sequence[Suite]) -> list[str]:
+    """Lines about what ran again: nothing where anything failed that is not in quarantine."""
+    allowed = quarantine(QUARANTINE.read_text(encoding="utf-8"))
+    failed = [suite for suite in chosen if not suite.has_passed]
+    if not all((tests := suite.failed_tests()) and tests <= allowed.keys() for suite in failed):
+        return []
+    lines = [f"{suite.name}: {test} ({allowed[test]})" for suite in failed for test in sorted(suite.failed_tests())]
+    for suite in failed:
+        while not suite.has_passed and suite.rounds <= REPEATS:
+            say(f"== {suite.name}: tests in quarantine have failed, and run again")
+            suite.run()
+    return lines
+
+
+def main(arguments: Sequence[str]) -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("markers")
+    parser.add_argument("--kilted", action="store_true")
+    parser.add_argument("--ros1", action="store_true")
+    parser.add_argument("--beside", default="")
+    cut = arguments.index("--")
+    options = parser.parse_args(arguments[:cut])
+    options.arguments = arguments[cut + 1 :]
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    begun = time.monotonic()
+    chosen = suites(options)
+    run_all(chosen)
+    again = run_quarantined_again(chosen)
+    for suite in chosen:
+        say(f"== {suite.name}: {'passed' if suite.has_passed else f'failed ({suite.status})'}")
+    for line in again:
+        say(f"run again, as tests/quarantine.txt allows: {line}")
+    ends: Counter[str] = sum((suite.ends() for suite in chosen), Counter())
+    minutes, seconds = divmod(int(time.monotonic() - begun), 60)
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    say(
+        f"{ends['passed']} passed, {ends['failed']} failed, {ends['skipped']} skipped in {minutes} min {seconds} s"
+        f" (processor time {used.ru_utime + used.ru_stime:.0f} s)"
+    )
+    return 0 if ends["passed"] and all(suite.has_passed for suite in chosen) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
