@@ -37,7 +37,7 @@ def variables(folder: Path) -> list[dict[str, str]]:
     index = page.allocate("node")
     page.set_ports(index, [("/chat", OUTPUT)])
     port = page.ports(index)[0]
-    port.flags, port.baton, port.gate = PortFlag.RATED | PortFlag.LAYS, page.new_baton(index), OPEN
+    port.flags, port.baton, port.gate = PortFlag.RATED | PortFlag.OFFERS, page.new_baton(index), OPEN
     loaded = {"LD_PRELOAD": str(library)}
     return [{}, loaded, {**loaded, "MIDSTRIDE_GATE_PAGE": str(page.path), "MIDSTRIDE_GATE_NODE": str(index)}]
 

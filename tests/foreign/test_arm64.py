@@ -37,7 +37,7 @@ def test_two_nodes_hand_over_to_each_other_and_one_takes_over_from_the_dead(tmp_
     lab = Emulated(tmp_path, tmp_path, gate_library)
     lab.library = build.library({**os.environ, "CC": COMPILER, "XDG_CACHE_HOME": str(tmp_path)})
     try:
-        flags = PortFlag.RATED | PortFlag.LAYS
+        flags = PortFlag.RATED | PortFlag.OFFERS
         old = lab.node(PERIOD, flags)
         baton = lab.port(old).baton
         lab.port(old).gate = OPEN

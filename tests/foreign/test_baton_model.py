@@ -19,8 +19,8 @@ from midstride.node.handover.baton import BatonState, BatonStep, BatonWord
 
 PASS, HOLD_BACK, SKIP, ASK, BUSY = range(5)
 OLD, NEW = 1, 2
-RATED = int(PortFlag.RATED | PortFlag.LAYS)
-TIMED = int(PortFlag.TIMED | PortFlag.LAYS)
+RATED = int(PortFlag.RATED | PortFlag.OFFERS)
+TIMED = int(PortFlag.TIMED | PortFlag.OFFERS)
 BESIDE = 0  # an output without a rate beside one that has a rate
 
 
@@ -246,7 +246,7 @@ def test_there_is_one_writer_and_never_none(
 
 @pytest.mark.full
 def test_two_threads_of_one_node(explorer: Explorer) -> None:
-    """The baton is laid down only when no thread of the old one publishes any more."""
+    """The baton is offered only when no thread of the old one publishes any more."""
     flags = ((OLD, RATED), (OLD, RATED), (NEW, RATED))
     for world in explorer.reachable(begin(explorer, flags, "n"), frozenset()):
         assert len(world.publishing()) < 2, world
@@ -260,8 +260,10 @@ def test_an_output_without_a_rate_beside_one_that_has_one(explorer: Explorer) ->
     for world in found:
         assert len(world.publishing()) < 2, world
     assert any(BatonWord.of(world.word).holder == NEW for world in found)
-    laid = [w for w in found if BatonWord.of(w.word).state is BatonState.OFFERED and BatonWord.of(w.word).holder == OLD]
-    for world in laid:
+    offered = [
+        w for w in found if BatonWord.of(w.word).state is BatonState.OFFERED and BatonWord.of(w.word).holder == OLD
+    ]
+    for world in offered:
         beside = replace(world.writers[1], knows=-1)
         assert explorer.enter(world.word, beside, False)[0] == PASS
 
@@ -283,11 +285,11 @@ def test_a_component_takes_part(explorer: Explorer, manager: str, flags: int, mo
 
 def test_the_old_one_takes_it_back_and_leaves_a_slot_to_a_successor_that_collides_with_it(explorer: Explorer) -> None:
     """A successor that comes late costs no slot; one that has come while the old one was publishing costs one."""
-    laid = explorer.step(explorer.step(0, BatonStep.GIVE, OLD), BatonStep.NAME_SUCCESSOR, OLD, NEW, True)
+    offered = explorer.step(explorer.step(0, BatonStep.GIVE, OLD), BatonStep.NAME_SUCCESSOR, OLD, NEW, True)
     old = Writer(OLD, RATED)
-    assert explorer.enter(laid, old, True, collided=True)[0] == SKIP
-    assert explorer.enter(laid, old, False, collided=True)[0] == PASS  # it was late and catches up, so that is no slot
-    verdict, word = explorer.enter(laid, old, True)
+    assert explorer.enter(offered, old, True, collided=True)[0] == SKIP
+    assert explorer.enter(offered, old, False, collided=True)[0] == PASS  # it was late: that is no slot
+    verdict, word = explorer.enter(offered, old, True)
     assert verdict == PASS
     assert (BatonWord.of(word).holder, BatonWord.of(word).successor) == (OLD, NEW)
     assert explorer.enter(word, Writer(NEW, RATED, knows=0), False)[0] == HOLD_BACK
@@ -308,7 +310,7 @@ def test_the_exploration_finds_a_component_that_gives_back_while_it_publishes(ex
 
 
 def test_the_exploration_finds_a_missing_count_of_writers(explorer: Explorer) -> None:
-    """The same search on a planted fault: a baton that is laid down although another thread still publishes."""
+    """The same search on a planted fault: a baton that is offered although another thread still publishes."""
 
     class Faulty(Explorer):
         def writer_steps(self, world: World, index: int, writer: Writer) -> Iterator[World]:

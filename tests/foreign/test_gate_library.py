@@ -34,10 +34,10 @@ from midstride.foreign.page import (
     PortFlag,
 )
 from midstride.node.handover.baton import BatonState, BatonStep, SharedSlot
-from midstride.wire.replies import Seat
+from midstride.wire.replies import SharedSlotPlace
 from tests.foreign.lab import LOG_SIZE, Lab, until
 
-RATED, TIMED = PortFlag.RATED | PortFlag.LAYS, PortFlag.TIMED | PortFlag.LAYS
+RATED, TIMED = PortFlag.RATED | PortFlag.OFFERS, PortFlag.TIMED | PortFlag.OFFERS
 MS = 1_000_000
 
 
@@ -180,9 +180,9 @@ def test_a_slot_is_left_only_to_a_successor_that_comes_while_the_old_one_publish
         page.ports(index)[0].gate = OPEN
         share_baton(page, [(page.ports(index)[0], 50.0)], baton)
 
-    def seat(own: int, other: int) -> SharedSlot:
+    def slot(own: int, other: int) -> SharedSlot:
         return SharedSlot(
-            Seat(
+            SharedSlotPlace(
                 page=str(page.path),
                 library=str(gate_library),
                 baton=baton,
@@ -192,11 +192,11 @@ def test_a_slot_is_left_only_to_a_successor_that_comes_while_the_old_one_publish
             )
         )
 
-    old, new = seat(0, 1), seat(1, 0)
+    old, new = slot(0, 1), slot(1, 0)
 
     def written(*, slot: bool = True, meets: bool = False) -> bool:
         """Whether the old one publishes: at its next slot, or sooner. ``meets``: meanwhile, the new one tries to."""
-        page.layout.batons[baton - 1].laid = time.monotonic_ns() - (10**10 if slot else -(10**10))
+        page.layout.batons[baton - 1].offered = time.monotonic_ns() - (10**10 if slot else -(10**10))
         if not old.begin(0):
             return False
         assert not (meets and new.begin(0))
@@ -237,7 +237,7 @@ def test_without_a_rate_it_is_left_to_the_successor_for_a_stated_time(lab: Lab) 
     lab.page.layout.batons[baton - 1].patience = 10**12
     os.kill(lab.processes[new].pid, signal.SIGSTOP)
     lab.page.step(baton, BatonStep.NAME_SUCCESSOR, old, new, at_once=True)
-    until(lambda: lab.word(baton).state is BatonState.OFFERED, "it is not laid down")
+    until(lambda: lab.word(baton).state is BatonState.OFFERED, "it is not offered")
     gated = lab.port(old).gated
     until(lambda: lab.port(old).gated > gated + 10, "the old one does not wait")
     before = lab.written_by(old)

@@ -41,7 +41,7 @@ from midstride.wire.sockets import SocketFolder
 from tests.foreign.lab import Lab, until
 
 MS = 1_000_000
-RATED = PortFlag.RATED | PortFlag.LAYS
+RATED = PortFlag.RATED | PortFlag.OFFERS
 SECOND = 1000  # what the other node of a process adds to the number of the writer
 
 
@@ -194,7 +194,7 @@ def test_a_baton_passes_between_two_nodes_of_a_process_and_neither_takes_the_oth
 def test_what_a_further_node_has_kept_is_published_when_its_gate_opens(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first, second = two(lab, monkeypatch, 1, PortFlag.TIMED | PortFlag.LAYS | PortFlag.KEEPS)
+    first, second = two(lab, monkeypatch, 1, PortFlag.TIMED | PortFlag.OFFERS | PortFlag.KEEPS)
     until(lambda: bool(lab.port(second).kept), "it is not kept")
     lab.port(second).gate = OPEN
     beat = lab.page.beat(second)

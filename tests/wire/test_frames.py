@@ -46,9 +46,9 @@ from midstride.wire.commands import (
     RecordsCommand,
     ReleaseCommand,
     ResolveCutsCommand,
-    SeatCommand,
-    SeatPort,
     SetParametersCommand,
+    SharedSlotPort,
+    ShareSlotCommand,
     StateTransfer,
     StopCommand,
     WelcomeCommand,
@@ -90,7 +90,7 @@ from midstride.wire.replies import (
     Receipt,
     RecordingSwitched,
     Records,
-    Seat,
+    SharedSlotPlace,
     StateOffer,
     Yielded,
 )
@@ -120,7 +120,7 @@ STATE = ComponentState(
     declared={"speed": 1.0},
 )
 SWAPS = [CutSwap(port="out", topic="/chatter", latch=True)]
-SEAT = Seat(page="/page", library="/gate.so", baton=1, index=2, other=3, timed=True)
+PLACE = SharedSlotPlace(page="/page", library="/gate.so", baton=1, index=2, other=3, timed=True)
 TRANSFER = StateTransfer(
     id="t", cuts=2, at=10**18, clock="message", changes=True, required=False, timeout=0.5, new="b", address="a"
 )
@@ -193,8 +193,8 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     ),
     (MuteCommand(timeout=1.5), Done()),
     (
-        SeatCommand(cut="c", peer="talker", ports=[SeatPort(topic="/t", rate=50.0)], old=True, timeout=1.5),
-        SEAT,
+        ShareSlotCommand(cut="c", peer="talker", ports=[SharedSlotPort(topic="/t", rate=50.0)], old=True, timeout=1.5),
+        PLACE,
     ),
     (
         CutOutCommand(
@@ -204,7 +204,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
             resume_after=0.5,
             clock="message",
             state=TRANSFER,
-            seat=SEAT,
+            shared_slot=PLACE,
             timeout=1.5,
         ),
         Done(),
@@ -219,7 +219,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
             epoch=2,
             clock="message",
             state=TRANSFER,
-            seat=SEAT,
+            shared_slot=PLACE,
             resume_after=0.5,
             timeout=1.5,
         ),

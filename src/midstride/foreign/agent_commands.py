@@ -10,7 +10,7 @@ from midstride.errors import CommandRefused
 from midstride.foreign.foreign_parameters import ForeignParameters
 from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.node import ForeignNode
-from midstride.foreign.outputs import UngatedOutputs
+from midstride.foreign.ungated_outputs import UngatedOutputs
 from midstride.wire import commands, replies
 from midstride.wire.commands import Command
 from midstride.wire.program import Program

@@ -425,7 +425,7 @@ static bool enter(struct page *shared, unsigned own, int file, struct port *port
   for (;;) {
     uint64_t next;
     int64_t left = pass->flags & RATED ? atomic_load(&port->half) * INT64_C(1000) : atomic_load(&baton->patience);
-    int waited = STATE(seen) == LAID && (*overdue || now_ns() - atomic_load(&baton->laid) > left);
+    int waited = STATE(seen) == LAID && (*overdue || now_ns() - atomic_load(&baton->offered) > left);
     int collided = atomic_load(&baton->collisions) >= COLLISIONS;
     switch (baton_enter(seen, own, pass->flags, waited, collided, dead, &next)) {
     case PASS:
@@ -443,7 +443,7 @@ static bool enter(struct page *shared, unsigned own, int file, struct port *port
         atomic_store(&baton->collisions, 0);
       return false;
     case ASK:
-      /* A process does not see its own locks: two seats may be of one. */
+      /* A process does not see its own locks: two slots may be of one. */
       dead = atomic_load(&shared->nodes[HOLDER(seen) - 1].pid) != (uint32_t)getpid() && is_dead(file, HOLDER(seen));
       continue;
     case BUSY:
@@ -470,7 +470,7 @@ static void leave(struct pass *pass)
     if (next == seen)
       return;
     if (STATE(next) == LAID)
-      atomic_store(&baton->laid, now_ns()); /* before it lies: it is read where it does */
+      atomic_store(&baton->offered, now_ns()); /* before it lies: it is read where it does */
   } while (!atomic_compare_exchange_weak(&baton->word, &seen, next));
 }
 
@@ -797,7 +797,7 @@ EXPORT uint64_t midstride_take_step(struct baton *baton, int step, unsigned inde
   do {
     next = midstride_step(seen, step, index, successor, at_once);
     if (STATE(next) == LAID && STATE(seen) != LAID)
-      atomic_store(&baton->laid, now_ns());
+      atomic_store(&baton->offered, now_ns());
     if (SUCCESSOR(next) != SUCCESSOR(seen))
       atomic_store(&baton->collisions, 0);
   } while (!atomic_compare_exchange_weak(&baton->word, &seen, next));
@@ -842,9 +842,9 @@ EXPORT void midstride_ring(struct page *shared, unsigned index)
 
 /* -- for a component with Midstride's API that hands over to such a node, or takes over from it ----------------------
  *
- * It takes a seat: the part of a node in the page, for the length of a hand-over. One thread publishes (begin, end). */
+ * It joins a shared slot: the part of a node in the page, for the length of a hand-over. One thread publishes (begin, end). */
 
-struct seat {
+struct slot {
   struct page *page;
   int file;
   unsigned index;
@@ -856,7 +856,7 @@ struct seat {
   } outputs[];
 };
 
-EXPORT struct seat *midstride_sit(const char *path, unsigned index)
+EXPORT struct slot *midstride_join(const char *path, unsigned index)
 {
   static struct page *shared;
   static int file = -1;
@@ -865,7 +865,7 @@ EXPORT struct seat *midstride_sit(const char *path, unsigned index)
   struct stat status;
   if (index >= NODES || stat(path, &status) != 0)
     return NULL;
-  /* One open file for all seats: to close another one of the same page would release every lock of this process. */
+  /* One open file for all slots: to close another one of the same page would release every lock of this process. */
   if (!shared || status.st_ino != inode || status.st_dev != device) {
     uint32_t version;
     int opened = open(path, O_RDWR | O_CLOEXEC);
@@ -883,45 +883,45 @@ EXPORT struct seat *midstride_sit(const char *path, unsigned index)
   unsigned count = 0, room = atomic_load(&shared->head.room);
   for (unsigned port = 0; port < room; port++)
     count += atomic_load(&shared->ports[port].node) == index + 1;
-  struct seat *seat = calloc(1, sizeof *seat + count * sizeof seat->outputs[0]);
+  struct slot *slot = calloc(1, sizeof *slot + count * sizeof slot->outputs[0]);
   struct flock own = lock_of(index + 1, F_WRLCK);
-  if (!seat || fcntl(file, F_SETLK, &own) != 0) {
-    free(seat);
+  if (!slot || fcntl(file, F_SETLK, &own) != 0) {
+    free(slot);
     return NULL;
   }
-  seat->page = shared;
-  seat->file = file;
-  seat->index = index;
-  seat->count = count;
+  slot->page = shared;
+  slot->file = file;
+  slot->index = index;
+  slot->count = count;
   for (unsigned port = 0; port < room; port++)
     if (atomic_load(&shared->ports[port].node) == index + 1 && shared->ports[port].number < count)
-      seat->outputs[shared->ports[port].number].port = &shared->ports[port];
+      slot->outputs[shared->ports[port].number].port = &shared->ports[port];
   atomic_store(&shared->nodes[index].pid, (uint32_t)getpid());
-  return seat;
+  return slot;
 }
 
 /* The hand-over is over: its part in the page is free. */
-EXPORT void midstride_rise(struct seat *seat)
+EXPORT void midstride_leave_slot(struct slot *slot)
 {
-  struct flock own = lock_of(seat->index + 1, F_UNLCK);
-  midstride_free(seat->page, seat->index);
-  fcntl(seat->file, F_SETLK, &own);
-  free(seat);
+  struct flock own = lock_of(slot->index + 1, F_UNLCK);
+  midstride_free(slot->page, slot->index);
+  fcntl(slot->file, F_SETLK, &own);
+  free(slot);
 }
 
-EXPORT int midstride_begin(struct seat *seat, unsigned port)
+EXPORT int midstride_begin(struct slot *slot, unsigned port)
 {
-  return port < seat->count && seat->outputs[port].port &&
-         enter(seat->page, seat->index + 1, seat->file, seat->outputs[port].port, &seat->outputs[port].overdue,
-               &seat->pass);
+  return port < slot->count && slot->outputs[port].port &&
+         enter(slot->page, slot->index + 1, slot->file, slot->outputs[port].port, &slot->outputs[port].overdue,
+               &slot->pass);
 }
 
-EXPORT void midstride_end(struct seat *seat)
+EXPORT void midstride_end(struct slot *slot)
 {
-  leave(&seat->pass);
+  leave(&slot->pass);
 }
 
-EXPORT struct baton *midstride_baton(struct seat *seat, unsigned number)
+EXPORT struct baton *midstride_baton(struct slot *slot, unsigned number)
 {
-  return &seat->page->batons[number - 1];
+  return &slot->page->batons[number - 1];
 }

@@ -14,8 +14,8 @@ from typing import Any, Final
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import CommandRefused, MidstrideError
 from midstride.foreign.agent_commands import ForeignCommands
-from midstride.foreign.cuts import GatedOutputs
 from midstride.foreign.foreign_parameters import ForeignParameters
+from midstride.foreign.gated_outputs import GatedOutputs
 from midstride.foreign.gated_reflex import broken_assumptions
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import (
@@ -29,14 +29,14 @@ from midstride.foreign.graph_check import (
     unseen,
     unseen_in_words,
 )
-from midstride.foreign.lifecycle_cuts import LifecycleOutputs, LifecyclePeers
 from midstride.foreign.lifecycle_node import LifecycleNode
+from midstride.foreign.lifecycle_outputs import LifecycleOutputs, LifecyclePeers
 from midstride.foreign.node import WATCH, ForeignNode, without_ports
-from midstride.foreign.outputs import UngatedOutputs
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.reported_clock import ReportedClock
 from midstride.foreign.reported_writes import ReportedWrites
 from midstride.foreign.services import NoAnswer, NodeServices
+from midstride.foreign.ungated_outputs import UngatedOutputs
 from midstride.node.handover.baton import BatonStep
 from midstride.wire import commands, frames, replies
 from midstride.wire.command_server import CommandServer

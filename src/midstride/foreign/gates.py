@@ -122,20 +122,20 @@ class Gates:
 def share_baton(page: Page, outputs: Sequence[tuple[PagePort, float | None]], baton: int) -> None:
     """Have one baton decide for these outputs of a node, each with its rate (Hz).
 
-    The baton is laid down after a write of the slowest output that has a rate. Where none has one, it is laid down at
+    The baton is offered after a write of the slowest output that has a rate. Where none has one, it is offered at
     any time, and left to the successor for ``PATIENCE``.
     """
     page.layout.batons[baton - 1].patience = int(PATIENCE * 1e9)
     slowest = min((rate for _, rate in outputs if rate), default=None)
-    laying = False
+    offering = False
     for entry, rate in outputs:
         if slowest is None:
-            flags = PortFlag.KEEPS | PortFlag.TIMED | PortFlag.LAYS
+            flags = PortFlag.KEEPS | PortFlag.TIMED | PortFlag.OFFERS
         elif not rate:
             flags = PortFlag.KEEPS
         else:
-            lays = rate == slowest and not laying
-            laying |= lays
-            flags = PortFlag.RATED | (PortFlag.LAYS if lays else PortFlag(0))
+            offers = rate == slowest and not offering
+            offering |= offers
+            flags = PortFlag.RATED | (PortFlag.OFFERS if offers else PortFlag(0))
         entry.flags = flags
         entry.baton = baton

@@ -62,7 +62,7 @@ struct node {
 
 struct baton {
   _Atomic uint64_t word;
-  _Atomic int64_t laid;     /* when it was laid down last: CLOCK_MONOTONIC, ns */
+  _Atomic int64_t offered;  /* when it was offered last: CLOCK_MONOTONIC, ns */
   _Atomic int64_t patience; /* for how long a writer without a rate leaves it to its successor (ns) */
   _Atomic uint64_t collisions; /* how often the successor has come while the holder was publishing, since it was named */
   uint64_t padding[4];      /* a cache line each */

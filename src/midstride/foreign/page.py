@@ -41,14 +41,14 @@ JOINED_WITHIN: Final = 60
 
 
 class PortFlag(IntFlag):
-    """RATED: its writes are slots. LAYS: the baton is laid down after one. TIMED: no port that shares it is rated.
+    """RATED: its writes are slots. OFFERS: the baton is offered after one. TIMED: no port that shares it is rated.
 
     KEEPS: of what is written behind the gate, the last message is kept, and published when the gate lets it pass.
     SHUT: an input that a probe closes, as long as the lease of the page lasts.
     """
 
     RATED = 1
-    LAYS = 2
+    OFFERS = 2
     TIMED = 4
     KEEPS = 8
     SHUT = 16
@@ -91,7 +91,7 @@ class PageNode(ctypes.Structure):
 class PageBaton(ctypes.Structure):
     _fields_ = [
         ("word", c_uint64),
-        ("laid", c_int64),
+        ("offered", c_int64),
         ("patience", c_int64),
         ("collisions", c_uint64),
         ("padding", c_uint64 * 4),

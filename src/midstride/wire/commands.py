@@ -34,7 +34,7 @@ from midstride.wire.replies import (
     RateVerdict,
     RecordingSwitched,
     Records,
-    Seat,
+    SharedSlotPlace,
     StateOffer,
     Yielded,
 )
@@ -292,22 +292,22 @@ class MuteCommand(Command[Done], frozen=True, kw_only=True, tag="mute"):
     """
 
 
-class SeatPort(WireValue, frozen=True, kw_only=True):
-    """An output of the component that gets a seat; ``rate`` is what it guarantees (Hz)."""
+class SharedSlotPort(WireValue, frozen=True, kw_only=True):
+    """An output of the component that gets a shared slot; ``rate`` is what it guarantees (Hz)."""
 
     topic: str
     rate: float | None
 
 
-class SeatCommand(Command[Seat], frozen=True, kw_only=True, tag="seat"):
-    """To a side with a gate: give its peer, which uses Midstride's API, a seat for their cut.
+class ShareSlotCommand(Command[SharedSlotPlace], frozen=True, kw_only=True, tag="share_slot"):
+    """To a side with a gate: give its peer, which uses Midstride's API, a shared slot for their cut.
 
-    ``old``: the peer is the old side, so it gets the baton with its seat.
+    ``old``: the peer is the old side, so it gets the baton with its slot.
     """
 
     cut: str
     peer: str
-    ports: list[SeatPort]
+    ports: list[SharedSlotPort]
     old: bool
 
 
@@ -316,7 +316,7 @@ class CutOutCommand(Command[Done], frozen=True, kw_only=True, tag="cut_out"):
 
     It writes again if the new side has not reported its first write within ``resume_after`` seconds after ``at``; where
     messages drive the output, after the first input newer than ``at``. Both are on ``clock``. Without ``swaps``, only
-    ``state`` moves, and this side makes no call any more. With a ``seat``, the baton decides instead of ``at``.
+    ``state`` moves, and this side makes no call any more. With a ``shared_slot``, the baton decides instead of ``at``.
     """
 
     cut: str
@@ -325,14 +325,14 @@ class CutOutCommand(Command[Done], frozen=True, kw_only=True, tag="cut_out"):
     resume_after: Seconds
     clock: CutClock = "ros"
     state: StateTransfer | None = None
-    seat: Seat | None = None
+    shared_slot: SharedSlotPlace | None = None
 
 
 class CutInCommand(Command[Done], frozen=True, kw_only=True, tag="cut_in"):
     """The new side: open the gates at ``at``, and report the first write to the peer.
 
-    A rate-driven mode continues the grid through ``epoch``. With a ``seat``, the baton decides instead of ``at``, and
-    the offer of it ends some time after ``resume_after``.
+    A rate-driven mode continues the grid through ``epoch``. With a ``shared_slot``, the baton decides instead of
+    ``at``, and the offer of it ends some time after ``resume_after``.
     """
 
     cut: str
@@ -343,7 +343,7 @@ class CutInCommand(Command[Done], frozen=True, kw_only=True, tag="cut_in"):
     epoch: int | None = None
     clock: CutClock = "ros"
     state: StateTransfer | None = None
-    seat: Seat | None = None
+    shared_slot: SharedSlotPlace | None = None
     resume_after: Seconds = 0.0
 
 

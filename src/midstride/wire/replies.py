@@ -203,7 +203,7 @@ class FencedOutputs(WireValue, frozen=True, kw_only=True):
     last: dict[str, int]
 
 
-class Seat(WireValue, frozen=True, kw_only=True):
+class SharedSlotPlace(WireValue, frozen=True, kw_only=True):
     """The part that a component gets in the page of the gates, for the length of a hand-over.
 
     ``page`` and ``library`` are files; ``index`` is that of its part, ``other`` that of the other side, which has a

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from midstride.errors import CommandRefused
-from midstride.wire.replies import Seat
+from midstride.wire.replies import SharedSlotPlace
 
 
 class BatonState(IntEnum):
@@ -62,23 +62,23 @@ class SharedSlot:
     the word.
     """
 
-    def __init__(self, seat: Seat) -> None:
+    def __init__(self, place: SharedSlotPlace) -> None:
         try:
             # Its calls are short, and keep the interpreter's lock.
-            self._library = library = ctypes.PyDLL(seat.library)
-            library.midstride_sit.argtypes, library.midstride_sit.restype = [c_char_p, c_uint32], c_void_p
-            library.midstride_rise.argtypes, library.midstride_rise.restype = [c_void_p], None
+            self._library = library = ctypes.PyDLL(place.library)
+            library.midstride_join.argtypes, library.midstride_join.restype = [c_char_p, c_uint32], c_void_p
+            library.midstride_leave_slot.argtypes, library.midstride_leave_slot.restype = [c_void_p], None
             library.midstride_begin.argtypes = [c_void_p, c_uint32]
             library.midstride_end.argtypes, library.midstride_end.restype = [c_void_p], None
             library.midstride_baton.argtypes, library.midstride_baton.restype = [c_void_p, c_uint32], POINTER(c_uint64)
             library.midstride_take_step.argtypes = [POINTER(c_uint64), c_int, c_uint32, c_uint32, c_int]
         except (OSError, AttributeError) as error:
             raise CommandRefused(f"the library of the gate cannot be used: {error}") from None
-        self._slot: int | None = library.midstride_sit(seat.page.encode(), seat.index)
+        self._slot: int | None = library.midstride_join(place.page.encode(), place.index)
         if self._slot is None:
-            raise CommandRefused(f"the page of the gates, {seat.page}, cannot be used, or has another layout")
-        self._word = library.midstride_baton(self._slot, seat.baton)
-        self.me, self.other, self.timed = seat.index + 1, seat.other + 1, seat.timed
+            raise CommandRefused(f"the page of the gates, {place.page}, cannot be used, or has another layout")
+        self._word = library.midstride_baton(self._slot, place.baton)
+        self.me, self.other, self.timed = place.index + 1, place.other + 1, place.timed
 
     def begin(self, output: int) -> bool:
         return self._slot is not None and bool(self._library.midstride_begin(self._slot, output))
@@ -141,5 +141,5 @@ class SharedSlot:
         word = self.word()
         if word.predecessor == self.me:  # for good: the new side keeps the baton even if it dies
             self.step(BatonStep.SETTLE, word.holder)
-        self._library.midstride_rise(self._slot)
+        self._library.midstride_leave_slot(self._slot)
         self._slot = None

@@ -124,8 +124,8 @@ class HandoverCommands:
 
     async def cut_out(self, command: commands.CutOutCommand) -> replies.Done:
         links = self._links_of(command, CutOutTask, gate="open")
-        if command.seat is not None:
-            outgoing = OutgoingSide(links, self.host, SharedSlot(command.seat))
+        if command.shared_slot is not None:
+            outgoing = OutgoingSide(links, self.host, SharedSlot(command.shared_slot))
             patience = command.resume_after + OFFER
             return await self._join(command, outgoing, CutOutTask(self.host, self.changed, outgoing, patience))
         export = None if command.state is None else self._export(command.state)
@@ -149,9 +149,9 @@ class HandoverCommands:
         links = self._links_of(command, CutInTask, gate="closed")
         if failed := [str(link) for link in links if link.output.owner.failed]:
             raise CommandRefused(f"{', '.join(failed)} cannot take over: its functionality has failed")
-        if command.seat is not None:
+        if command.shared_slot is not None:
             latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
-            incoming = IncomingSide(links, self.host, SharedSlot(command.seat), latches=latches)
+            incoming = IncomingSide(links, self.host, SharedSlot(command.shared_slot), latches=latches)
             patience = command.resume_after + OFFER
             task = CutInTask(self.host, self.changed, incoming, None, patience=patience)
             return await self._join(command, incoming, task)

@@ -28,11 +28,11 @@ from midstride.wire.commands import (
     CutOutCommand,
     CutSwap,
     GridCommand,
-    SeatCommand,
-    SeatPort,
+    SharedSlotPort,
+    ShareSlotCommand,
     StateTransfer,
 )
-from midstride.wire.replies import CutClock, Grid, Seat, TriggerKind
+from midstride.wire.replies import CutClock, Grid, SharedSlotPlace, TriggerKind
 
 # The old side resumes if the new side has not reported its first write for this many periods,
 RESUME_PERIODS: Final = 10
@@ -84,7 +84,7 @@ class Cut:
         rates = [connectors[swap.connector].guarantee.rate or self.configuration.rate(swap.old) for swap in self.swaps]
         return None if None in rates else max(1 / rate for rate in rates if rate)
 
-    def outgoing(self, seat: Seat | None = None) -> CutOutCommand:
+    def outgoing(self, slot: SharedSlotPlace | None = None) -> CutOutCommand:
         """The cut as the old side is sent it."""
         swaps = [CutSwap(port=swap.old.port, topic=self.configuration.topic(swap.connector)) for swap in self.swaps]
         return CutOutCommand(
@@ -94,7 +94,7 @@ class Cut:
             resume_after=self.resume_after(),
             clock=self.clock,
             state=self.state,
-            seat=seat,
+            shared_slot=slot,
         )
 
     def timeout(self, stretch: float) -> float:
@@ -102,7 +102,7 @@ class Cut:
         moving = 0.0 if self.state is None else self.state.timeout
         return self.lead + self.resume_after() * stretch + 2.0 + moving + self.arbiter.exchange
 
-    def incoming(self, address: str, seat: Seat | None = None) -> CutInCommand:
+    def incoming(self, address: str, slot: SharedSlotPlace | None = None) -> CutInCommand:
         """The cut as the new side is sent it; ``address`` is that of the old side."""
         # What is written once is repeated at the cut.
         swaps = [
@@ -125,19 +125,19 @@ class Cut:
             address=address,
             clock=self.clock,
             state=self.state,
-            seat=seat,
-            resume_after=0.0 if seat is None else self.resume_after(),
+            shared_slot=slot,
+            resume_after=0.0 if slot is None else self.resume_after(),
         )
 
-    async def seat(self, client: ComponentClient, side: str) -> Seat | None:
-        """The seat of ``side`` in the page of the gates, where only the other side has a gate."""
+    async def shared_slot(self, client: ComponentClient, side: str) -> SharedSlotPlace | None:
+        """The slot of ``side`` in the page of the gates, where only the other side has a gate."""
         old = side == self.old
         other = self.new if old else self.old
         if self.arbiter.by_moment or not self.configuration.component(side).has_agent:
             return None
         own = [(swap.old if old else swap.new, self.configuration.topic(swap.connector)) for swap in self.swaps]
-        ports = [SeatPort(topic=topic, rate=self.configuration.rate(port)) for port, topic in own]
-        return await client.change(other, SeatCommand(cut=self.id, peer=side, ports=ports, old=old))
+        ports = [SharedSlotPort(topic=topic, rate=self.configuration.rate(port)) for port, topic in own]
+        return await client.change(other, ShareSlotCommand(cut=self.id, peer=side, ports=ports, old=old))
 
 
 async def agree_cuts(

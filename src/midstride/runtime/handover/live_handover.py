@@ -333,13 +333,13 @@ class LiveHandover:
             for cut in self._cuts:  # the old side first: it resumes if the new side never learns of the cut
                 sent = self.fences.now()
                 try:
-                    await self.client.change(cut.old, cut.outgoing(await cut.seat(self.client, cut.old)))
+                    await self.client.change(cut.old, cut.outgoing(await cut.shared_slot(self.client, cut.old)))
                 except CommandRefused:
                     self._too_slow = self.fences.now() - sent >= SLOW * cut.lead
                     raise
             for cut in self._cuts:
-                seat = await cut.seat(self.client, cut.new)
-                await self.client.change(cut.new, cut.incoming(self.client.address(cut.old), seat))
+                slot = await cut.shared_slot(self.client, cut.new)
+                await self.client.change(cut.new, cut.incoming(self.client.address(cut.old), slot))
         except CommandRefused:
             if last_try:
                 raise

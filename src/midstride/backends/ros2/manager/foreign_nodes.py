@@ -24,7 +24,7 @@ from midstride.foreign import build
 from midstride.foreign.gated_agent import ForeignAgent
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import GraphEndpoint
-from midstride.foreign.lifecycle_cuts import LifecyclePeers
+from midstride.foreign.lifecycle_outputs import LifecyclePeers
 from midstride.foreign.mode_parameters import typed
 from midstride.foreign.page import PAGE, Page
 from midstride.foreign.record import ForeignRecord

@@ -1,6 +1,6 @@
 """A component that hands over to a node with a gate, or takes over from one: both sides in virtual time.
 
-The node is played by a writer at the seat of a second node: so it takes the same steps as the preloaded library.
+The node is played by a writer at the slot of a second node: so it takes the same steps as the preloaded library.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from midstride.backends.simulator import Simulator
 from midstride.foreign.gates import share_baton
 from midstride.foreign.page import OPEN, OUTPUT, Page
 from midstride.node.handover.baton import BatonState, BatonStep, SharedSlot
-from midstride.wire.replies import Seat
+from midstride.wire.replies import SharedSlotPlace
 from tests.conformance import puppets
 from tests.conformance.lab import Lab
 
@@ -37,7 +37,7 @@ class Gated:
         for index in (self.index, self.other):
             self.page.set_ports(index, [(TOPIC, OUTPUT)])
             self.page.ports(index)[0].gate = OPEN
-        self.seat: SharedSlot | None = None
+        self.slot: SharedSlot | None = None
         self.task: asyncio.Task[None] | None = None
         self.hangs = False
         self.written: list[float] = []
@@ -50,8 +50,8 @@ class Gated:
             share_baton(self.page, [(self.page.ports(index)[0], rate)], baton)
         self.baton = baton
 
-    def seat_of(self, index: int, other: int, *, timed: bool = False) -> Seat:
-        return Seat(
+    def place_of(self, index: int, other: int, *, timed: bool = False) -> SharedSlotPlace:
+        return SharedSlotPlace(
             page=str(self.page.path),
             library=str(self.library),
             baton=self.baton,
@@ -61,17 +61,17 @@ class Gated:
         )
 
     async def start(self) -> None:
-        self.seat = SharedSlot(self.seat_of(self.index, self.other))
+        self.slot = SharedSlot(self.place_of(self.index, self.other))
         self.task = asyncio.get_running_loop().create_task(self.write())
 
     async def write(self) -> None:
         while True:
-            if self.seat is not None and not self.hangs:
-                passes = self.seat.begin(0)
+            if self.slot is not None and not self.hangs:
+                passes = self.slot.begin(0)
                 (self.written if passes else self.skipped).append(self.now())
                 if passes:
                     await self.lab.received("sink")  # a publication takes some turns
-                    self.seat.end()
+                    self.slot.end()
             await self.lab.sleep(PERIOD)
 
     def die(self, index: int) -> None:
@@ -122,10 +122,10 @@ def scene(
 
 
 async def cut(lab: Lab, gated: Gated, op: str, resume_after: float = 1.0) -> None:
-    seat = gated.seat_of(gated.other, gated.index)
-    fields = {name: getattr(seat, name) for name in seat.__struct_fields__}
+    place = gated.place_of(gated.other, gated.index)
+    fields = {name: getattr(place, name) for name in place.__struct_fields__}
     more = {} if op == "cut_out" else {"peer": GATED, "address": ""}
-    await lab.change("ours", op, cut="cut", swaps=SWAPS, at=0, resume_after=resume_after, seat=fields, **more)
+    await lab.change("ours", op, cut="cut", swaps=SWAPS, at=0, resume_after=resume_after, shared_slot=fields, **more)
 
 
 async def outcome(lab: Lab, timeout: float = 30.0) -> str:
@@ -154,7 +154,7 @@ def test_a_component_takes_over(tmp_path: Path, gate_library: Path) -> None:
         assert count >= 18
         gated.page.step(gated.baton, BatonStep.SETTLE, gated.other)  # as the old side's agent does when it is detached
         await lab.sleep(0.2)
-        assert not gated.page.layout.nodes[gated.other].used  # its seat is free
+        assert not gated.page.layout.nodes[gated.other].used  # its slot is free
         await lab.sleep(0.2)
         assert (await lab.port("ours", "out", TOPIC))["count"] > count
 
@@ -202,7 +202,7 @@ def test_the_component_hangs_or_raises_before_it_takes_over(
         gated.hangs = True
         await cut(lab, gated, "cut_in", resume_after=0.5)
         await lab.sleep(3.0)
-        gated.hangs = False  # it lays the baton down only now
+        gated.hangs = False  # it offers the baton only now
         written = len(gated.written)
         await lab.sleep(1.0)
         assert silences(gated.written[written:]) <= 2 * PERIOD + 0.01
@@ -228,14 +228,14 @@ def test_the_manager_dies_before_it_names_the_node(tmp_path: Path, gate_library:
 
 
 async def cut_again(lab: Lab, gated: Gated) -> None:
-    """A later hand-over, with another seat."""
+    """A later hand-over, with another slot."""
     gated.other = gated.page.allocate("ours")
     gated.page.set_ports(gated.other, [(TOPIC, OUTPUT)])
     gated.page.ports(gated.other)[0].gate = OPEN
     gated.share(gated.other)
-    seat = gated.seat_of(gated.other, gated.index)
-    fields = {name: getattr(seat, name) for name in seat.__struct_fields__}
-    await lab.change("ours", "cut_out", cut="again", swaps=SWAPS, at=0, resume_after=1.0, seat=fields)
+    place = gated.place_of(gated.other, gated.index)
+    fields = {name: getattr(place, name) for name in place.__struct_fields__}
+    await lab.change("ours", "cut_out", cut="again", swaps=SWAPS, at=0, resume_after=1.0, shared_slot=fields)
     gated.name()
     assert (await lab.read("ours", "await_cut", cut="again", timeout=5.0))["outcome"] == "done"
 
@@ -341,9 +341,9 @@ def test_a_page_that_cannot_be_used_is_refused(tmp_path: Path, gate_library: Pat
     async def main(lab: Lab, gated: Gated) -> None:
         words = {"page": str(tmp_path / "elsewhere"), "library": str(gate_library)}
         for name, text in (("page", "page of the gates"), ("library", "library of the gate")):
-            seat = {"baton": 1, "index": 1, "other": 0, "timed": False, **words}
-            seat["library"] = str(gate_library) if name == "page" else str(tmp_path / "page")
-            fields = {"cut": "cut", "swaps": SWAPS, "at": 0, "resume_after": 1.0, "seat": seat}
+            place = {"baton": 1, "index": 1, "other": 0, "timed": False, **words}
+            place["library"] = str(gate_library) if name == "page" else str(tmp_path / "page")
+            fields = {"cut": "cut", "swaps": SWAPS, "at": 0, "resume_after": 1.0, "shared_slot": place}
             assert text in await lab.refusal("ours", "cut_out", **fields)
         assert await gate(lab) == "open"
 

@@ -15,8 +15,8 @@ from typing import Any
 from midstride.errors import CommandRefused
 from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.node import WATCH
-from midstride.foreign.outputs import UngatedOutputs
 from midstride.foreign.services import NoAnswer
+from midstride.foreign.ungated_outputs import UngatedOutputs
 from midstride.wire import commands, replies
 from midstride.wire.command_server import CommandHandler
 from midstride.wire.commands import Command

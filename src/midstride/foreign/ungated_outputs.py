@@ -24,7 +24,7 @@ class UngatedOutputs:
             commands.FenceCommand,
             commands.AwaitWriteCommand,
             commands.AwaitRateCommand,
-            commands.SeatCommand,
+            commands.ShareSlotCommand,
             commands.CutOutCommand,
             commands.CutInCommand,
             commands.AwaitCutCommand,

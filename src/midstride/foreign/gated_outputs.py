@@ -15,8 +15,8 @@ from msgspec import structs
 from midstride.errors import CommandRefused
 from midstride.foreign.gates import Gates, share_baton
 from midstride.foreign.node import TICK, ForeignNode
-from midstride.foreign.outputs import UngatedOutputs
 from midstride.foreign.page import OPEN, OUTPUT
+from midstride.foreign.ungated_outputs import UngatedOutputs
 from midstride.node.control.attachments import SETTLE, not_matched
 from midstride.node.control.rate_watch import RateWatch
 from midstride.node.handover.baton import BatonStep
@@ -58,7 +58,7 @@ class GatedOutputs(UngatedOutputs):
             commands.FenceCommand: self.fence,
             commands.AwaitWriteCommand: self.await_write,
             commands.AwaitRateCommand: self.await_rate,
-            commands.SeatCommand: self.seat,
+            commands.ShareSlotCommand: self.share_slot,
             commands.CutOutCommand: self.cut_out,
             commands.CutInCommand: self.cut_in,
             commands.AwaitCutCommand: self.await_cut,
@@ -174,7 +174,7 @@ class GatedOutputs(UngatedOutputs):
         self._cuts[command.cut] = _Cut(command.swaps, baton, {}, own=own)
         return replies.Done()
 
-    async def seat(self, command: commands.SeatCommand) -> replies.Seat:
+    async def share_slot(self, command: commands.ShareSlotCommand) -> replies.SharedSlotPlace:
         """Either side: the other one uses Midstride's API, and gets a part in the page for the cut."""
         page, cut = self._gates.page, self._cuts.get(command.cut)
         if not command.old and cut is None:
@@ -186,7 +186,7 @@ class GatedOutputs(UngatedOutputs):
         share_baton(page, entries, baton)
         for entry, _ in entries:
             entry.gate = OPEN
-        return replies.Seat(
+        return replies.SharedSlotPlace(
             page=str(page.path.absolute()),
             library=str(page.library_path),
             baton=baton,
