@@ -31,6 +31,8 @@ from midstride.plan.strategies.registry import planner
 from midstride.runtime.backend_protocol import Launch
 from midstride.runtime.handover.agreed_cut import early_publishers, publishers_found, require_found
 from midstride.runtime.handover.arbiter_choice import BATON, CLAIM, choose_arbiter, require_arbiters
+from midstride.runtime.instance_life import LifeTable
+from midstride.runtime.manager_clock import SystemClock
 from midstride.wire.commands import AwaitMatchCommand
 from midstride.wire.replies import Attached
 from midstride.wire.sockets import SocketFolder
@@ -236,6 +238,7 @@ class Counting:
 
     def __init__(self, matched: int) -> None:
         self.matched = matched
+        self.life = LifeTable(SystemClock())
         self.wanted: list[int] = []
 
     async def read(self, instance: str, command: AwaitMatchCommand) -> Attached:
@@ -267,9 +270,9 @@ node listener : Listener { in <- /chat }
 
     async def scenario() -> None:
         client: Any = Counting(matched)
-        before = await publishers_found(client, configuration, "/chat", lambda _: False, early=1)
+        before = await publishers_found(client, configuration, "/chat", early=1)
         assert client.wanted == [0]
-        await require_found(client, configuration, [Swap("/chat", old, new)], "/chat", before, lambda _: False)
+        await require_found(client, configuration, [Swap("/chat", old, new)], "/chat", before)
         assert client.wanted == [0, 2]
 
     if found:

@@ -68,7 +68,6 @@ async def swapped(b: Bench, *swaps: Swap) -> dict[PortRef, int | None]:
         b.configuration,
         swaps or (SWAP,),
         b.backend.lingering_readers,
-        b.system.life.has_exited,
         StateTransfers(b.client, b.events),
         b.driver.fences,
     )

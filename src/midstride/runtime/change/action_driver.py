@@ -106,8 +106,7 @@ class ActionDriver:
         if any(self.fences.hangs_already(name) for name in action.instances()):
             await self._fence_leaving(action, self.fences.now())
         try:
-            gone = {*filter(self.system.life.is_gone_or_fenced, self.configuration.instances)}
-            await self._moves.before(action, self.configuration.instances, gone)
+            await self._moves.before(action, self.configuration.instances)
             try:
                 await self._perform(action, because, budget, turn)
             except (CommandRefused, CallTimeout):
@@ -358,7 +357,6 @@ class ActionDriver:
             self.configuration,
             swaps,
             lingering_readers,
-            self.system.life.is_gone,
             states,
             self.fences,
             self._carry_parameters,

@@ -79,7 +79,6 @@ class Reconciler:
     pending: dict[FunctionalityRef, MidstrideError | None] = field(default_factory=dict)  # could not be degraded yet
     _change: RunningChange | None = None  # while its steps are carried out
     _why_pending: str = _LOST_BEFORE
-    _unanswered: set[str] = field(default_factory=set)  # instances of these that did not answer
     _reconciled_at: float = 0.0  # when a functionality was last degraded, or refused to be (steady s)
     _reconciling: asyncio.Lock = field(default_factory=asyncio.Lock)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
@@ -121,8 +120,7 @@ class Reconciler:
                 if self.system.values.report(state):
                     self.save_values()
                 self.monitor.on_report(state, self.system.configuration)
-                answers_again = state.instance in self._unanswered
-                self._unanswered.discard(state.instance)
+                answers_again = self._answers_again(state.instance)
                 configuration = self.system.configuration
                 degraded = own_degradations_in(configuration, state)
                 if degraded and self._change is not None:
@@ -130,6 +128,13 @@ class Reconciler:
                 wrong = differs(configuration, state) or bool(unsupported_modes(configuration, state))
                 if answers_again or degraded or wrong or self._can_retry(state):
                     self._reconcile_soon()
+
+    def _answers_again(self, instance: str) -> bool:
+        """Whether it is the first report of a component since one of its functionalities was not degraded in time."""
+        found = [ref for ref, error in self.pending.items() if ref.instance == instance and error is not None]
+        unanswered = [ref for ref in found if not isinstance(self.pending[ref], CommandRefused)]
+        self.pending |= dict.fromkeys(unanswered)
+        return bool(unanswered)
 
     def _can_retry(self, state: ComponentState) -> bool:
         """Whether a functionality that refused to be degraded may accept it now: no call of its code is running."""
@@ -253,7 +258,6 @@ class Reconciler:
             if reached := {ref: index for ref, index in to_lower.items() if ref not in failed}:
                 self.system.moved(self.system.configuration.with_modes(reached))
             self.pending, self._reconciled_at = dict(failed), self.monitor.clock.steady()
-            self._unanswered = {ref.instance for ref, error in failed.items() if not isinstance(error, CommandRefused)}
 
     def _take_over_reported(
         self, configuration: Configuration

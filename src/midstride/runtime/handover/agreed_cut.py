@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import math
 import uuid
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -199,18 +199,14 @@ def _first_slot(cut: Cut, moment: int) -> int:
 
 
 async def publishers_found(
-    client: ComponentClient,
-    configuration: Configuration,
-    connector: str,
-    is_gone: Callable[[str], bool],
-    early: int = 0,
+    client: ComponentClient, configuration: Configuration, connector: str, early: int = 0
 ) -> dict[PortRef, int]:
     """How many publishers each subscriber of ``connector`` that answers is matched with, before new ones attach.
 
     A publisher that has just left may still be counted, so a subscriber that counts more than there are in the model is
     asked again for a while. That is not done if some of the new ones are ``early``: they may be counted as well.
     """
-    living = sum(not is_gone(port.instance) for port in configuration.publishers_on(connector))
+    living = sum(not client.life.is_gone(port.instance) for port in configuration.publishers_on(connector))
     found: dict[PortRef, int] = {}
     for port in sorted(configuration.subscribers_on(connector)):
         asked = AwaitMatchCommand(port=port.port, topic=configuration.topic(connector), peers=0, timeout=0.0)
@@ -234,7 +230,6 @@ async def require_found(
     swaps: Iterable[Swap],
     connector: str,
     before: Mapping[PortRef, int],
-    is_gone: Callable[[str], bool],
 ) -> None:
     """Raises StepFailed unless the subscribers of ``connector`` have found the new publishers.
 
@@ -245,7 +240,7 @@ async def require_found(
     may also have left without a word, and be counted for long. So for them that number has to do.
     """
     new = {swap.new for swap in swaps if swap.connector == connector}
-    gone = sum(is_gone(port.instance) for port in configuration.publishers_on(connector))
+    gone = sum(client.life.is_gone(port.instance) for port in configuration.publishers_on(connector))
     topic, early = configuration.topic(connector), early_publishers(configuration, new)
     for port, counted in before.items():
         # Whether one that has exited is still counted is not known.

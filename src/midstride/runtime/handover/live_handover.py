@@ -86,9 +86,9 @@ class LiveHandover:
     """One hand-over on the components of ``configuration``.
 
     ``fences`` is for old sides that hang. ``lingering_readers`` says how many readers on a topic the middleware still
-    counts although their processes have exited, ``is_gone`` whether a component has exited. ``states`` moves their
-    state; there may be state to move without any swap. ``before_cut(old, new)`` is called when both are ready for it.
-    It is cut when it is its ``turn``: others may be prepared at the same time.
+    counts although their processes have exited. ``states`` moves their state; there may be state to move without any
+    swap. ``before_cut(old, new)`` is called when both are ready for it. It is cut when it is its ``turn``: others may
+    be prepared at the same time.
     """
 
     client: ComponentClient
@@ -96,7 +96,6 @@ class LiveHandover:
     configuration: Configuration
     swaps: Sequence[Swap]
     lingering_readers: Callable[[str], Awaitable[int]]
-    is_gone: Callable[[str], bool]
     states: StateTransfers
     fences: Fences
     before_cut: Callable[[str, str], Awaitable[None]] | None = None
@@ -109,9 +108,7 @@ class LiveHandover:
     _deadline: float = 0.0  # until when an old side that hangs may become free (steady s)
 
     def __post_init__(self) -> None:
-        self._new = NewPublishers(
-            self.client, self.events, self.configuration, self.lingering_readers, self.is_gone, self.timing
-        )
+        self._new = NewPublishers(self.client, self.events, self.configuration, self.lingering_readers, self.timing)
 
     async def run(self) -> dict[PortRef, int | None]:
         """The number of each old output's last message. Raises StepFailed with the reason.
@@ -129,7 +126,7 @@ class LiveHandover:
             raise
         await self._change_answering()
         for swap in self.swaps:
-            if self.is_gone(swap.old.instance) or swap.old.instance in self.fences.fenced:
+            if self.client.life.is_gone_or_fenced(swap.old.instance):
                 continue
             try:
                 detach = commands.DetachCommand(port=swap.old.port, topic=self._topic(swap), timeout=DETACH_TIMEOUT)
@@ -183,7 +180,7 @@ class LiveHandover:
         for old, new in self._pairs:
             if old != new and instances[old].role == instances[new].role:
                 try:
-                    await have_answer(self.client, new, instead_of=None if self.is_gone(old) else old)
+                    await have_answer(self.client, new, instead_of=None if self.client.life.is_gone(old) else old)
                 except MidstrideError as error:
                     self.events.add("note", f"{new} does not answer requests to {instances[new].role} yet: {error}")
 
@@ -201,14 +198,14 @@ class LiveHandover:
         found: dict[str, dict[PortRef, int]] = {}
         for name in connectors:
             early = early_publishers(self.configuration, (swap.new for swap in self.swaps if swap.connector == name))
-            found[name] = await publishers_found(self.client, self.configuration, name, self.is_gone, early)
+            found[name] = await publishers_found(self.client, self.configuration, name, early)
         for swap in self.swaps:
             with _old_side_needed():
                 readers, ids = await self._new.readers(swap)
             await self._new.attach_beside(swap, readers, ids)
         for connector in connectors:
-            await require_found(self.client, self.configuration, self.swaps, connector, found[connector], self.is_gone)
-        await self._await_turn(self.swaps, lambda: any(self.is_gone(old) for old, _ in pairs))
+            await require_found(self.client, self.configuration, self.swaps, connector, found[connector])
+        await self._await_turn(self.swaps, lambda: any(self.client.life.is_gone(old) for old, _ in pairs))
         begun = self.fences.now()
         for old, new in pairs:
             with _old_side_needed():
@@ -289,7 +286,7 @@ class LiveHandover:
     async def _has_exited(self, instance: str) -> bool:
         """Whether its process has exited. A connection that has just closed may not be known to be yet."""
         for _ in range(EXIT_ATTEMPTS):
-            if self.is_gone(instance):
+            if self.client.life.is_gone(instance):
                 return True
             if self.client.life.responsive(instance) is None and self.client.life.latest(instance) is not None:
                 return False  # it is connected, and silent
@@ -301,7 +298,7 @@ class LiveHandover:
             except MidstrideError:
                 pass
             return False
-        return self.is_gone(instance)
+        return self.client.life.is_gone(instance)
 
     @property
     def _pairs(self) -> list[tuple[str, str]]:

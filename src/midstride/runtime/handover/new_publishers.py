@@ -39,14 +39,13 @@ class NewPublishers:
     """Those of one hand-over on the components of ``configuration``.
 
     ``lingering_readers`` says how many readers on a topic the middleware still counts although their processes have
-    exited, ``is_gone`` whether a component has exited; ``timing`` is that of the specification.
+    exited; ``timing`` is that of the specification.
     """
 
     client: ComponentClient
     events: EventLog
     configuration: Configuration
     lingering_readers: Callable[[str], Awaitable[int]]
-    is_gone: Callable[[str], bool]
     timing: Mapping[str, float]
     # The swaps whose new publisher may be attached, and those where it is.
     _begun: list[Swap] = field(default_factory=list)
@@ -82,7 +81,7 @@ class NewPublishers:
             port=swap.new.port,
             topic=topic,
             gate="closed",
-            peers=sum(not self.is_gone(port.instance) for port in subscribers),
+            peers=sum(not self.client.life.is_gone(port.instance) for port in subscribers),
             everyone=readers,
             reader_ids=list(ids),
             patience=OUTSIDE_READERS_TIMEOUT,

@@ -28,19 +28,16 @@ class StateMoves:
     predecessors: dict[str, str] = field(default_factory=dict)
     _muted: set[str] = field(default_factory=set)
 
-    async def before(self, action: Action, live: Container[str], gone: Container[str]) -> None:
-        """Do what must precede ``action``. Raises MidstrideError.
-
-        ``live`` are the instances of the configuration, ``gone`` those that have exited, or are fenced.
-        """
+    async def before(self, action: Action, live: Container[str]) -> None:
+        """Do what must precede ``action``; ``live`` are the instances of the configuration. Raises MidstrideError."""
         for new, old in list(self.predecessors.items()):
             if new not in live or old not in live:
                 continue
             if isinstance(action, Upgrade) and new in action.instances():
-                await self._mute(old, new, gone)
+                await self._mute(old, new)
             elif isinstance(action, (Degrade, Detach, Remove)) and old in action.instances() and new in self._muted:
                 self._muted.discard(new)
-                if old in gone:
+                if self.client.life.is_gone_or_fenced(old):
                     self.keeps_own(old, new, f"{old} exited or hangs, so it could not export its state")
                 else:
                     await self.move(old, new)
@@ -48,9 +45,9 @@ class StateMoves:
                     self.predecessors[old] = new  # a roll-back moves it back
                     self._muted.add(old)
 
-    async def _mute(self, old: str, new: str, gone: Container[str]) -> None:
+    async def _mute(self, old: str, new: str) -> None:
         """Have ``new`` wait for the state of ``old``, if that exports any."""
-        if new in self._muted or old in gone:
+        if new in self._muted or self.client.life.is_gone_or_fenced(old):
             return
         try:
             offer = await self.client.change(new, PrepareStateCommand(peer=old, address=self.client.address(old)))
