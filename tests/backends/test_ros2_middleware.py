@@ -12,6 +12,8 @@ import pytest
 
 from midstride.backends.ros2 import dds_profiles, middleware, names
 from midstride.backends.ros2.middleware import of_identifier
+from midstride.capture.observed import ObservedEndpoint, ObservedGraph
+from midstride.model.contract import QoS
 from tests.backends.ros2_support import Bare, run
 from tests.backends.test_ros2_graph import ListedGraph
 
@@ -118,6 +120,31 @@ def test_where_processes_are_unknown_no_endpoint_is_shown_as_an_instance_that_it
             assert named == {*own, *([None] if others else [])}, seed
             foreign += others
     assert told_apart > 100 and left > 100 and foreign > 20
+
+
+@pytest.mark.ros2
+@pytest.mark.parametrize("rmw", [FAST_DDS, CYCLONE_DDS])
+def test_a_message_is_no_endpoints_where_its_writer_is_unknown(
+    rmw: middleware.RmwImplementation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from midstride.backends.ros2.manager import observer
+
+    class Listening:
+        def create_subscription(self, type_: type, topic: str, callback: Any, *_: object, **__: object) -> None:
+            self.heard = callback
+
+    monkeypatch.setattr(middleware, "of_this_process", lambda: rmw)
+    writers = [
+        ObservedEndpoint(
+            f"/talker_{number}", "/chatter", "std_msgs/msg/String", True, QoS(), bytes([number] * 16).hex()
+        )
+        for number in range(2)
+    ]
+    graph, node = ObservedGraph(), Listening()
+    graph.saw(writers)
+    observer._subscribe(node, graph, writers)
+    node.heard(b"", {**INFO, "publisher_gid": bytes([1] * 16)})
+    assert [graph.times(each) for each in writers] == ([[], [7e-9]] if rmw is FAST_DDS else [None, None])
 
 
 @pytest.mark.ros2
