@@ -203,6 +203,17 @@ def test_what_a_further_node_has_kept_is_published_when_its_gate_opens(
     assert lab.page.beat(second) > beat and lab.page.beat(first) == lab.page.beat(second)
 
 
+def test_the_place_of_a_node_is_not_given_away_while_its_process_goes_on(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel would take the process for the next one that has the place."""
+    first, second = two(lab, monkeypatch)
+    lab.page.free(second)
+    assert lab.page.allocate("next") not in (first, second)
+    lab.kill(first)
+    assert lab.page.allocate("the one after") == second
+
+
 TWO_NODES = """
 import sys, time
 import rclpy

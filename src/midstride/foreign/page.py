@@ -194,8 +194,8 @@ class Page:
 
         def use(index: int) -> int:
             node = self.layout.nodes[index]
-            if not node.used:
-                return 0
+            if not node.used:  # a process that goes on without this node of it keeps its lock
+                return 3 if node.pid and not self.is_dead(index) else 0
             if node.pid:  # a manager that was killed has not freed what its nodes had
                 return 1 if self.is_dead(index) else 3
             return 3 if 0 <= now - node.beat < JOINED_WITHIN else 2
