@@ -172,7 +172,7 @@ def link(state: str) -> None:
 
 async def modes(system: System) -> dict[str, str]:
     status = await system.manager.status()
-    return {each.role: each.functionalities[0].mode for each in status.components if each.reachable}
+    return {each.role: each.functionalities[0].mode for each in status.instances if each.reachable}
 
 
 async def until(holds: Callable[[], Awaitable[bool]], what: str) -> None:

@@ -145,14 +145,14 @@ class System:
             await self.manager.change(PlanRequest(to=self.specification))
             await asyncio.sleep(2.0)
             status = await self.manager.status()
-            modes = [each.mode for component in status.components for each in component.functionalities]
+            modes = [each.mode for component in status.instances for each in component.functionalities]
             if modes == ["normal"] * 4 and status.valid:
                 return
             if time.monotonic() > deadline:
                 raise SystemExit(f"not restored: {status}")
 
     async def pid(self) -> int:
-        (found,) = (each.pid for each in (await self.manager.status()).components if each.role == "a")
+        (found,) = (each.pid for each in (await self.manager.status()).instances if each.role == "a")
         return int(found)
 
 
@@ -226,10 +226,10 @@ async def healthy(system: System, falls: Falls, seconds: float, nice: int, count
     for words, name in names.items():
         rows.append({"who": words, "seconds": seconds, "false": falls.count(name) - before[words]})
         print(f"{words:<20}{rows[-1]['false']:>4} false alarms")
-    for component in (await system.manager.status()).components:
+    for component in (await system.manager.status()).instances:
         for each in component.functionalities:
             if not each.normal:
-                print(f"{each.name}: {each.because}")
+                print(f"{component.name}.{each.name}: {each.because}")
     return rows
 
 

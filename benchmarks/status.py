@@ -69,7 +69,7 @@ def of_midstride(each: int, folder: Path) -> dict[str, Times]:
     from midstride.runtime.workspace import Workspace
 
     def state(document: str) -> str:
-        (view,) = json.loads(document)["components"][0]["functionalities"]
+        (view,) = json.loads(document)["instances"][0]["functionalities"]
         return IDLE if view["busy"] is None else ASLEEP
 
     file = folder / "status.stride"
@@ -77,7 +77,7 @@ def of_midstride(each: int, folder: Path) -> dict[str, Times]:
     midstride("up", str(file), "--detach")
     try:
         client = Client(Workspace.of("status_benchmark").socket)
-        by_api = asked(lambda: state(json.dumps(client.get("/status"))), each)
+        by_api = asked(lambda: state(json.dumps(client.get("/view"))), each)
         by_command = asked(lambda: state(midstride("status", "--json").stdout), max(2, each // 10))
     finally:
         midstride("down")

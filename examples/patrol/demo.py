@@ -174,11 +174,11 @@ class Show:
         with contextlib.suppress(MidstrideError):
             status = await manager.status()
             self.modes = {entry.name: "gone" for entry in status.crashed}
-            serving = {component.role: component for component in status.components if not component.ending}
+            serving = {component.role: component for component in status.instances if not component.ending}
             for role, component in serving.items():  # of two instances the new one
                 for each in component.functionalities:
-                    if not each.normal and not _serves(status, role, each.name.partition(".")[2]):
-                        self.modes[f"{role}.{each.name.partition('.')[2]}"] = each.mode
+                    if not each.normal and not _serves(status, role, each.name):
+                        self.modes[f"{role}.{each.name}"] = each.mode
         if self._row:
             drive = self.modes.get("controller.drive", "full")
             self._row["slowest"] = max(self._row["slowest"], drive, key=ORDER.index)
@@ -187,10 +187,8 @@ class Show:
 
 def _serves(status: Status, role: str, functionality: str) -> bool:
     """Whether an instance of ``role`` is in the normal mode: the old one, the new one, or both."""
-    of_role = [component for component in status.components if component.role == role]
-    return any(
-        each.normal for one in of_role for each in one.functionalities if each.name.endswith(f".{functionality}")
-    )
+    of_role = [component for component in status.instances if component.role == role]
+    return any(each.normal for one in of_role for each in one.functionalities if each.name == functionality)
 
 
 # -- what happens -----------------------------------------------------------------------------------------------------
@@ -258,7 +256,7 @@ async def killed_manager(environment: DemoEnvironment) -> None:
 
 async def fault(environment: DemoEnvironment, role: str, number: signal.Signals) -> None:
     status = await environment.manager.status()
-    component = next(each for each in status.components if each.role == role)
+    component = next(each for each in status.instances if each.role == role)
     if isinstance(environment.backend, Simulator):
         faults = environment.backend.faults
         faults.kill(component.name) if number == signal.SIGKILL else faults.freeze(component.name, 3600.0)

@@ -125,7 +125,7 @@ async def main(folder: Path, task: str, op: str = "", number: str = "0", when: s
     try:
         status = await manager.status()
         if not status.valid:
-            print(f"not valid: {status.violations} {status.components}")
+            print(f"not valid: {status.violations} {status.instances}")
             return 1
         print("found", await found(manager), flush=True)
         if task == "down":

@@ -101,7 +101,7 @@ async def a_call_begins(manager: Manager) -> None:
         return not await is_busy()
 
     async def is_shown() -> bool:
-        return (await manager.status()).components[0].functionalities[0].busy is not None
+        return (await manager.status()).instances[0].functionalities[0].busy is not None
 
     await until_async(is_idle)
     await until_async(is_busy)
@@ -119,8 +119,8 @@ def test_status_answers_while_a_mode_sleeps_and_nothing_comes_after_the_degrade(
             changing = asyncio.ensure_future(manager.change(PlanRequest(remove=("busy",), strategy="quiesce")))
             await step(manager, "step", "degrade")
             answers = 0
-            while (view := (await manager.status()).components[0].functionalities[0]).busy is not None:
-                assert view.name == "busy.work" and view.busy > 0
+            while (view := (await manager.status()).instances[0].functionalities[0]).busy is not None:
+                assert view.name == "work" and view.busy
                 answers += 1
                 await asyncio.sleep(0.02)
             assert answers >= 3, "the status waited for the call of user code"
@@ -148,7 +148,7 @@ def test_a_call_that_outlasts_the_drain_is_waited_for_where_its_node_is_removed(
             await a_call_begins(manager)
             outcome = await manager.change(PlanRequest(remove=("busy",), strategy="quiesce"))
             assert (outcome.outcome, outcome.because, outcome.fenced) == ("done", None, [])
-            assert (await manager.status()).components == []
+            assert (await manager.status()).instances == []
 
     with ended():
         run(main())

@@ -154,7 +154,7 @@ def test_every_component_is_matched_after_very_many_replacements(tmp_path: Path)
         async with managed(tmp_path / "system", swap_specification()) as (manager, _):
             recorder = Recorder(tmp_path)
             await asyncio.to_thread(recorder.wait_until_it_hears)
-            (sink,) = (each.pid for each in (await manager.status()).components if each.name == "sink")
+            (sink,) = (each.pid for each in (await manager.status()).instances if each.name == "sink")
             assert sink is not None
             with Bare() as bare:
                 soak = Soak({"manager": os.getpid(), "sink": sink}, bare)
@@ -242,7 +242,7 @@ async def poll(manager: Manager) -> None:
     """The status, ten times a second: every component answers, and nothing is silent."""
     while True:
         status = await manager.status()
-        assert [row.name for row in status.components if not (row.reachable or row.ending)] == []
+        assert [row.name for row in status.instances if not (row.reachable or row.ending)] == []
         assert status.silences == []
         await asyncio.sleep(0.1)
 

@@ -81,7 +81,7 @@ def replaced_often(folder: Path, number: int) -> None:
                 await called_meanwhile(bare, caller, replace_often())
                 assert await tools.set(gain=3.0) == [(True, "")]
                 await bare.until(caller.finished)
-                (component,) = (await manager.status()).components
+                (component,) = (await manager.status()).instances
                 assert component.role == "source" and component.name in ("source_2", "source_3")
                 assert (component.node, component.answers) == ("/source", True)
                 assert (await manager.peek(component.name)).parameters == {"gain": 3.0}

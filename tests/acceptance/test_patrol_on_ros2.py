@@ -47,7 +47,7 @@ def test_the_robot_never_drives_blind_while_drivers_are_replaced_and_die(tmp_pat
             for role, component in (("camera", "LifecycleCamera"), ("lidar", "SmoothLidar")):
                 outcome = await manager.change(PlanRequest(replace=((role, component),)))
                 assert (outcome.outcome, outcome.because) == ("done", None)
-            crashed = next(each for each in (await manager.status()).components if each.role == "lidar")
+            crashed = next(each for each in (await manager.status()).instances if each.role == "lidar")
             assert crashed.pid is not None
             os.kill(crashed.pid, signal.SIGKILL)
             written = (await seen("commands", 1))["commands"]
@@ -82,7 +82,7 @@ def test_the_hall_s_clock_drives_the_robot_twice_as_fast_as_real_time(tmp_path: 
     async def main() -> None:
         options = SystemOptions(use_sim_time=True)
         async with managed(tmp_path / "system", specification, FOLDER, options) as (manager, _):
-            assert all(each.simulated_time for each in (await manager.status()).components)
+            assert all(each.simulated_time for each in (await manager.status()).instances)
             await later(1.0)
             await manager.set_parameters("world", {"speed": 2.0})
             begun, before = await later(2.0)

@@ -48,8 +48,8 @@ def test_a_publisher_that_falls_silent_after_the_cut_hands_back(tmp_path: Path) 
             assert "source_2.out does not keep the 50 Hz that its mode guarantees" in str(outcome.because)
             assert "after the hand-over" in str(outcome.because)
             assert list(manager.configuration.instances) == ["source"]
-            (component,) = (await manager.status()).components
-            assert component.name == "source" and component.attachments[0].gate == "open"
+            (component,) = (await manager.status()).instances
+            assert component.name == "source" and component.ports[0].gate == "open"
 
     with ended():
         run(main())

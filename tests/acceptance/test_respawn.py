@@ -30,14 +30,14 @@ def test_a_killed_publisher_comes_back_and_bare_subscribers_hear_it_again(tmp_pa
         async with managed(tmp_path / "system", specification) as (manager, _):
             recorder = Recorder(tmp_path)
             await asyncio.to_thread(recorder.wait_until_it_hears)
-            pids = {row.name: row.pid for row in (await manager.status()).components}
+            pids = {row.name: row.pid for row in (await manager.status()).instances}
             assert pids["source"] is not None
             killed = time.time_ns()
             os.kill(pids["source"], signal.SIGKILL)
 
             async def restored() -> bool:
                 status = await manager.status()
-                running = {row.name: row.pid for row in status.components}
+                running = {row.name: row.pid for row in status.instances}
                 dependants = await manager.why("sink.listen")
                 again = running.get("source") not in (None, pids["source"])
                 return again and status.valid and dependants.normal

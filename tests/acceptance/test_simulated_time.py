@@ -97,10 +97,10 @@ def test_nothing_is_missed_in_simulated_time_and_a_bare_recorder_agrees(
     async def scenario() -> tuple[list[SwapReport], list[Receipt]]:
         options = SystemOptions(use_sim_time=True)
         async with managed(tmp_path / "system", swap_specification(), options=options) as (manager, _):
-            assert {row.waiting for row in (await manager.status()).components} == {ON_CLOCK}
+            assert {row.waiting for row in (await manager.status()).instances} == {ON_CLOCK}
             clocks.append(ClockSource(tmp_path, speed))
             await status_when(manager, None)
-            assert all(row.simulated_time for row in (await manager.status()).components)
+            assert all(row.simulated_time for row in (await manager.status()).instances)
             recorder = Recorder(tmp_path)
             await asyncio.to_thread(recorder.wait_until_it_hears)
             await asyncio.sleep(40 * PERIOD / speed)
@@ -199,7 +199,7 @@ async def received(manager: Manager, count: int) -> None:
 
 
 async def is_still(manager: Manager) -> bool:
-    return all(str(row.waiting).startswith("/clock has not moved for") for row in (await manager.status()).components)
+    return all(str(row.waiting).startswith("/clock has not moved for") for row in (await manager.status()).instances)
 
 
 async def set_simulated_time(bare: Bare, node: str, value: bool) -> None:
@@ -218,7 +218,7 @@ async def status_when(manager: Manager, waiting: str | None) -> Status:
     """The status, as soon as the source reports that it waits for that."""
     while True:
         status = await manager.status()
-        if {row.name: row.waiting for row in status.components}["source"] == waiting:
+        if {row.name: row.waiting for row in status.instances}["source"] == waiting:
             return status
         await asyncio.sleep(0.02)
 

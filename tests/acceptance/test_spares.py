@@ -75,7 +75,7 @@ def test_components_start_in_spares_and_outlive_their_manager(tmp_path: Path) ->
             outcome = await manager.change(other_source(manager))
             assert (outcome.outcome, outcome.because) == ("done", None)
             assert [(swap.lost, swap.duplicates) for swap in outcome.swaps] == [(0, 0)]
-            source = next(each for each in (await manager.status()).components if each.role == "source")
+            source = next(each for each in (await manager.status()).instances if each.role == "source")
             assert source.pid == spares[-1]
         status = await manager.status()
         assert status.valid and status.spares.kept == 1 and status.spares.unused_by == []
@@ -86,7 +86,7 @@ def test_components_start_in_spares_and_outlive_their_manager(tmp_path: Path) ->
         manager, _ = new_manager(manager.specification)
         await manager.up()
         status = await manager.status()
-        assert status.valid and spares[-1] in [each.pid for each in status.components]
+        assert status.valid and spares[-1] in [each.pid for each in status.instances]
         await manager.down()
         await manager.close()
         ended_process = process_info(spares[-1])  # which is a child of this process, so nothing has reaped it
@@ -122,14 +122,14 @@ def test_a_component_that_is_forked_is_as_one_that_is_started(tmp_path: Path, mo
 
         manager = new_manager()
         await manager.up()
-        (component,) = (await manager.status()).components
+        (component,) = (await manager.status()).instances
         log = Path(str(manager.system.life.handles["talker0"].log))
         assert (component.pid in forked) == bool(spares)
         await manager.close()
         manager = new_manager()  # which finds what has outlived the other one
         await manager.up()
         status = await manager.status()
-        assert status.valid and [each.pid for each in status.components] == [component.pid]
+        assert status.valid and [each.pid for each in status.instances] == [component.pid]
         await manager.down()
         await manager.close()
         lines = log.read_text().splitlines()
@@ -164,10 +164,10 @@ def test_killing_the_fork_server_harms_no_component_and_no_bring_up(tmp_path: Pa
 
         first, _ = await asyncio.gather(kill(), manager.up())
         status = await manager.status()
-        assert status.valid and len(status.components) == 4
+        assert status.valid and len(status.instances) == 4
         assert await kill() is not first
         again = await manager.status()
-        assert again.valid and [each.pid for each in again.components] == [each.pid for each in status.components]
+        assert again.valid and [each.pid for each in again.instances] == [each.pid for each in status.instances]
         await manager.down()
         await manager.close()
 

@@ -61,7 +61,7 @@ def test_each_replaces_its_talker_while_the_other_does(tmp_path: Path, monkeypat
         try:
             states = [await manager.status() for manager in managers]
             assert [state.valid for state in states] == [True, True]
-            pids = [{row.pid or 0 for row in state.components} for state in states]
+            pids = [{row.pid or 0 for row in state.instances} for state in states]
             assert not pids[0] & pids[1] and all(len(found) == 2 for found in pids)
             for pid in pids[0]:
                 assert "rclpy" not in loaded(pid) and "AMENT_PREFIX_PATH" not in loaded(pid)

@@ -19,24 +19,25 @@ from fastapi import FastAPI, Response
 from fastapi.responses import StreamingResponse
 
 from midstride.runtime.records.reports import Event
-from midstride.runtime.records.status_forms import ParameterStatus
-from midstride.server.static import dashboard
-from midstride.server.view.view_forms import (
-    ComponentView,
-    CrashView,
-    FunctionalityView,
-    Patch,
-    PortView,
-    SystemView,
-    TopicView,
+from midstride.runtime.records.status_forms import (
+    CrashedInstance,
+    FunctionalityStatus,
+    InstanceStatus,
+    Middleware,
+    ParameterStatus,
+    PortStatus,
+    SpareStatus,
+    TopicStatus,
 )
+from midstride.server.static import dashboard
+from midstride.server.view.view_forms import Patch, SystemView
 from tests.server.support import free_port
 
 MODES = ["normal", "reduced", "degraded"]
 
 
-def functionality(name: str, mode: str = "normal", because: str | None = None) -> FunctionalityView:
-    return FunctionalityView(
+def functionality(name: str, mode: str = "normal", because: str | None = None) -> FunctionalityStatus:
+    return FunctionalityStatus(
         name=name,
         mode=mode,
         modes=[*MODES] if mode in MODES else [mode, "off"],
@@ -49,8 +50,8 @@ def functionality(name: str, mode: str = "normal", because: str | None = None) -
     )
 
 
-def port(name: str, direction: str, topic: str | None, rate: float | None = 10.0, **more: Any) -> PortView:
-    return PortView(
+def port(name: str, direction: str, topic: str | None, rate: float | None = 10.0, **more: Any) -> PortStatus:
+    return PortStatus(
         name=name,
         direction=direction,  # type: ignore[arg-type]
         functionalities=["work"],
@@ -66,7 +67,9 @@ def port(name: str, direction: str, topic: str | None, rate: float | None = 10.0
     )
 
 
-def component(name: str, functionalities: list[FunctionalityView], ports: list[PortView], **more: Any) -> ComponentView:
+def component(
+    name: str, functionalities: list[FunctionalityStatus], ports: list[PortStatus], **more: Any
+) -> InstanceStatus:
     known: dict[str, Any] = {
         "role": name,
         "component": "Worker",
@@ -74,6 +77,7 @@ def component(name: str, functionalities: list[FunctionalityView], ports: list[P
         "host": None,
         "node": f"/{name}",
         "pid": 1,
+        "reachable": True,
         "answers": True,
         "ending": False,
         "waiting": None,
@@ -81,13 +85,16 @@ def component(name: str, functionalities: list[FunctionalityView], ports: list[P
         "differences": [],
         "undeclared": [],
         "deviation": None,
+        "simulated_time": False,
+        "run": None,
+        "log_file": None,
         "parameters": [],
         "endpoints": [],
     }
-    return ComponentView(name=name, functionalities=functionalities, ports=ports, **{**known, **more})
+    return InstanceStatus(name=name, functionalities=functionalities, ports=ports, **{**known, **more})
 
 
-def topics_of(components: list[ComponentView]) -> list[TopicView]:
+def topics_of(components: list[InstanceStatus]) -> list[TopicStatus]:
     ends: dict[str, tuple[str, list[str], list[str]]] = {}
     for each in components:
         for found in each.ports:
@@ -95,19 +102,19 @@ def topics_of(components: list[ComponentView]) -> list[TopicView]:
                 _, outs, ins = ends.setdefault(found.topic, (found.type or "", [], []))
                 (outs if found.direction == "out" else ins).append(f"{each.name}.{found.name}")
     return [
-        TopicView(
+        TopicStatus(
             name=name, topic=name, type=kind, rate=10.0, satisfied=True, publishers=outs, subscribers=ins, outside=[]
         )
         for name, (kind, outs, ins) in sorted(ends.items())
     ]
 
 
-def large(nodes: int, topics: int, groups: int = 20, seed: int = 3) -> list[ComponentView]:
+def large(nodes: int, topics: int, groups: int = 20, seed: int = 3) -> list[InstanceStatus]:
     """``nodes`` components in ``groups`` namespaces, which mostly talk within their own one."""
     drawn = random.Random(seed)
     size = nodes // groups
     names = [f"area_{number // size:02d}/node_{number % size:02d}" for number in range(nodes)]
-    ports: list[list[PortView]] = [[] for _ in names]
+    ports: list[list[PortStatus]] = [[] for _ in names]
     for number in range(topics):
         source = number % nodes
         group = source // size
@@ -126,7 +133,7 @@ def large(nodes: int, topics: int, groups: int = 20, seed: int = 3) -> list[Comp
 class Synthetic:
     """The state that is served; :meth:`patch` changes it for every page."""
 
-    def __init__(self, components: list[ComponentView], crashed: list[CrashView] | None = None) -> None:
+    def __init__(self, components: list[InstanceStatus], crashed: list[CrashedInstance] | None = None) -> None:
         self.components = {each.name: each for each in components}
         self.crashed = crashed or []
         self.topics = topics_of(components)
@@ -154,17 +161,23 @@ class Synthetic:
             running=None,
             valid=True,
             violations=[],
-            components=sorted(self.components.values(), key=lambda each: each.name),
+            instances=sorted(self.components.values(), key=lambda each: each.name),
             topics=self.topics,
             crashed=self.crashed,
             silences=[],
+            unwritten=None,
+            damaged=None,
+            file=None,
+            changed_since=False,
+            middleware=Middleware(name="none"),
+            spares=SpareStatus(kept=0, ready=0, unused_by=[]),
             change=None,
         )
 
-    def patch(self, components: list[ComponentView]) -> None:
+    def patch(self, components: list[InstanceStatus]) -> None:
         self.n += 1
         self.components.update({each.name: each for each in components})
-        found = Patch(n=self.n, at=time.time(), components={each.name: each for each in components})
+        found = Patch(n=self.n, at=time.time(), instances={each.name: each for each in components})
         message = self._message("patch", msgspec.json.encode(found))
         assert self._loop is not None
         for queue in list(self._queues):

@@ -29,7 +29,7 @@ def press(page: Page, name: str) -> None:
 
 
 def components(system: System) -> dict[str, str]:
-    return {each["role"]: each["component"] for each in system.midstride("status", "--json").json["components"]}
+    return {each["role"]: each["component"] for each in system.midstride("status", "--json").json["instances"]}
 
 
 def counts(system: System) -> str:
@@ -129,7 +129,7 @@ def scrubbed(page: Page) -> None:
     for _ in range(100):
         with page.expect_response(re.compile("/view/at")) as view:
             page.keyboard.press("ArrowLeft")
-        if {row["name"] for row in view.value.json()["components"]} == {"talker", "listener"}:
+        if {row["name"] for row in view.value.json()["instances"]} == {"talker", "listener"}:
             break
     expect(page.locator('.component[data-name="talker"]')).to_be_visible()
     expect(page.locator('.component[data-name="talker_2"]')).to_have_count(0)

@@ -9,11 +9,16 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from midstride.runtime.records.reports import Event
-from midstride.server.view.view_forms import CrashView, EndpointView
+from midstride.runtime.records.status_forms import CrashedInstance, EndpointStatus, RespawnStatus
 from tests.browser.conftest import PATIENCE
 from tests.browser.synthetic import Synthetic, component, functionality, parameter, port, serving
 
 pytestmark = [pytest.mark.browser, pytest.mark.full]
+
+
+def respawn(words: str) -> RespawnStatus:
+    return RespawnStatus(restarting=False, seconds=None, restarts=1, max_retries=1, window=60.0, words=words)
+
 
 HOSTILE = [
     "<img src=x onerror=attacked()>",
@@ -42,10 +47,13 @@ def hostile_system() -> Synthetic:
             "deviation": f"deviation {text}",
         }
         ports = [port(f"out {text}", "out", text, type=text), port(f"in {text}", "in", HOSTILE[number - 1])]
-        shared = EndpointView(kind="service", name=HOSTILE[number // 2], serves=bool(number % 2))
-        endpoints = [shared, EndpointView(kind="topic", name=text, serves=None)]
+        shared = EndpointStatus(kind="service", name=HOSTILE[number // 2], serves=bool(number % 2))
+        endpoints = [shared, EndpointStatus(kind="topic", name=text, serves=None)]
         components.append(component(text, [mode], ports, parameters=parameters, endpoints=endpoints, **more))
-    crashes = [CrashView(name=each, role=each, status=1, log=each, remedy=each, respawn=each) for each in HOSTILE[:3]]
+    crashes = [
+        CrashedInstance(name=each, role=each, status=1, log=each, remedy=each, respawn=respawn(each))
+        for each in HOSTILE[:3]
+    ]
     synthetic = Synthetic(components, crashes)
     synthetic.events = [
         Event(n=number + 1, at=1_000_000_000.0, kind=text, words=text) for number, text in enumerate(HOSTILE)

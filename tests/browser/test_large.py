@@ -8,7 +8,7 @@ import msgspec
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from midstride.server.view.view_forms import ComponentView
+from midstride.runtime.records.status_forms import InstanceStatus
 from tests.browser.conftest import PATIENCE
 from tests.browser.synthetic import Synthetic, component, functionality, large, port, serving
 
@@ -31,7 +31,7 @@ def show(page: Page, synthetic: Synthetic) -> None:
     page.wait_for_selector(".graph .component[transform], .graph .collapsed[transform]")
 
 
-def in_mode(found: ComponentView, mode: str) -> ComponentView:
+def in_mode(found: InstanceStatus, mode: str) -> InstanceStatus:
     return msgspec.structs.replace(found, functionalities=[functionality("work", mode)])
 
 

@@ -14,8 +14,14 @@ Document = dict[str, Any]
 def status(*components: Document, **changed: Any) -> Status:
     """The status of a valid system with these components, on a simulator."""
     document = {"system": "s", "backend": "sim", "revision": 0, "valid": True, "violations": [], "silences": []}
-    document |= {"components": list(components), "crashed": [], "topics": [], "running": None}
-    document |= {"unwritten": None, "damaged": None, "middleware": {"name": "sim"}}
+    document |= {"instances": list(components), "crashed": [], "topics": [], "running": None}
+    document |= {
+        "unwritten": None,
+        "damaged": None,
+        "file": None,
+        "changed_since": False,
+        "middleware": {"name": "sim"},
+    }
     document |= {"spares": {"kept": 0, "ready": 0, "unused_by": []}}
     return msgspec.convert(document | changed, Status)
 
@@ -25,13 +31,15 @@ def component(name: str, **changed: Any) -> Document:
     document = {"name": name, "role": name, "component": name.capitalize(), "pid": 7, "node": f"/{name}"}
     document |= {"answers": True, "reachable": True, "ending": False, "waiting": None, "differences": []}
     document |= {"as_modelled": True, "changed_files": [], "unknown_files": None}
-    return document | {"functionalities": [], "attachments": []} | changed
+    document |= {"namespace": "/", "host": None, "undeclared": [], "deviation": None, "simulated_time": False}
+    document |= {"run": None, "log_file": None, "parameters": [], "endpoints": []}
+    return document | {"functionalities": [], "ports": []} | changed
 
 
 def functionality(name: str, mode: str = "normal", **changed: Any) -> Document:
     """A functionality of a component, in its normal mode."""
-    document = {"name": name, "mode": mode, "modelled": mode, "normal": True, "because": None, "since": 1.0}
-    return document | {"busy": None} | changed
+    document = {"name": name, "mode": mode, "modes": [mode], "modelled": mode, "normal": True}
+    return document | {"because": None, "reflex": False, "restoring": None, "since": 1.0, "busy": None} | changed
 
 
 def crash(name: str, status: int | None = -9, **changed: Any) -> Document:

@@ -189,7 +189,7 @@ class Running:
         """The roles that play, and the modes of each."""
         document = self.midstride("status", "--json").json
         assert document["valid"], document
-        return {entry["role"]: {row["mode"] for row in entry["functionalities"]} for entry in document["components"]}
+        return {entry["role"]: {row["mode"] for row in entry["functionalities"]} for entry in document["instances"]}
 
 
 BACKENDS = ["sim", pytest.param("ros2", marks=(pytest.mark.ros2, pytest.mark.full))]
@@ -284,11 +284,11 @@ def test_removing_a_node_degrades_its_dependants(chain: Running) -> None:
 
 @pytest.mark.parametrize("chain", ["sim"], indirect=True)
 def test_an_invalid_file_changes_nothing(chain: Running) -> None:
-    before = chain.midstride("status", "--json").json["components"]
+    before = chain.midstride("status", "--json").json["instances"]
     new = chain.file(SYSTEM.replace("<- /neat", "<- /neet"), "new.stride")
     done = chain.midstride("apply", new, "--yes")
     assert (done.status, "did you mean `/neat`?" in done.err) == (1, True), done.err
-    after = chain.midstride("status", "--json").json["components"]
+    after = chain.midstride("status", "--json").json["instances"]
     assert [entry["pid"] for entry in after] == [entry["pid"] for entry in before]
 
 
@@ -320,7 +320,7 @@ def test_an_edited_program_is_a_difference_that_apply_makes(chain: Running) -> N
     with edited(chain, "pass.py", "{sys.argv[1]}:", "{sys.argv[1]}, edited:") as program:
         status = midstride("status", "--json")
         assert status.status == 0  # it is as valid as it was
-        changed = {entry["role"]: entry["changed_files"] for entry in status.json["components"]}
+        changed = {entry["role"]: entry["changed_files"] for entry in status.json["instances"]}
         assert changed == {"source": [], "pass": [str(program)], "sink": []}
         assert f"code changed on disk: {program}; `midstride restart pass` deploys it" in midstride("status").out
         differing = midstride("diff", file)
@@ -339,14 +339,14 @@ def test_an_edited_program_is_a_difference_that_apply_makes(chain: Running) -> N
 @pytest.mark.parametrize("chain", ["sim"], indirect=True)
 def test_a_renamed_component_goes_on_under_its_new_name(chain: Running) -> None:
     midstride = chain.midstride
-    before = midstride("status", "--json").json["components"]
+    before = midstride("status", "--json").json["instances"]
     new = chain.file(SYSTEM.replace("Pass", "Relay"), "new.stride")
     try:
         assert midstride("diff", new).out == "component Pass: renamed\n  to Relay; its nodes go on\n"
         done = midstride("apply", new, "--yes")
         assert done.status == 0, done.err
         assert "component Pass is renamed Relay, and its nodes go on" in done.out
-        after = midstride("status", "--json").json["components"]
+        after = midstride("status", "--json").json["instances"]
         assert [entry["pid"] for entry in after] == [entry["pid"] for entry in before]
         assert {entry["role"]: entry["component"] for entry in after}["pass"] == "Relay"
         assert midstride("status", "--json").json["file"] == midstride.saved("chain").file == new

@@ -48,7 +48,7 @@ def answering(body: bytes) -> Iterator[Client]:
 def test_what_a_later_manager_adds_is_ignored() -> None:
     known = statuses.status(statuses.component("talker"))
     document: dict[str, Any] = msgspec.to_builtins(known)
-    document["components"][0]["colour"] = "green"
+    document["instances"][0]["colour"] = "green"
     with answering(json.dumps(document).encode()) as client:
         assert client.status() == known
 
@@ -58,7 +58,7 @@ def test_what_a_later_manager_adds_is_ignored() -> None:
     [
         (
             b'{"valid": true}',
-            "missing required field `violations`; if another version of Midstride started it, use that",
+            "missing required field `system`; if another version of Midstride started it, use that",
         ),
         (b'{"valid": 7}', "Expected `bool`, got `int` - at `$.valid`"),
         (b'{"valid": tr', "the manager exited before it answered"),
@@ -72,16 +72,18 @@ def test_an_answer_of_another_form_is_an_error_that_says_where(body: bytes, word
 
 def test_the_form_has_all_that_the_manager_sends(talker: Midstride) -> None:
     """So `--json`, which prints the form, leaves nothing out, and writes numbers as the manager does."""
-    found = Client(Workspace(talker.runtime / "midstride" / "talker").socket).get("/status")
-    assert json.dumps(msgspec.to_builtins(msgspec.convert(found, Status))) == json.dumps(found)
-    assert talker("status", "--json").json.keys() == found.keys()
+    found = Client(Workspace(talker.runtime / "midstride" / "talker").socket).get("/view")
+    view = {"version", "manager", "n", "at", "phase", "change"}
+    status = {name: value for name, value in found.items() if name not in view}
+    assert json.dumps(msgspec.to_builtins(msgspec.convert(found, Status))) == json.dumps(status)
+    assert talker("status", "--json").json.keys() == status.keys()
 
 
 def test_a_manager_that_accepts_no_connection_does_not_answer_in_time(tmp_path: Path) -> None:
     """It has not exited: it may be stopped."""
     path = tmp_path / "manager.sock"
     with full_socket(path), pytest.raises(ManagerError, match=r"^the manager did not answer within 0\.2 s$"):
-        Client(path).get("/status", timeout=0.2)
+        Client(path).get("/view", timeout=0.2)
 
 
 def test_a_manager_that_is_busy_for_a_moment_is_connected(tmp_path: Path) -> None:
@@ -96,13 +98,13 @@ def test_a_manager_that_is_busy_for_a_moment_is_connected(tmp_path: Path) -> Non
         accepting = threading.Thread(target=accept)
         accepting.start()
         with pytest.raises(ManagerError, match="the manager exited before it answered"):
-            Client(path).get("/status", timeout=20.0)
+            Client(path).get("/view", timeout=20.0)
         accepting.join()
 
 
 def test_without_a_descriptor_left_the_manager_is_not_said_to_have_exited(tmp_path: Path) -> None:
     words = "^the manager cannot be reached: Too many open files$"
     with descriptors_left(0), pytest.raises(ManagerError, match=words):
-        Client(tmp_path / "manager.sock").get("/status")
+        Client(tmp_path / "manager.sock").get("/view")
     with pytest.raises(NoManager):
-        Client(tmp_path / "manager.sock").get("/status")
+        Client(tmp_path / "manager.sock").get("/view")

@@ -386,7 +386,7 @@ def test_dev_swaps_what_is_saved_and_refuses_what_is_faulty(midstride: Midstride
         write(project / "talker.stride", "5O Hz", "50 Hz")
         write(project / "talker.stride", "python3 talker.py", "python3 new_talker.py")
         terminal.until("talker.stride: swapped in")
-        components = midstride("status", "--json").json["components"]
+        components = midstride("status", "--json").json["instances"]
         assert [entry["name"] for entry in components] == ["listener", "talker_3"]
         manager = midstride.manager("talker")
         terminal.press("\x03")
@@ -424,4 +424,4 @@ def test_dev_attaches_to_a_running_system_and_leaves_it_running(midstride: Midst
         terminal.rest()
         assert terminal.status == 0
     status = midstride("status", "--json").json
-    assert [entry["changed_files"] for entry in status["components"]] == [[], []]
+    assert [entry["changed_files"] for entry in status["instances"]] == [[], []]

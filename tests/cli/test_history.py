@@ -38,7 +38,7 @@ def test_a_change_is_shown_and_rolled_back(midstride: Midstride) -> None:
     done = midstride("rollback", "--yes", "--json")
     assert done.status == 0 and done.json["outcome"] == "done"
     assert [(swap["missed"], swap["lost"]) for swap in done.json["swaps"]] == [(0, 0)]
-    nodes = {each["role"]: each["component"] for each in midstride("status", "--json").json["components"]}
+    nodes = {each["role"]: each["component"] for each in midstride("status", "--json").json["instances"]}
     assert nodes == {"talker": "Talker", "listener": "Listener"}
 
     changes = midstride("history", "--json").json["changes"]

@@ -121,7 +121,7 @@ def until(process: Any, words: str) -> list[str]:
 
 
 def test_what_a_component_writes_cannot_move_the_cursor(talker: Midstride) -> None:
-    name = next(entry["name"] for entry in talker("status", "--json").json["components"] if entry["role"] == "talker")
+    name = next(entry["name"] for entry in talker("status", "--json").json["instances"] if entry["role"] == "talker")
     with (talker.runtime / "midstride" / "talker" / "logs" / f"{name}.log").open("ab") as file:
         file.write(b"\x1b[2Jgone\xff\n")
     assert talker("logs", "talker", "-n", "1").out == "\\x1b[2Jgone\ufffd\n"

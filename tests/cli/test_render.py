@@ -184,7 +184,7 @@ def test_what_is_lower_unexpectedly_is_said_with_its_reason_on_one_line() -> Non
 
 
 def test_the_mode_of_an_unresponsive_component_is_unknown() -> None:
-    talker = component("talker", functionalities=[functionality("talker.talk")])
+    talker = component("talker", functionalities=[functionality("talk")])
     live = shown(render_status.status(status(talker)))
     assert live[2].split() == ["talker", "Talker", "7", "talk", "normal"]
     lines = shown(render_status.status(status({**talker, "reachable": False}, valid=False)))
@@ -226,7 +226,7 @@ def test_the_reason_for_a_mode_is_the_error_and_not_the_end_of_its_traceback() -
     because = (
         'mode normal raised: ValueError: no map\n  File "slam.py", line 3, in normal\n    load(path)\n    ^^^^^^^^^^'
     )
-    row = functionality("slam.f", "off", normal=False, because=because)
+    row = functionality("f", "off", normal=False, because=because)
     text = "\n".join(shown(render_status.status(status(component("slam", functionalities=[row])))))
     assert "mode normal raised: ValueError: no map" in text
     assert "^^^" not in text
@@ -235,12 +235,12 @@ def test_the_reason_for_a_mode_is_the_error_and_not_the_end_of_its_traceback() -
 def test_silence_and_waiting_are_shown() -> None:
     fault = {"kind": "not_receiving", "instance": "sink", "seconds": 4.5}
     fault["words"] = "sink.in receives nothing of what is published on /t"
-    waiting = component("talker", functionalities=[functionality("talker.talk")], waiting="no /clock")
+    waiting = component("talker", functionalities=[functionality("talk")], waiting="no /clock")
     lines = shown(render_status.status(status(waiting, valid=False, silences=[fault])))
     assert "waiting: no /clock" in lines[2]
     assert lines[-1] == "sink.in receives nothing of what is published on /t (for 4.50 s)"
     why = {"because": "input in is silent", "restoring": "restored when input in is back"}
-    row = functionality("talker.talk", "off", normal=False, **why)
+    row = functionality("talk", "off", normal=False, **why)
     lines = shown(render_status.status(status(component("talker", functionalities=[row]))))
     assert "input in is silent; restored when input in is back" in lines[2]
     assert shown(render.outcome(done(silences=[{**fault, "seconds": None}])))[1:] == [fault["words"]]
@@ -249,9 +249,9 @@ def test_silence_and_waiting_are_shown() -> None:
 def with_attachment(gate: str | None = None, fields: Any = (), **figures: Any) -> Status:
     """A status with one attachment, whose rate is declared as 50 Hz."""
     known = {"declared": 50.0, "rate": 50.0, "met": True, "window": 1.0, "age": 0.019, "jitter": 0.0004}
-    measured = {**known, "longest": 0.021, "fields": list(fields), **figures}
-    attachment = {"port": "talker.out", "topic": "/chatter", "gate": gate, "measured": measured}
-    return status(component("talker", attachments=[attachment]))
+    attached = {"name": "out", "direction": "out", "functionalities": ["talk"], "topic": "/chatter", "type": None}
+    port = {**attached, "gate": gate, **known, "longest": 0.021, "fields": list(fields), **figures}
+    return status(component("talker", ports=[port]))
 
 
 def test_what_is_measured_is_shown_where_it_differs_from_what_is_declared() -> None:

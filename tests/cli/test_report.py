@@ -30,7 +30,7 @@ def test_a_change_is_written_with_what_its_command_has_reported(midstride: Midst
     assert data["system"] == "talker" and data["backend"] == "sim" and data["change"]["change"]["number"] == 2
     assert data["change"]["outcome"]["swaps"] == outcome["swaps"]
     assert data["change"]["plan"]["steps"] == outcome["plan"]["steps"]
-    assert [each["name"] for each in data["after"]["components"]] == ["listener", "talker_2"]
+    assert [each["name"] for each in data["after"]["instances"]] == ["listener", "talker_2"]
     up = midstride("report", "--change", "1", "--json").json
     assert up["change"]["command"] == "up"
     unknown = midstride("report", "-o", str(file), "--change", "7")
@@ -42,7 +42,7 @@ def test_a_plan_is_written_before_its_change(midstride: Midstride, tmp_path: Pat
     options = ("plan", TALKER, "--replace", "talker=NewTalker")
     plan = midstride(*options, "--html", str(file), "--json").json
     data = data_of(file)
-    assert data["change"] is None and data["plans"] == {"minimal": plan} and data["before"]["components"]
+    assert data["change"] is None and data["plans"] == {"minimal": plan} and data["before"]["instances"]
     assert midstride(*options, "--compare", "--html", str(file)).status == 0
     assert list(data_of(file)["plans"]) == ["minimal", "paper", "quiesce", "stop"]
     nowhere = midstride(*options, "--html", str(tmp_path / "no" / "plan.html"))

@@ -47,13 +47,13 @@ def test_what_up_was_given_holds_for_the_next_manager_and_for_new_components(mid
     assert midstride("up", TALKER, "-d").status == 0
     assert midstride("replace", "talker", "NewTalker", "--strategy", "paper", "--yes", timeout=90).status == 0
     status = midstride("status", "--json").json
-    assert [(row["name"], row["simulated_time"]) for row in status["components"]] == [
+    assert [(row["name"], row["simulated_time"]) for row in status["instances"]] == [
         ("listener", True),
         ("talker_2", True),
     ]
     assert status["middleware"]["set"] == {}
     assert "--no-middleware-settings" in status["middleware"]["notes"][0]
-    for row in status["components"]:
+    for row in status["instances"]:
         environment = Path(f"/proc/{row['pid']}/environ").read_bytes()
         assert b"FASTDDS_" not in environment and b"FASTRTPS_" not in environment
         assert b"MIDSTRIDE_DIAGNOSTICS=0" in environment.split(b"\0")
@@ -103,7 +103,7 @@ def test_components_outlive_their_manager_and_are_reattached(midstride: Midstrid
 
 def killed(midstride: Midstride, system: str, *roles: str) -> None:
     """Kill the manager of a system, and with it the instances of some roles."""
-    components = midstride("status", "--system", system, "--json").json["components"]
+    components = midstride("status", "--system", system, "--json").json["instances"]
     os.kill(midstride.manager(system), signal.SIGKILL)
     for pid in [entry["pid"] for entry in components if entry["role"] in roles]:
         os.kill(pid, signal.SIGKILL)
@@ -159,7 +159,7 @@ def test_nodes_whose_gates_another_version_has_made_can_be_ended(midstride: Mids
 @pytest.mark.full
 def test_a_component_that_is_stopped_is_named_by_up_with_what_to_do(midstride: Midstride) -> None:
     assert midstride("up", TALKER, "-d").status == 0
-    (pid,) = [c["pid"] for c in midstride("status", "--json").json["components"] if c["role"] == "listener"]
+    (pid,) = [c["pid"] for c in midstride("status", "--json").json["instances"] if c["role"] == "listener"]
     os.kill(pid, signal.SIGSTOP)
     try:
         killed(midstride, "talker", "talker")
@@ -243,7 +243,7 @@ def test_a_publisher_that_hangs_is_replaced_within_the_stated_wait(midstride: Mi
     file.write_text(json.dumps(encode_specification(specification)))
 
     def hangs() -> bool:
-        [source] = [row for row in midstride("status", "--json").json["components"] if row["name"] == "source"]
+        [source] = [row for row in midstride("status", "--json").json["instances"] if row["name"] == "source"]
         return any((row["busy"] or 0.0) > 1.0 for row in source["functionalities"])
 
     with ended():

@@ -30,7 +30,7 @@ TALKER = str(EXAMPLES / "talker" / "talker.json")
 
 def playing(midstride: Midstride, role: str = "talker") -> tuple[str, str]:
     """The instance that plays a role, and its component."""
-    components = midstride("status", "--json").json["components"]
+    components = midstride("status", "--json").json["instances"]
     return next((entry["name"], entry["component"]) for entry in components if entry["role"] == role)
 
 
@@ -56,7 +56,9 @@ def test_up_shows_its_progress(midstride: Midstride) -> None:
 def test_status_shows_the_live_components(talker: Midstride) -> None:
     document = talker("status", "--json").json
     assert (document["system"], document["backend"], document["valid"]) == ("talker", "sim", True)
-    modes = {row["name"]: row["mode"] for entry in document["components"] for row in entry["functionalities"]}
+    modes = {
+        (entry["name"], row["name"]): row["mode"] for entry in document["instances"] for row in entry["functionalities"]
+    }
     assert set(modes.values()) == {"normal"}
     shown = talker("status")
     assert shown.status == 0
@@ -124,15 +126,15 @@ def test_a_manager_raises_its_limit_of_open_files(midstride: Midstride) -> None:
 
 
 def test_status_of_single_nodes(talker: Midstride) -> None:
-    instances = [each["name"] for each in talker("status", "--json").json["components"]]
+    instances = [each["name"] for each in talker("status", "--json").json["instances"]]
     (name,) = (each for each in instances if each.startswith("talker"))
     for node in ("talker", name):
         document = talker("status", node, "--json").json
-        assert [each["name"] for each in document["components"]] == [name]
+        assert [each["name"] for each in document["instances"]] == [name]
         assert [each["name"] for each in document["topics"]] == ["/chatter"]
     shown = talker("status", name, "--verbose")
     assert shown.status == 0 and "Listener" not in shown.out and "python3 listener.py" not in shown.out
-    assert len(talker("status", "talker", "listener", "--json").json["components"]) == 2
+    assert len(talker("status", "talker", "listener", "--json").json["instances"]) == 2
     refused = talker("status", "talkr")
     assert (refused.status, refused.out) == (1, "")
     assert "no node talkr is running; did you mean `talker`?" in refused.err
@@ -265,7 +267,7 @@ def test_apply_takes_the_system_to_a_file(talker: Midstride, tmp_path: Path) -> 
     assert (done.status, done.json["outcome"]) == (0, "done")
     assert playing(talker, "third") == ("third", "Listener")
     assert talker("apply", TALKER, "--yes").status == 0
-    assert len(talker("status", "--json").json["components"]) == 2
+    assert len(talker("status", "--json").json["instances"]) == 2
 
 
 def test_without_a_terminal_a_change_needs_yes(talker: Midstride) -> None:
@@ -475,8 +477,8 @@ def test_the_api_over_tcp(midstride: Midstride) -> None:
     token_file = midstride.runtime / "midstride" / "talker" / "token"
     assert up.out.splitlines()[-1] == f"API: http://127.0.0.1:{port}/api/v1, token in {token_file}"
     token = token_file.read_text()
-    assert httpx.get(f"http://127.0.0.1:{port}/api/v1/status").status_code == 401
-    answer = httpx.get(f"http://127.0.0.1:{port}/api/v1/status", headers={"Authorization": f"Bearer {token}"})
+    assert httpx.get(f"http://127.0.0.1:{port}/api/v1/view").status_code == 401
+    answer = httpx.get(f"http://127.0.0.1:{port}/api/v1/view", headers={"Authorization": f"Bearer {token}"})
     assert answer.json()["valid"]
 
 

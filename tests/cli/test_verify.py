@@ -120,4 +120,4 @@ def test_without_alloy_a_verified_change_does_not_start(midstride: Midstride) ->
     done = midstride("replace", "talker", "NewTalker", "--yes", "--verify")
     assert done.status == 1
     assert "Refused, nothing was changed: UNKNOWN: the plan of 4 steps: there is no Alloy Analyzer at" in done.out
-    assert [c["component"] for c in midstride("status", "--json").json["components"]] == ["Listener", "Talker"]
+    assert [c["component"] for c in midstride("status", "--json").json["instances"]] == ["Listener", "Talker"]

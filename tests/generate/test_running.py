@@ -36,9 +36,9 @@ def modes(midstride: Midstride) -> dict[str, str]:
     status = midstride("status", "--json").json
     assert status["valid"], status
     return {
-        **{f"{entry['role']}.{row['name'].partition('.')[2]}": row["mode"]
-           for entry in status["components"] for row in entry["functionalities"]},
-        **{entry["role"]: entry["component"] for entry in status["components"]},
+        **{f"{entry['role']}.{row['name']}": row["mode"]
+           for entry in status["instances"] for row in entry["functionalities"]},
+        **{entry["role"]: entry["component"] for entry in status["instances"]},
     }  # fmt: skip
 
 

@@ -145,7 +145,7 @@ def test_a_role_that_was_missing_before_is_not_a_loss_of_the_change(tmp_path: Pa
         assert (restored.outcome, restored.remaining_degradations) == ("done", [])
         status = await manager.status()
         assert status.valid and status.crashed == []
-        assert all(row.normal for each in status.components for row in each.functionalities)
+        assert all(row.normal for each in status.instances for row in each.functionalities)
 
     managed("talker", tmp_path, body)
 

@@ -131,8 +131,8 @@ def test_a_crash_lowers_whom_it_must_and_the_next_plan_restores(tmp_path: Path) 
         await asyncio.sleep(1)
         status = await manager.status()
         assert [entry.name for entry in status.crashed] == ["detector"]
-        control = status.components[0].functionalities[0]
-        assert (control.name, control.mode) == ("controller.control", "degraded")
+        control = status.instances[0].functionalities[0]
+        assert (control.name, control.mode) == ("control", "degraded")
         assert (await manager.change(PlanRequest(to=manager.specification))).outcome == "done"
         assert (await manager.why("controller.control")).mode == "normal"
         assert (await manager.status()).crashed == []
@@ -164,7 +164,7 @@ def test_a_crash_lowers_what_can_be_reached_and_later_the_others(tmp_path: Path)
         assert (view.mode, view.because) == ("degraded", "source exited unexpectedly")
         status = await manager.status()
         assert not status.valid, "the sink's mode is not known"
-        (sink,) = [row for row in status.components if row.name == "sink"]
+        (sink,) = [row for row in status.instances if row.name == "sink"]
         assert (sink.reachable, sink.pid) == (False, 4711), "the number is needed to kill it"
         await asyncio.sleep(60)
         assert (await manager.change(PlanRequest(remove=("filter",)))).outcome == "done"
@@ -427,8 +427,8 @@ def test_what_relies_on_a_component_that_has_degraded_by_itself_is_lowered_at_on
         assert await modes(manager) == {"talker.talk": "normal", "listener.listen": "normal"}
 
     async def modes(manager: Manager) -> dict[str, str]:
-        rows = [row for component in (await manager.status()).components for row in component.functionalities]
-        return {row.name: row.mode for row in rows}
+        instances = (await manager.status()).instances
+        return {f"{each.name}.{row.name}": row.mode for each in instances for row in each.functionalities}
 
     folder = tmp_path / "workspace"
     folder.mkdir()
@@ -603,7 +603,7 @@ def test_what_could_not_be_undone_is_taken_over_as_the_component_reports_it(tmp_
             event.words for event in manager.log()
         ]
         assert (await manager.why("listener.listen")).mode == "degraded"
-        assert all(row.as_modelled for row in (await manager.status()).components)
+        assert all(row.as_modelled for row in (await manager.status()).instances)
         assert (await manager.change(PlanRequest(to=manager.specification))).outcome == "done"
         assert (await manager.why("listener.listen")).mode == "normal"
 

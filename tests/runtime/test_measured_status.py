@@ -9,15 +9,14 @@ import pytest
 
 from midstride.backends.simulator import Simulator
 from midstride.runtime.manager import Manager
-from midstride.runtime.records.status_forms import MeasuredStatus
+from midstride.runtime.records.status_forms import PortStatus
 from tests.runtime.systems import managed, replace, rewritten
 
 
-async def measured(manager: Manager) -> dict[str, MeasuredStatus]:
+async def measured(manager: Manager) -> dict[str, PortStatus]:
     """By port."""
     status = await manager.status()
-    attachments = [attachment for component in status.components for attachment in component.attachments]
-    return {each.port: each.measured for each in attachments if each.measured is not None}
+    return {f"{each.name}.{port.name}": port for each in status.instances for port in each.ports if port.window}
 
 
 def test_the_status_has_declared_and_measured_rates_of_every_port(tmp_path: Path) -> None:

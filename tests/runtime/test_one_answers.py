@@ -40,7 +40,7 @@ def test_never_do_two_instances_answer_and_afterwards_the_new_one_does(
             assert outcome.outcome == "done", outcome.because
             await asyncio.sleep(1)
             assert answering(simulator, role) == [f"{role}_{number}"]
-            (component,) = [each for each in (await manager.status()).components if each.role == role]
+            (component,) = [each for each in (await manager.status()).instances if each.role == role]
             assert component.answers and component.node is None
         assert all(len(instances) <= 1 for instances in seen)
 

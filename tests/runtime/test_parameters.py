@@ -461,7 +461,7 @@ def test_the_manager_sets_a_parameter_by_the_component_s_own_callback(folder: Pa
             True,
         )
         status = await manager.status()
-        (shown,) = (each for each in status.components if each.name == "talker")
+        (shown,) = (each for each in status.instances if each.name == "talker")
         assert [(each.name, each.value, each.set_at_run_time) for each in shown.parameters] == [
             ("gain", 3.0, True),
             ("label", "plain", False),

@@ -181,7 +181,7 @@ def test_an_edited_program_is_shown_until_its_node_is_restarted(tmp_path: Path) 
 
     async def body(manager: Manager, _: Simulator) -> None:
         async def shown() -> dict[str, list[str]]:
-            return {each.name: each.changed_files for each in (await manager.status()).components}
+            return {each.name: each.changed_files or [] for each in (await manager.status()).instances}
 
         assert (await programs(manager))["talker"].files == [str(script)]
         assert await shown() == {"talker": [], "listener": []}

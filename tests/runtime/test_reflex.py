@@ -142,7 +142,7 @@ def test_with_a_manager_the_whole_chain_falls_within_one_window(tmp_path: Path, 
         assert await chain.fallen_at("d", 0.05) <= 0.05
         await asyncio.sleep(5.0)
         status = await chain.manager.status()
-        because = {each.name: each.functionalities[0].because for each in status.components}
+        because = {each.name: each.functionalities[0].because for each in status.instances}
         assert str(because["b"]).startswith("the assumption of mode normal broke: input in received ")
         assert str(because["c"]).endswith("b.work entered mode degraded unexpectedly")
         degraded = [event.words for event in chain.manager.log() if event.kind == "degraded"]

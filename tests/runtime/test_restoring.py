@@ -60,7 +60,7 @@ async def fall(chain: Chain, fault: str = "silent") -> None:
 
 
 async def restoring(chain: Chain, name: str = "b") -> str | None:
-    [found] = [each for each in (await chain.manager.status()).components if each.name == name]
+    [found] = [each for each in (await chain.manager.status()).instances if each.name == name]
     return found.functionalities[0].restoring
 
 

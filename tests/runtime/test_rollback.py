@@ -82,7 +82,7 @@ def programs(name: str, folder: Path) -> Path | None:
 async def differing(manager: Manager) -> list[str]:
     """Where a component's own state is not what the model says."""
     status = await manager.status()
-    return [row.name for row in status.components if not (row.reachable and row.as_modelled)]
+    return [row.name for row in status.instances if not (row.reachable and row.as_modelled)]
 
 
 CASES = [

@@ -210,7 +210,7 @@ def test_a_component_that_is_being_ended_is_not_missed(tmp_path: Path) -> None:
         while not changing.done():
             status = await manager.status()
             assert status.silences == []
-            shown |= {(row.name, row.reachable) for row in status.components if row.ending}
+            shown |= {(row.name, row.reachable) for row in status.instances if row.ending}
             await asyncio.sleep(0.001)
         assert ("talker", False) in shown
 

@@ -68,7 +68,7 @@ def test_a_clock_that_stands_still_refuses_a_hand_over_at_once_and_says_so(tmp_p
         simulator.time.drive(0.0)
         await asyncio.sleep(4)
         status = await manager.status()
-        assert {row.waiting for row in status.components} == {
+        assert {row.waiting for row in status.instances} == {
             "/clock has not moved for 4 s: modes with a rate are not called"
         }
         assert not status.valid and not status.silences

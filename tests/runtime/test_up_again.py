@@ -64,7 +64,7 @@ async def whole(manager: Manager, simulator: Simulator, report: UpReport) -> Non
     assert list(manager.configuration.instances_by_role) == list(expected.instances_by_role)
     status = await manager.status()
     assert status.valid and status.crashed == []
-    assert all(row.normal for each in status.components for row in each.functionalities)
+    assert all(row.normal for each in status.instances for row in each.functionalities)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,9 @@ from midstride.runtime.manager_clock import SystemClock
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.reports import Event, UpReport
+from midstride.runtime.records.status_forms import Middleware, Status
 from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.view.status import status
 from midstride.runtime.view.watched_system import WatchedSystem
 from midstride.runtime.watch.silence import SilenceMonitor
 
@@ -33,7 +35,17 @@ def watched_system(specification: Specification, events: EventLog) -> WatchedSys
     nothing = SimpleNamespace(status=lambda _: None)
     monitor = SilenceMonitor(client.life, clock, events)
     parts = cast(Any, nothing)
-    return WatchedSystem(system, client, monitor, parts, parts, parts, events, clock, CommandQueue(clock, events))
+    backend = SimpleNamespace(
+        name="scripted",
+        clock=clock,
+        middleware=lambda: Middleware(name="none"),
+        spares=lambda: 0,
+        unwritten=lambda: None,
+    )
+    commands, records = CommandQueue(clock, events), cast(Any, SimpleNamespace(unwritten=None, damaged=None))
+    return WatchedSystem(
+        system, client, monitor, parts, parts, parts, events, commands, cast(Any, backend), records, records, 0
+    )
 
 
 class ScriptedManager:
@@ -49,7 +61,7 @@ class ScriptedManager:
             "up": UpReport(outcome="done", instances=["listener", "talker"]),
             "down": None,
             "why": {},
-            "status": {"valid": True},
+            "programs": [],
         }
         self.holds: dict[str, asyncio.Event] = {}
         self.asked: list[tuple[str, Any]] = []
@@ -73,8 +85,11 @@ class ScriptedManager:
     async def close(self) -> None:
         self.asked.append(("close", None))
 
-    async def status(self) -> Any:
-        return await self._answer("status")
+    async def status(self) -> Status:
+        return status(self.watched, ())
+
+    async def programs(self) -> Any:
+        return await self._answer("programs")
 
     async def why(self, functionality: str) -> Any:
         return await self._answer("why", functionality)

@@ -45,7 +45,7 @@ def served(test: Test, *, up: bool = True) -> None:
     async def run() -> None:
         manager = ScriptedManager()
         lifecycle = Lifecycle(manager.as_manager)
-        app = create_app(LiveView(lifecycle, backend="scripted"))
+        app = create_app(LiveView(lifecycle))
         transport = httpx.ASGITransport(app, raise_app_exceptions=False)
         async with httpx.AsyncClient(transport=transport, base_url="http://manager/api/v1") as client:
             if up:
@@ -76,7 +76,7 @@ def test_the_openapi_document_has_every_operation() -> None:
         assert {f"/api/v1{path}" for path in ("/check", "/plan", "/rehearsal", "/change", "/parameters", "/down")} == {
             path for path, operations in document["paths"].items() if "post" in operations
         }
-        reading = ("", "/up", "/status", "/programs", "/configuration", "/specification", "/why", "/log", "/events")
+        reading = ("", "/up", "/programs", "/configuration", "/specification", "/why", "/log")
         viewing = ("/view", "/view/stream", "/view/timeline", "/view/at")
         assert {
             f"/api/v1{path}"
@@ -99,7 +99,6 @@ def references(value: Any) -> Iterator[str]:
 
 
 TEXTS = {
-    "/api/v1/events": "text/event-stream",
     "/api/v1/view/stream": "text/event-stream",
     "/api/v1/report": "text/html",
 }
@@ -132,7 +131,7 @@ def test_the_openapi_document_describes_every_body_and_refers_to_nothing_else() 
             "/api/v1/parameters": ["#/components/schemas/ParameterSetting"],
             "/api/v1/down": [],
         }
-        for name, needed in {"Outcome": "plan", "Status": "crashed", "Event": "words"}.items():
+        for name, needed in {"Outcome": "plan", "SystemView": "crashed", "Event": "words"}.items():
             assert needed in schemas[name]["properties"]
         for schema in schemas.values():
             jsonschema.Draft202012Validator.check_schema(schema)
@@ -150,14 +149,14 @@ def test_what_the_manager_reports_is_what_the_openapi_document_describes(tmp_pat
         return {
             "PlannedChange": [msgspec.json.encode(PlannedChange.of(plan, revision=7))],
             "Outcome": [msgspec.json.encode(outcome), msgspec.json.encode(refused)],
-            "Status": [msgspec.json.encode(await manager.status())],
+            "SystemView": [msgspec.json.encode(LiveView(Lifecycle(manager)).view(await manager.status()))],
             "LiveConfiguration": [msgspec.json.encode(await manager.live())],
             "Why": [msgspec.json.encode(await manager.why("listener.listen"))],
             "Event": [msgspec.json.encode(event) for event in manager.log()],
             "SpecificationForm": [msgspec.json.encode(SpecificationForm.of(manager.specification))],
         }
 
-    app = create_app(LiveView(Lifecycle(ScriptedManager().as_manager), backend="scripted"))
+    app = create_app(LiveView(Lifecycle(ScriptedManager().as_manager)))
     components = app.openapi()["components"]
     for name, bodies in managed("talker", tmp_path, body).items():
         schema = {"$ref": f"#/components/schemas/{name}", "components": components}
@@ -169,7 +168,7 @@ def test_what_the_manager_reports_is_what_the_openapi_document_describes(tmp_pat
 
 
 def test_every_operation_is_in_the_documentation() -> None:
-    app = create_app(LiveView(Lifecycle(ScriptedManager().as_manager), backend="scripted"))
+    app = create_app(LiveView(Lifecycle(ScriptedManager().as_manager)))
     served = {(method.upper(), path) for path, methods in app.openapi()["paths"].items() for method in methods}
     page = (Path(__file__).parents[2] / "docs" / "http.md").read_text(encoding="utf-8")
     assert set(re.findall(r"^\| `([A-Z]+) (/api/v1[a-z/]*)", page, re.MULTILINE)) == served
@@ -177,8 +176,8 @@ def test_every_operation_is_in_the_documentation() -> None:
 
 def test_answers_pass_through_whole() -> None:
     async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
-        manager.answers["status"] = {"valid": True, "a field of next year": [None, 0.25]}
-        assert (await client.get("/status")).json() == manager.answers["status"]
+        manager.answers["programs"] = [{"a field of next year": [None, 0.25]}]
+        assert (await client.get("/programs")).json() == manager.answers["programs"]
         manager.answers["why"] = {"functionality": "listener.listen", "chain": []}
         assert (await client.get("/why", params={"functionality": "listener.listen"})).json() == manager.answers["why"]
         assert manager.asked[-1] == ("why", "listener.listen")
@@ -310,7 +309,7 @@ def test_bodies_are_read_while_other_requests_are_answered(monkeypatch: pytest.M
     async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
         asking = asyncio.ensure_future(client.post("/plan", content=b"{"))
         await asyncio.sleep(0)
-        assert (await client.get("/status")).status_code == 200
+        assert (await client.get("/programs")).status_code == 200
         assert not asking.done()
         answered.set()
         assert (await asking).status_code == 422
@@ -333,7 +332,7 @@ def test_a_plan_is_written_in_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_client_that_leaves_before_its_body_has_arrived_is_no_error() -> None:
     async def test() -> None:
-        app = create_app(LiveView(Lifecycle(ScriptedManager().as_manager), backend="scripted"))
+        app = create_app(LiveView(Lifecycle(ScriptedManager().as_manager)))
         messages = iter([{"type": "http.request", "body": b"{", "more_body": True}, {"type": "http.disconnect"}])
 
         async def receive() -> Any:
@@ -371,8 +370,8 @@ def test_a_refusal_keeps_its_kind_and_its_words(error: errors.MidstrideError, st
 
 def test_an_unforeseen_failure_is_told_as_one() -> None:
     async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
-        manager.answers["status"] = ZeroDivisionError("by zero")
-        status, kind, message = error_of(await client.get("/status"))
+        manager.answers["programs"] = ZeroDivisionError("by zero")
+        status, kind, message = error_of(await client.get("/programs"))
         assert (status, kind) == (500, "InternalError")
         assert "by zero" in message
 
@@ -485,7 +484,7 @@ def test_the_log_from_a_number_on() -> None:
 
 def test_a_method_that_a_path_does_not_have_is_answered_with_those_that_it_has() -> None:
     async def test(client: httpx.AsyncClient, _: ScriptedManager, __: Lifecycle) -> None:
-        for path, allowed in (("/change", {"GET", "POST"}), ("/plan", {"POST"}), ("/status", {"GET"})):
+        for path, allowed in (("/change", {"GET", "POST"}), ("/plan", {"POST"}), ("/programs", {"GET"})):
             refused = await client.put(path)
             assert refused.status_code == 405
             assert set(refused.headers["allow"].split(", ")) == allowed

@@ -21,7 +21,7 @@ from tests.cli.conftest import EXAMPLES, running
 from tests.server.scripted import ScriptedManager
 from tests.server.support import free_port, run, serving
 
-STATUS = b"GET /api/v1/status HTTP/1.1\r\nHost: manager\r\n"
+STATUS = b"GET /api/v1/programs HTTP/1.1\r\nHost: manager\r\n"
 
 
 @contextmanager
@@ -77,14 +77,14 @@ def test_a_request_may_take_long_to_answer(workspace: Workspace) -> None:
         manager = ScriptedManager()
         async with serving(manager, workspace):
             with impatient():
-                manager.holds["status"] = asyncio.Event()
+                manager.holds["programs"] = asyncio.Event()
                 asking, asked = await asyncio.open_unix_connection(workspace.socket)
                 asked.write(STATUS + b"\r\n")
-                while ("status", None) not in manager.asked:
+                while ("programs", None) not in manager.asked:
                     await asyncio.sleep(0.01)
                 waiting, idle = await asyncio.open_unix_connection(workspace.socket)
                 assert await asyncio.wait_for(waiting.read(), 30) == b""  # opened later, so its time ends later
-                manager.holds["status"].set()
+                manager.holds["programs"].set()
                 assert (await asking.readline()).startswith(b"HTTP/1.1 200")
                 asked.close()
                 idle.close()
@@ -102,9 +102,9 @@ def test_connections_on_tcp_are_bounded_and_leave_the_socket_alone(
         async with serving(ScriptedManager(), workspace, Tcp(port)) as (client, _):
             opened = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]
             async with httpx.AsyncClient(base_url=f"http://127.0.0.1:{port}/api/v1", timeout=30) as third:
-                asking = asyncio.ensure_future(third.get("/status"))
+                asking = asyncio.ensure_future(third.get("/programs"))
                 for _ in range(10):
-                    assert (await client.get("/status")).status_code == 200
+                    assert (await client.get("/programs")).status_code == 200
                 assert not asking.done()
                 opened[0][1].close()
                 assert (await asking).status_code == 401

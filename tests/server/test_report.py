@@ -116,11 +116,11 @@ def test_a_plan_has_the_views_that_it_leads_from_and_to() -> None:
     plan = plan_of()
     data = data_of(plan_file({"minimal": plan, "paper": {"refused": "it cannot"}}, "talker", "replace talker"))
     assert data["plans"]["paper"] == {"refused": "it cannot"} and data["plans"]["minimal"]["steps"] == plan["steps"]
-    assert {each["name"]: each["component"] for each in data["before"]["components"]} == {
+    assert {each["name"]: each["component"] for each in data["before"]["instances"]} == {
         "listener": "Listener",
         "talker": "Talker",
     }
-    assert {each["name"]: each["component"] for each in data["after"]["components"]} == {
+    assert {each["name"]: each["component"] for each in data["after"]["instances"]} == {
         "listener": "Listener",
         "talker_2": "NewTalker",
     }

@@ -23,12 +23,12 @@ from tests.server.support import free_port, run, serving
 
 
 async def events(response: httpx.Response) -> AsyncIterator[tuple[str, dict[str, Any]]]:
-    """Each event of a stream as its id and its document."""
+    """Each event of a stream as its number and its document."""
     number = ""
     async for line in response.aiter_lines():
         name, _, value = line.partition(": ")
         if name == "id":
-            number = value
+            number = value.rpartition(".")[2]
         elif name == "data":
             yield number, json.loads(value)
 
@@ -64,7 +64,7 @@ def test_the_stream_tells_what_was_and_what_comes_and_ends_with_the_system(works
         async with serving(manager, workspace) as (client, _):
             await client.get("/up")
             heard: list[tuple[str, str]] = []
-            async with client.stream("GET", "/events?since=0") as response:
+            async with client.stream("GET", "/view/stream?only=event") as response:
                 assert response.headers["content-type"].startswith("text/event-stream")
                 async for number, event in events(response):
                     heard.append((number, event["kind"]))
@@ -85,7 +85,9 @@ def test_a_stream_taken_up_again_misses_nothing(workspace: Workspace) -> None:
             await client.get("/up")
             for words in "0123":
                 manager.events.add("note", words)
-            async with client.stream("GET", "/events?since=1", headers={"Last-Event-ID": "3"}) as response:
+            async with client.stream(
+                "GET", "/view/stream?only=event&since=1", headers={"Last-Event-ID": "3"}
+            ) as response:
                 heard = []
                 async for number, event in events(response):
                     heard.append((number, event["words"]))
@@ -102,7 +104,7 @@ def test_a_system_that_cannot_come_up_says_why_and_ends(workspace: Workspace) ->
         manager.answers["up"] = errors.StartFailed("talker exited with status 1")
         manager.holds["up"] = asyncio.Event()
         async with serving(manager, workspace) as (client, server):
-            async with client.stream("GET", "/events") as response:
+            async with client.stream("GET", "/view/stream?only=event") as response:
                 manager.events.add("step", "1/1 create talker")
                 manager.holds["up"].set()
                 heard = [(number, event["kind"], event["words"]) async for number, event in events(response)]
@@ -123,7 +125,7 @@ def test_leaving_ends_the_manager_and_not_the_system(workspace: Workspace) -> No
         manager = ScriptedManager()
         async with serving(manager, workspace) as (client, server):
             await client.get("/up")
-            async with client.stream("GET", "/events") as response:
+            async with client.stream("GET", "/view/stream?only=event") as response:
                 stream = events(response)
                 assert (await anext(stream))[1]["kind"] == "up"
                 os.kill(os.getpid(), signal.SIGTERM)
@@ -207,7 +209,7 @@ def test_a_change_that_arrives_after_the_manager_was_told_to_end_is_refused(work
 
             headers = {"Content-Type": "application/json"}
             changing = asyncio.ensure_future(client.post("/change", content=body(), headers=headers))
-            async with client.stream("GET", "/events") as response:
+            async with client.stream("GET", "/view/stream?only=event") as response:
                 stream = events(response)
                 assert (await anext(stream))[1]["kind"] == "up"
                 os.kill(os.getpid(), signal.SIGTERM)
@@ -268,11 +270,11 @@ def test_the_tcp_door_is_on_loopback_and_wants_the_token(workspace: Workspace) -
             token = file.read_text()
             async with httpx.AsyncClient(base_url=f"http://127.0.0.1:{port}/api/v1") as client:
                 for headers in ({}, {"Authorization": "Bearer wrong"}, {"Authorization": token}):
-                    for path in ("/status", "/openapi.json", "/events"):
+                    for path in ("/programs", "/openapi.json", "/view/stream"):
                         refused = await client.get(path, headers=headers)
                         assert (refused.status_code, refused.headers["www-authenticate"]) == (401, "Bearer")
                 headers = {"Authorization": f"Bearer {token}"}
-                assert (await client.get("/status", headers=headers)).json() == {"valid": True}
+                assert (await client.get("/programs", headers=headers)).json() == []
             listening = Path("/proc/net/tcp").read_text()
             assert f"0100007F:{port:04X} 00000000:0000 0A" in listening  # 127.0.0.1, and
             assert f"00000000:{port:04X}" not in listening  # no other address

@@ -90,10 +90,10 @@ class Client:
             return None
 
     def status(self) -> Status:
-        """The running system."""
+        """The running system: the live view, without the change in it."""
         from midstride.runtime.records.status_forms import Status
 
-        return self._form(Status, "GET", "/status")
+        return self._form(Status, "GET", "/view")
 
     def programs(self) -> list[ProgramStatus]:
         """The files of the programs that run, and which of them have changed on disk since."""
@@ -119,7 +119,7 @@ class Client:
         """The events after number ``since`` and each new one, until the manager closes the stream or exits."""
         connection = _UnixConnection(self._socket, None)
         try:
-            response = self._send(connection, "GET", f"/events?since={since}", None)
+            response = self._send(connection, "GET", f"/view/stream?only=event&since={since}", None)
             while line := response.readline():
                 if line.startswith(b"data: "):
                     yield json.loads(line[len(b"data: ") :])

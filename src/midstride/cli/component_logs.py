@@ -24,7 +24,7 @@ def log_files(workspace: Workspace, node: str, status: Status | None) -> list[Pa
     Without the manager's ``status``, those of every instance that has had its name, the newest last.
     """
     if status is not None:
-        live = [each.name for each in status.components if node in (each.role, each.name)]
+        live = [each.name for each in status.instances if node in (each.role, each.name)]
         crashed = [each.name for each in status.crashed if is_named_after(each.name, node)]
         names = [*(name for name in crashed if name not in live), *live]
         return [path for name in names if (path := workspace.logs / log_file_name(name)).exists()]
@@ -36,7 +36,7 @@ def known_nodes(workspace: Workspace, status: Status | None) -> list[str]:
     """What ``logs`` can be asked for."""
     if status is None:
         return sorted(path.stem for path in workspace.logs.glob("*.log") if path != workspace.manager_log)
-    live = [name for each in status.components for name in (each.role, each.name)]
+    live = [name for each in status.instances for name in (each.role, each.name)]
     crashed = [name for each in status.crashed for name in (each.role, each.name) if name is not None]
     return sorted({*live, *crashed})
 

@@ -64,7 +64,7 @@ async def _run_step(environment: DemoEnvironment, example: Demo, step: DemoStep,
         out.print(Text(f"Log of {example.subscriber} during the change:", style="dim"))
     for line in lines:
         out.print(Text(f"  {line or '…'}", style="cyan" if line else "dim"))
-    for component in (await environment.manager.status()).components:
+    for component in (await environment.manager.status()).instances:
         for row in component.functionalities:
             if not row.normal:
                 out.print(Text(f"{row.name} is now in mode {row.mode}.", style="yellow"))

@@ -12,10 +12,9 @@ from midstride.cli.changed_programs import code_words
 from midstride.cli.input_files import as_typed_here
 from midstride.cli.render import UNKNOWN, hertz, seconds, silence, table
 from midstride.runtime.records.status_forms import (
-    AttachmentStatus,
-    ComponentStatus,
     FunctionalityStatus,
-    MeasuredStatus,
+    InstanceStatus,
+    PortStatus,
     SpareStatus,
     Status,
 )
@@ -24,7 +23,7 @@ from midstride.runtime.records.status_forms import (
 def status(status: Status) -> RenderableType:
     """The live components, one line for each functionality."""
     live = table(["node", "component", "process", "functionality", "mode", "why"])
-    for component in status.components:
+    for component in status.instances:
         first: list[str | Text] = [component.name, component.component, _process(component)]
         for row in _functionalities(component):
             live.add_row(*first, *row)
@@ -35,14 +34,14 @@ def status(status: Status) -> RenderableType:
 
 def _heading(status: Status) -> str:
     running, file = status.running, status.file
-    activity = f", carrying out `{escape(running.command)}` for {seconds(running.since)}" if running else ""
+    activity = f", carrying out `{escape(running.command)}` for {seconds(running.seconds or None)}" if running else ""
     state = "[green]valid[/green]" if status.valid else "[red]not valid[/red]"
     since = ", changed since (`midstride history`)" if status.changed_since else ""
     origin = f"\n[dim]specification: {escape(as_typed_here(file))}{since}[/dim]" if file else ""
     return f"[bold]{status.system}[/bold] on {status.backend}, {state}{activity}{origin}"
 
 
-def _process(component: ComponentStatus) -> Text:
+def _process(component: InstanceStatus) -> Text:
     process = str(component.pid or "–")
     if component.ending:
         return Text(f"{process}, ending", style="dim")
@@ -51,15 +50,15 @@ def _process(component: ComponentStatus) -> Text:
     return Text(process, style="dim")
 
 
-def _functionalities(component: ComponentStatus) -> list[tuple[Text, Text, Text]]:
+def _functionalities(component: InstanceStatus) -> list[tuple[Text, Text, Text]]:
     """The name of each, its mode and why."""
     rows = [_functionality(each, component) for each in component.functionalities]
     return rows or [(Text("none", style="dim"), Text(""), Text(""))]
 
 
-def _functionality(row: FunctionalityStatus, component: ComponentStatus) -> tuple[Text, Text, Text]:
+def _functionality(row: FunctionalityStatus, component: InstanceStatus) -> tuple[Text, Text, Text]:
     """The mode is unknown while its component does not respond."""
-    name = Text(row.name.rpartition(".")[2])
+    name = Text(row.name)
     if not component.reachable:
         return name, Text(UNKNOWN, style="red"), Text(f"last known mode: {row.mode}")
     mode = Text(row.mode, style="green" if row.normal else "yellow")
@@ -69,7 +68,7 @@ def _functionality(row: FunctionalityStatus, component: ComponentStatus) -> tupl
     if component.waiting:
         why.append(f"waiting: {component.waiting}")
     why += component.differences
-    if row.busy is not None:
+    if row.busy:
         why.append(f"busy for {seconds(row.busy)}")
     return name, mode, Text("; ".join(why))
 
@@ -84,25 +83,25 @@ def _topics(status: Status) -> Iterable[Text]:
         yield Text(f"{topic.name}: {publishers} → {subscribers}{remark}", style=style)
 
 
-def _attachments(status: Status) -> Iterable[tuple[AttachmentStatus, MeasuredStatus]]:
-    """Each attachment of a component that answers, with what is measured of it."""
-    for component in status.components:
-        for attachment in component.attachments:
-            if attachment.measured is not None:
-                yield attachment, attachment.measured
+def _attached(status: Status) -> Iterable[tuple[str, PortStatus]]:
+    """Each port on a topic of which something is measured, and both in words."""
+    for instance in status.instances:
+        for port in instance.ports:
+            if port.window:
+                yield f"{instance.name}.{port.name}", port
 
 
 def _unmet(status: Status) -> Iterable[Text]:
     """Where what is measured differs from what is declared. What a closed gate holds back is no promise to anything."""
-    for attachment, measured in _attachments(status):
-        where = f"{attachment.port} on {attachment.topic}"
-        if attachment.gate == "closed":
+    for name, port in _attached(status):
+        where = f"{name} on {port.topic}"
+        if port.gate == "closed":
             continue
-        if measured.met is False:
-            last = "no message yet" if measured.age is None else f"last message {seconds(measured.age)} ago"
-            words = f"{hertz(measured.rate)} measured, {hertz(measured.declared)} declared ({last})"
+        if port.met is False:
+            last = "no message yet" if port.age is None else f"last message {seconds(port.age)} ago"
+            words = f"{hertz(port.rate)} measured, {hertz(port.declared)} declared ({last})"
             yield Text(f"{where}: {words}", style="yellow")
-        for each in measured.fields:
+        for each in port.fields or ():
             if each.run:
                 declared = f"{each.field} {each.constraint} declared"
                 yield Text(f"{where}: {each.field} is {each.last}, {declared}", style="yellow")
@@ -111,23 +110,23 @@ def _unmet(status: Status) -> Iterable[Text]:
 def measured(status: Status) -> RenderableType:
     """Every attachment: what is declared of its messages, and what is measured."""
     rows = table(["port", "topic"], ["declared", "measured", "over", "last", "jitter", "longest gap", "fields"])
-    for attachment, each in _attachments(status):
+    for name, port in _attached(status):
         fields = ", ".join(
             f"{field.field} {field.constraint}: {field.violations} of {field.checked} violate it"
             + (f", last {field.last}" if field.violations else "")
-            for field in each.fields
+            for field in port.fields or ()
         )
-        declared = "–" if each.declared is None else hertz(each.declared)
-        times = map(seconds, (each.window, each.age, each.jitter, each.longest))
-        rate = Text(hertz(each.rate), style="yellow" if each.met is False else "default")
-        rows.add_row(attachment.port, attachment.topic, declared, rate, *times, fields or "–")
+        declared = "–" if port.declared is None else hertz(port.declared)
+        times = map(seconds, (port.window or None, port.age, port.jitter, port.longest))
+        rate = Text(hertz(port.rate), style="yellow" if port.met is False else "default")
+        rows.add_row(name, port.topic or "–", declared, rate, *times, fields or "–")
     return Group(Text(""), rows)
 
 
 def _programs(status: Status) -> Iterable[Text]:
     """The nodes whose code has changed on disk, and what is not known of others."""
     not_known: dict[str, list[str]] = {}
-    for component in status.components:
+    for component in status.instances:
         unknown = component.unknown_files
         if component.changed_files:
             remedy = "" if unknown else f"; `midstride restart {component.role}` deploys it"
@@ -141,7 +140,7 @@ def _programs(status: Status) -> Iterable[Text]:
 
 def _set(status: Status) -> Iterable[Text]:
     """The parameters that have other values than they were started with."""
-    for component in status.components:
+    for component in status.instances:
         for each in component.parameters:
             if each.set_at_run_time:
                 words = f"{component.name}: {each.name} = {each.value!r}, set at run time"
@@ -149,7 +148,7 @@ def _set(status: Status) -> Iterable[Text]:
 
 
 def _problems(status: Status) -> Iterable[Text]:
-    problems = [*status.violations, *(silence(fault.words, fault.seconds) for fault in status.silences)]
+    problems = [*status.violations, *(silence(fault.words, fault.seconds or None) for fault in status.silences)]
     for crash in status.crashed:
         code = "" if crash.status is None else f" (status {crash.status})"
         next_ = [] if crash.respawn is None else [crash.respawn.words]
@@ -163,7 +162,7 @@ def _problems(status: Status) -> Iterable[Text]:
 def platform(status: Status) -> RenderableType:
     """How each component was started, and what is set for the middleware."""
     starts = table(["node", "ROS node", "started with", "clock", "log"])
-    for component in status.components:
+    for component in status.instances:
         clock = "/clock" if component.simulated_time else "system"
         run = component.run or Text("by hand, or by another system", style="dim")
         starts.add_row(component.name, component.node or "–", run, clock, component.log_file or "–")
@@ -177,7 +176,7 @@ def platform(status: Status) -> RenderableType:
         lines.append(settings)
     undeclared = [
         f"{component.name} {words}: no port states that, so it has no gate and no contract"
-        for component in status.components
+        for component in status.instances
         for words in component.undeclared
     ]
     notes = [*undeclared, *middleware.notes, *_spares(status.spares)]

@@ -142,8 +142,8 @@ def functionalities(context: click.Context, _: str) -> Iterable[str]:
 @_completer
 def parameters(context: click.Context, _: str) -> Iterable[str]:
     """Parameters of the running node that the line names."""
-    node, status = context.params["node"], _ask(context, "/status")
-    components = [each for each in status["components"] if node in (each["name"], each["role"])]
+    node, status = context.params["node"], _ask(context, "/view")
+    components = [each for each in status["instances"] if node in (each["name"], each["role"])]
     return [parameter["name"] for component in components for parameter in component["parameters"]]
 
 

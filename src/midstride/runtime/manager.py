@@ -46,6 +46,7 @@ from midstride.runtime.restore.respawner import Respawner
 from midstride.runtime.restore.restoring import Restorer
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.view import status
+from midstride.runtime.view.instance_status import parameters
 from midstride.runtime.view.program_files import Programs
 from midstride.runtime.view.watched_system import WatchedSystem
 from midstride.runtime.view.why import Explainer
@@ -109,7 +110,18 @@ class Manager:
         self._respawner = Respawner(system, clock, events, reconciler, session)
         self._restorer = Restorer(system, client, clock, events, reconciler, session, not options.keep_degraded)
         self.watched = WatchedSystem(
-            system, client, monitor, launcher, self._respawner, self._restorer, events, clock, commands
+            system,
+            client,
+            monitor,
+            launcher,
+            self._respawner,
+            self._restorer,
+            events,
+            commands,
+            backend,
+            store,
+            journal,
+            options.spares,
         )
         # What each of them learns of the others.
         events.listeners.append(journal.note)
@@ -242,16 +254,7 @@ class Manager:
     async def status(self) -> Status:
         """The live components and their modes, with reasons, as they report them; silent ones are marked."""
         programs = await self._programs.status(self.configuration)
-        refused = [self._store.unwritten, self._journal.unwritten, self._backend.unwritten()]
-        unwritten = "; ".join(filter(None, refused)) or None
-        return status.status(
-            self.watched,
-            self._backend,
-            programs,
-            unwritten=unwritten,
-            damaged=self._journal.damaged,
-            spares=self._spares,
-        )
+        return status.status(self.watched, programs)
 
     async def programs(self) -> list[ProgramStatus]:
         """The files of the programs that run, and which of them have changed on disk since."""
@@ -348,4 +351,4 @@ class Manager:
             state = await self._client.peek(instance)
             self.system.values.report(state)
             self._reconciler.save_values()
-            return ParametersReport(instance, [each for each in status.parameters(state) if each.name in values])
+            return ParametersReport(instance, [each for each in parameters(state) if each.name in values])

@@ -10,9 +10,9 @@ import asyncio
 import os
 from typing import Annotated, Final
 
-from fastapi import APIRouter, FastAPI, Header, Query, Request, Response
+from fastapi import APIRouter, FastAPI, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import HTMLResponse, StreamingResponse
+from fastapi.responses import HTMLResponse
 from msgspec import UNSET
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
@@ -26,8 +26,7 @@ from midstride.runtime.records.change_history import History, SpecificationVersi
 from midstride.runtime.records.change_report import ChangeReport
 from midstride.runtime.records.rehearsal_forms import Rehearsal
 from midstride.runtime.records.reports import DownReport, Event, LiveConfiguration, Outcome, PlannedChange, UpReport
-from midstride.runtime.records.status_forms import ParametersReport, ProgramStatus, Service, Status, Why
-from midstride.server import event_stream
+from midstride.runtime.records.status_forms import ParametersReport, ProgramStatus, Service, Why
 from midstride.server.checked_text import CheckedText, checked
 from midstride.server.error_answers import Failure, answer, in_one_line, status_of
 from midstride.server.manager_lifecycle import Lifecycle
@@ -64,7 +63,7 @@ def create_app(live: LiveView) -> FastAPI:
         docs_url=None,  # the page would load its scripts from elsewhere
         redoc_url=None,
     )
-    app.include_router(_reading(lifecycle, live.backend), prefix="/api/v1", tags=["reading"])
+    app.include_router(_reading(lifecycle, lifecycle.manager.watched.backend.name), prefix="/api/v1", tags=["reading"])
     app.include_router(viewing(live), prefix="/api/v1", tags=["viewing"])
     app.include_router(_changing(lifecycle), prefix="/api/v1", tags=["changing"])
     app.include_router(dashboard())
@@ -130,11 +129,6 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
         """The result of bringing the system up; waits until it is known."""
         return answer(await lifecycle.outcome_of_up())
 
-    @router.get("/status", responses=answers(Status))
-    async def status() -> Response:
-        """The live components and their modes, as they report them."""
-        return answer(await manager.status())
-
     @router.get("/programs", responses=answers(list[ProgramStatus]))
     async def programs() -> Response:
         """The files of the programs that run, and which of them have changed on disk since they started."""
@@ -196,23 +190,6 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
     ) -> Response:
         """The events so far."""
         return answer(manager.log(since))
-
-    @router.get(
-        "/events",
-        response_class=StreamingResponse,
-        responses={
-            200: {"content": {"text/event-stream": {}}, "description": "server-sent events, as in /log"},
-            **failures(),
-        },
-    )
-    async def events(
-        since: Annotated[int, Query(ge=0)] = 0,
-        last_event_id: Annotated[int | None, Header(description="takes precedence over `since`")] = None,
-    ) -> Response:
-        """The events after number `since`, and each new one as it comes."""
-        begin = since if last_event_id is None else last_event_id
-        headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-        return StreamingResponse(event_stream.events(lifecycle, begin), media_type="text/event-stream", headers=headers)
 
     return router
 

@@ -9,13 +9,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import time
 from collections.abc import Callable, Coroutine
 from typing import Any, Final, TypeVar
 
 from midstride.errors import ManagerError, MidstrideError
 from midstride.runtime.manager import Manager
-from midstride.runtime.records.reports import Event, UpReport
+from midstride.runtime.records.reports import UpReport
 from midstride.runtime.records.status_forms import Phase
 from midstride.runtime.timeouts import within
 
@@ -64,6 +63,8 @@ class Lifecycle:
             log.exception("bringing the system up failed")
             self.failure = ManagerError(f"internal error while bringing the system up: {error!r}")
         self.phase = "up" if self.failure is None else "failed"
+        if self.failure is not None:
+            self.manager.events.add("up_failed", str(self.failure))
         self.on_phase()
         self.settled.set()
 
@@ -132,7 +133,3 @@ class Lifecycle:
             ended.cancel()
         else:
             await ended
-
-    def failure_event(self, n: int) -> Event:
-        """The failure as an event, numbered ``n``: the last one in a stream."""
-        return Event(n=n, at=time.time(), kind="up_failed", words=str(self.failure))

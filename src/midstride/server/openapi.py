@@ -42,7 +42,6 @@ FORMS: Final = (
     reports.PlannedChange,
     status_forms.ProgramStatus,
     status_forms.Service,
-    status_forms.Status,
     reports.UpReport,
     status_forms.Why,
     view_forms.Patch,

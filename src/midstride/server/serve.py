@@ -46,7 +46,7 @@ async def serve(manager: Manager, workspace: Workspace, *, backend: str, tcp: Tc
     opened; nothing has been started then.
     """
     lifecycle = Lifecycle(manager)
-    live = LiveView(lifecycle, backend=backend)
+    live = LiveView(lifecycle)
     app = create_app(live)
     with contextlib.ExitStack() as stack:
         servers = [Server(app, stack.enter_context(_unix(workspace.socket)), connection_limit(*_UNIX_LIMIT))]

@@ -14,7 +14,7 @@ from midstride.backends.simulator import Simulator
 from midstride.runtime.manager import Manager
 from midstride.server.manager_lifecycle import Lifecycle
 from midstride.server.view.live import LiveView
-from midstride.server.view.view_stream import position, view_events
+from midstride.server.view.view_stream import position, stream
 from tests.runtime.systems import managed
 
 T = TypeVar("T")
@@ -40,13 +40,13 @@ class Viewed:
         return json.loads(self.live.document())  # type: ignore[no-any-return]
 
     def component(self, name: str) -> Document:
-        return next(each for each in self.document()["components"] if each["name"] == name)
+        return next(each for each in self.document()["instances"] if each["name"] == name)
 
 
 def live_view(manager: Manager, simulator: Simulator, *, phase: str = "up") -> LiveView:
     lifecycle = Lifecycle(manager)
     lifecycle.phase = phase  # type: ignore[assignment]  # one of them
-    return LiveView(lifecycle, backend="sim", now=lambda: EPOCH + simulator.clock.steady())
+    return LiveView(lifecycle, now=lambda: EPOCH + simulator.clock.steady())
 
 
 def viewed(name: str, folder: Path, body: Callable[[Viewed], Awaitable[T]]) -> T:
@@ -85,7 +85,7 @@ class Reader:
     view: Document = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._source = view_events(self.live, position(self.since))
+        self._source = stream(self.live, position(self.since))
 
     async def take(self) -> Message | None:
         """The next event; None at the end of the stream. Comments are skipped."""
@@ -132,7 +132,7 @@ def following(readers: Iterable[Reader]) -> Any:
 def patched(view: Document, patch: Document) -> Document:
     """The view after a patch, by the words of docs/http.md."""
     after = {**view, **patch}
-    for field_name in ("components", "topics"):
+    for field_name in ("instances", "topics"):
         entries = {entry["name"]: entry for entry in view[field_name]}
         for name, entry in patch.get(field_name, {}).items():
             if entry is None:
@@ -145,12 +145,12 @@ def patched(view: Document, patch: Document) -> Document:
 
 def without_figures(view: Document) -> Document:
     """A view without what is measured, or is in words that change with time."""
-    components = [
+    instances = [
         {
             **each,
             "ports": [{**port, **dict.fromkeys(FIGURES)} for port in each["ports"]],
             "functionalities": [{**mode, "since": None, "restoring": None} for mode in each["functionalities"]],
         }
-        for each in view["components"]
+        for each in view["instances"]
     ]
-    return {**view, "components": components}
+    return {**view, "instances": instances}

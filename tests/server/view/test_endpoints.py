@@ -10,9 +10,9 @@ import pytest
 
 from midstride.model.component import ComponentSpec, NodeEndpoint
 from midstride.model.configuration import Instance
-from midstride.server.view import component_views
-from midstride.server.view.endpoint_views import endpoint_views
-from midstride.server.view.view_forms import EndpointView
+from midstride.runtime.records.status_forms import EndpointStatus
+from midstride.runtime.view import instance_status
+from midstride.runtime.view.instance_status import endpoints
 from midstride.wire.state import THIS_HOST, ComponentState, Endpoint
 from tests.server.view.support import Viewed, viewed
 
@@ -44,22 +44,22 @@ def test_names_are_resolved_and_the_end_is_the_one_that_the_node_reported() -> N
         Endpoint(kind="service", name="/front/arm/reset", serves=True),
         Endpoint(kind="ROS action", name="/dock", serves=False),
     ]
-    assert endpoint_views(INSTANCE, state("/front/arm"), reported) == [
-        EndpointView(kind="ROS action", name="/dock", serves=False),
-        EndpointView(kind="service", name="/front/arm/reset", serves=True),
-        EndpointView(kind="service", name="/front/save", serves=None),
-        EndpointView(kind="topic", name="/tf", serves=None),
+    assert endpoints(INSTANCE, state("/front/arm"), reported) == [
+        EndpointStatus(kind="ROS action", name="/dock", serves=False),
+        EndpointStatus(kind="service", name="/front/arm/reset", serves=True),
+        EndpointStatus(kind="service", name="/front/save", serves=None),
+        EndpointStatus(kind="topic", name="/tf", serves=None),
     ]
 
 
 def test_private_names_are_those_of_the_node_as_it_is_called() -> None:
     """On ROS 1 it has the name of its instance; a component that does not answer, that of its role."""
-    assert endpoint_views(INSTANCE, state("/front/arm_2"), [])[1].name == "/front/arm_2/reset"
-    assert endpoint_views(INSTANCE, None, [])[1].name == "/front/arm/reset"
+    assert endpoints(INSTANCE, state("/front/arm_2"), [])[1].name == "/front/arm_2/reset"
+    assert endpoints(INSTANCE, None, [])[1].name == "/front/arm/reset"
 
 
 def test_a_component_without_others_has_none() -> None:
-    assert endpoint_views(Instance("arm", "arm", ComponentSpec.of("Arm")), None, []) == []
+    assert endpoints(Instance("arm", "arm", ComponentSpec.of("Arm")), None, []) == []
 
 
 @pytest.mark.parametrize("elsewhere", [False, True])
@@ -71,5 +71,5 @@ def test_the_host_is_named_where_it_is_not_the_managers(
         assert system.component("listener")["host"] == (THIS_HOST if elsewhere else None)
 
     if elsewhere:
-        monkeypatch.setattr(component_views, "THIS_HOST", "base-station")
+        monkeypatch.setattr(instance_status, "THIS_HOST", "base-station")
     viewed("talker", tmp_path, body)

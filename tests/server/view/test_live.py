@@ -57,7 +57,7 @@ def as_from_scratch(v: Viewed) -> bool:
     """Whether the view is the same as one that is built from nothing."""
     v.live.refresh(figures=True)
     mine, twin = (without_figures(each.document()) for each in (v, Viewed(v.manager, v.simulator, from_scratch(v))))
-    fields = ("components", "topics", "crashed", "silences", "valid", "violations", "revision", "phase", "running")
+    fields = ("instances", "topics", "crashed", "silences", "valid", "violations", "revision", "phase", "running")
     return all(mine[field] == twin[field] for field in fields)
 
 
@@ -119,7 +119,7 @@ def test_without_clients_only_what_lasts_is_built(tmp_path: Path) -> None:
         assert v.live.table.n == n and not v.live._tick.is_set
         await v.manager.change(replace("talker", "NewTalker"))
         await asyncio.sleep(0.2)
-        assert v.live.table.n > n and [each["name"] for each in v.document()["components"]] == ["listener", "talker_2"]
+        assert v.live.table.n > n and [each["name"] for each in v.document()["instances"]] == ["listener", "talker_2"]
 
     viewed("talker", tmp_path, body)
 
@@ -172,7 +172,7 @@ def test_a_mode_is_sent_at_once_and_values_of_parameters_seldom(
             v.manager.watched.on_report(state)
 
         def shown() -> Any:
-            return next(each for each in reader.view["components"] if each["name"] == "talker")
+            return next(each for each in reader.view["instances"] if each["name"] == "talker")
 
         with following([reader]):
             await asyncio.sleep(1)
@@ -180,7 +180,7 @@ def test_a_mode_is_sent_at_once_and_values_of_parameters_seldom(
             for number in range(100):
                 report(parameters={"count": number})
                 await asyncio.sleep(0.05)
-            patches = [each.document.get("components", {}) for each in reader.of("patch")[before:]]
+            patches = [each.document.get("instances", {}) for each in reader.of("patch")[before:]]
             values = [value["value"] for each in patches if "talker" in each for value in each["talker"]["parameters"]]
             assert fewest <= len(values) <= len(patches) <= most and values[-1] >= 80
             await asyncio.sleep(2 * SOON)  # nothing has been sent just before
@@ -258,7 +258,7 @@ def test_a_stream_ends_with_the_manager_after_the_last_difference(tmp_path: Path
         await v.live.lifecycle.take_down()
         await asyncio.wait_for(following, 1)
         assert reader.messages[-1].kind in {"patch", "event"}
-        assert reader.view["phase"] == "down" and reader.view["components"] == []
+        assert reader.view["phase"] == "down" and reader.view["instances"] == []
         assert reader.of("event")[-1].document["kind"] == "down"
 
     viewed("talker", tmp_path, body)
@@ -267,7 +267,7 @@ def test_a_stream_ends_with_the_manager_after_the_last_difference(tmp_path: Path
 def test_what_deviates_is_said(tmp_path: Path) -> None:
     async def body(v: Viewed) -> None:
         await asyncio.sleep(3)
-        assert {each["name"]: each["deviation"] for each in v.document()["components"]} == {
+        assert {each["name"]: each["deviation"] for each in v.document()["instances"]} == {
             "listener": None,
             "talker": None,
         }
@@ -325,7 +325,7 @@ def test_the_timeline_has_the_modes_and_earlier_views_are_as_they_were(tmp_path:
 
         for at, view in ((at_before, before), (at_crashed, crashed)):
             then = earlier(at)
-            for field in ("components", "topics", "crashed", "valid", "revision"):
+            for field in ("instances", "topics", "crashed", "valid", "revision"):
                 assert then[field] == without_figures(view)[field], (at, field)
         assert v.live.document_at(began - 1000) is None
         timeline = v.live.timeline(began, v.now())

@@ -12,7 +12,7 @@ from midstride.server.view.table import GONE_LIMIT, PartKey, ViewTable, encode_v
 from midstride.server.view.view_history import ViewRecording
 from tests.server.view.support import Document, patched
 
-_KEYS = st.sampled_from([("components", name) for name in "abcd"] + [("topics", name) for name in "xy"])
+_KEYS = st.sampled_from([("instances", name) for name in "abcd"] + [("topics", name) for name in "xy"])
 _SINGLE = st.sampled_from([("phase", ""), ("change", "")])
 _UPDATES = st.lists(
     st.dictionaries(_KEYS, st.one_of(st.none(), st.integers(0, 3))).flatmap(
@@ -77,15 +77,15 @@ def test_earlier_views_are_as_they_were_and_the_recording_is_bounded(
 
 def test_what_has_gone_is_forgotten_in_time_and_its_clients_get_the_whole_view() -> None:
     table = ViewTable()
-    table.update({("components", "a"): b"1"}, at=0.0)
+    table.update({("instances", "a"): b"1"}, at=0.0)
     for index in range(GONE_LIMIT + 1):
         name = f"gone_{index}"
-        table.update({("components", name): b"1"}, at=0.0)
-        table.update({("components", name): None}, at=0.0)
+        table.update({("instances", name): b"1"}, at=0.0)
+        table.update({("instances", name): None}, at=0.0)
     assert not table.knows(1) and table.knows(table.n)
     assert len(table._entries) == 1
-    table.update({("components", "b"): b"2"}, at=0.0)
-    assert json.loads(table.patch(table.n - 1))["components"] == {"b": 2}
+    table.update({("instances", "b"): b"2"}, at=0.0)
+    assert json.loads(table.patch(table.n - 1))["instances"] == {"b": 2}
 
 
 def test_a_state_that_does_not_exist_is_not_known() -> None:

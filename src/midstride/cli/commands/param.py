@@ -15,7 +15,7 @@ from midstride.errors import CommandRefused, ManagerError, PlanRefused
 from midstride.model.diagnostics import suggestion, unknown_name
 
 if TYPE_CHECKING:
-    from midstride.runtime.records.status_forms import ComponentStatus, ParameterStatus, Status
+    from midstride.runtime.records.status_forms import InstanceStatus, ParameterStatus, Status
 
 _node = click.argument("node", shell_complete=shell_completion.nodes)
 _name = click.argument("name", shell_complete=shell_completion.parameters)
@@ -38,7 +38,7 @@ def list_command(node: str | None, system: str | None) -> int:
     """List the parameters of NODE, or of every node, with their values."""
     client, _ = find(system)
     status = client.status()
-    found = status.components if node is None else [_component(status, node)]
+    found = status.instances if node is None else [_component(status, node)]
     if wants_json():
         print_json({component.name: component.parameters for component in found})
         return 0
@@ -94,7 +94,7 @@ def set_command(node: str, name: str, value: str, system: str | None) -> int:
     except CommandRefused as error:
         from midstride.codec.parameter import value_of
 
-        found = [each for each in client.status().components if node in (each.name, each.role)]
+        found = [each for each in client.status().instances if node in (each.name, each.role)]
         declared = {parameter.name: value_of(parameter.declared) for each in found for parameter in each.parameters}
         hint = misread(name, value, declared)
         raise CommandRefused(f"{error}; {hint}" if hint else str(error)) from None
@@ -106,9 +106,9 @@ def set_command(node: str, name: str, value: str, system: str | None) -> int:
     return 0
 
 
-def _component(status: Status, node: str) -> ComponentStatus:
+def _component(status: Status, node: str) -> InstanceStatus:
     """The live instance of that name or role. Raises PlanRefused if none runs, ManagerError if it does not answer."""
-    found = next((each for each in status.components if node in (each.name, each.role)), None)
+    found = next((each for each in status.instances if node in (each.name, each.role)), None)
     if found is None:
         raise not_running(status, node)
     if not found.reachable:

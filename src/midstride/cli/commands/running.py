@@ -49,16 +49,16 @@ def _narrowed(status: Status, nodes: Sequence[str]) -> Status:
     """The status with these nodes and their topics only. Raises PlanRefused for a node that does not run."""
     from msgspec import structs
 
-    live = [(each.name, each.role) for each in status.components]
+    live = [(each.name, each.role) for each in status.instances]
     crashed = [(each.name, each.role) for each in status.crashed if each.role]
     known = {name for names in [*live, *crashed] for name in names}
     for node in nodes:
         if node not in known:
             raise not_running(status, node)
-    components = [each for each in status.components if {each.name, each.role} & {*nodes}]
-    attached = {attachment.topic for each in components for attachment in each.attachments}
+    instances = [each for each in status.instances if {each.name, each.role} & {*nodes}]
+    attached = {port.topic for each in instances for port in each.ports}
     topics = [topic for topic in status.topics if topic.name in attached]
-    return structs.replace(status, components=components, topics=topics)
+    return structs.replace(status, instances=instances, topics=topics)
 
 
 @click.command("why")

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from itertools import islice
 from typing import Any
 
@@ -44,14 +45,20 @@ class EventLog:
 
     async def follow(self, n: int = 0) -> AsyncIterator[Event]:
         """The events after number ``n`` as in ``since``, then each new one. A slow reader loses the oldest."""
-        waker = asyncio.Event()
-        self._wakers.add(waker)
-        try:
+        with self.client() as waker:
             while True:
                 waker.clear()
                 for event in self.since(n):
                     n = event.n
                     yield event
                 await waker.wait()
+
+    @contextlib.contextmanager
+    def client(self) -> Iterator[asyncio.Event]:
+        """One more reader while the context is open: its event is set by each new event of the log."""
+        waker = asyncio.Event()
+        self._wakers.add(waker)
+        try:
+            yield waker
         finally:
             self._wakers.discard(waker)

@@ -7,23 +7,24 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, TypeAlias
 
-from msgspec import Meta
+from msgspec import UNSET, Meta, UnsetType
 
 from midstride.codec.form import Report
 from midstride.codec.parameter import ValueForm
 
 Phase: TypeAlias = Literal["starting", "up", "failed", "down"]
+UnixTime: TypeAlias = Annotated[float, Meta(description="seconds since 1970")]
 SilenceKind: TypeAlias = Literal["not_answering", "not_discovering", "not_publishing", "not_receiving"]
 
 
 class SilenceFault(Report, frozen=True, kw_only=True):
-    """A component that does not answer, or a port that has been silent for so long, in seconds (null: unknown)."""
+    """A component that does not answer, or a port that has been silent for so long (null: unknown)."""
 
     kind: SilenceKind
     instance: str
     port: str | None = None
     topic: str | None = None
-    seconds: float | None
+    seconds: float | UnsetType | None = UNSET
     words: str
 
 
@@ -37,19 +38,23 @@ class Service(Report, frozen=True):
     phase: Phase
 
 
-class FunctionalityStatus(Report, frozen=True):
-    """A functionality: the mode it is in and the one it should be in. Null: its component did not answer."""
+class FunctionalityStatus(Report, frozen=True, kw_only=True):
+    """A functionality of an instance, in the mode that its component reports, else in that of the manager's model."""
 
     name: str
     mode: str
-    modelled: str
-    normal: bool
-    because: str | None
-    since: Annotated[float | None, Meta(description="how long it has been in this mode, in seconds")]
-    busy: Annotated[float | None, Meta(description="how long the current call of user code has taken, in seconds")]
+    modes: Annotated[list[str], Meta(description="best first")]
+    modelled: Annotated[str, Meta(description="the mode in the manager's model")]
+    normal: Annotated[bool, Meta(description="it is in its best mode")]
+    because: Annotated[str | None, Meta(description="why it is in this mode")]
+    reflex: Annotated[bool, Meta(description="the component's local reflex has led to this mode")]
     restoring: Annotated[
-        str | None, Meta(description="whether and when it is restored after the local reflex; null: by a command only")
-    ] = None
+        str | None, Meta(description="whether and when it is restored after that, in words; null: by a command only")
+    ]
+    since: Annotated[UnixTime | None, Meta(description="when it entered this mode; null: not known")]
+    busy: Annotated[
+        float | UnsetType | None, Meta(description="how long the current call of user code has taken, in seconds")
+    ] = UNSET
 
 
 class FieldStatus(Report, frozen=True, kw_only=True):
@@ -63,32 +68,41 @@ class FieldStatus(Report, frozen=True, kw_only=True):
     last: Annotated[bool | int | float | str | None, Meta(description="the last value that violated it")]
 
 
-class MeasuredStatus(Report, frozen=True, kw_only=True):
-    """The messages of an attachment as its component measures them, on its ROS clock, against what is declared.
+class PortStatus(Report, frozen=True, kw_only=True):
+    """A port of an instance on a topic, or on none, with what its component measures there on its ROS clock.
 
-    Rates are in Hz, times in seconds. Null: not known yet, or nothing is declared.
+    In the stream, figures are rounded, and refreshed where they change noticeably.
     """
 
-    declared: Annotated[float | None, Meta(description="the rate that the mode guarantees, or that the input assumes")]
-    rate: float | None
+    name: str
+    direction: Literal["in", "out"]
+    functionalities: Annotated[list[str], Meta(description="that write to it, or use it")]
+    topic: Annotated[str | None, Meta(description="the `name` in `topics`; null: it is attached to none")]
+    type: str | None
+    gate: Annotated[Literal["open", "closed"] | None, Meta(description="null: an input, or not known")]
+    declared: Annotated[float | None, Meta(description="the rate (Hz) that is guaranteed or assumed now")]
+    rate: Annotated[float | None, Meta(description="as measured (Hz)")]
     met: Annotated[
         bool | None,
         Meta(description="the rate is at least 90 % of the declared one; null until a whole window is measured"),
     ]
-    window: Annotated[float, Meta(description="the length of the window over which the rate is measured")]
-    age: Annotated[float | None, Meta(description="how old the last message is")]
-    jitter: Annotated[float | None, Meta(description="standard deviation of the times between messages")]
-    longest: Annotated[float | None, Meta(description="the longest time between two messages, or since the last one")]
-    fields: list[FieldStatus]
+    age: Annotated[float | None, Meta(description="of the last message (s)")]
+    jitter: Annotated[float | None, Meta(description="standard deviation of the times between messages (s)")]
+    longest: Annotated[float | None, Meta(description="the longest time between messages, or since the last one (s)")]
+    window: Annotated[
+        float | UnsetType | None, Meta(description="over which all of this is measured (s); null: nothing is")
+    ] = UNSET
+    fields: list[FieldStatus] | UnsetType = UNSET
 
 
-class AttachmentStatus(Report, frozen=True):
-    """A port on a topic; the gate of an output lets its messages through or not."""
+class EndpointStatus(Report, frozen=True, kw_only=True):
+    """A service, ROS action or topic of an instance's node that is no port, as its component allows it."""
 
-    port: str
-    topic: str
-    gate: Literal["open", "closed"] | None
-    measured: Annotated[MeasuredStatus | None, Meta(description="null where its component does not answer")] = None
+    kind: Literal["topic", "service", "ROS action"]
+    name: Annotated[str, Meta(description="in full, as `/map/save`")]
+    serves: Annotated[
+        bool | None, Meta(description="it is the server; false: it calls it; null: a topic, or not known")
+    ]
 
 
 class ProgramStatus(Report, frozen=True, kw_only=True):
@@ -118,33 +132,37 @@ class ParametersReport(Report, frozen=True):
     parameters: list[ParameterStatus]
 
 
-class ComponentStatus(Report, frozen=True, kw_only=True):
-    """An instance, as it reports itself where it is reachable."""
+class InstanceStatus(Report, frozen=True, kw_only=True):
+    """An instance, as it last reported itself."""
 
     name: str
     role: str
     component: str
-    pid: int | None
+    namespace: Annotated[str, Meta(description="of its role: `/` or `/front`")]
+    host: Annotated[str | None, Meta(description="the computer or container that reports it; null: the manager's")]
     node: Annotated[str | None, Meta(description="the full name of its ROS node; null where there is none")]
+    pid: int | None
+    reachable: Annotated[bool, Meta(description="it has reported its state in the last 2 s")]
     answers: Annotated[bool, Meta(description="it answers requests to its node's services")]
-    reachable: bool
     ending: Annotated[bool, Meta(description="it has been asked to end")]
     waiting: Annotated[str | None, Meta(description="what it is waiting for")]
+    as_modelled: Annotated[bool, Meta(description="its modes are those of the manager's model")]
     differences: Annotated[list[str], Meta(description="in which way its node is not what is declared")]
-    undeclared: Annotated[
-        list[str], Meta(description="the topics of its node that are no ports: they have no gate")
-    ] = []
-    as_modelled: bool
-    changed_files: Annotated[list[str], Meta(description="of its program: changed on disk since it started")]
-    unknown_files: Annotated[str | None, Meta(description="what is not known of its program's files")]
+    undeclared: Annotated[list[str], Meta(description="the topics of its node that are no ports: they have no gate")]
+    deviation: Annotated[str | None, Meta(description="in which way it is not as specified, in words; null: it is")]
+    simulated_time: Annotated[bool, Meta(description="/clock drives its ROS clock")]
+    run: Annotated[str | None, Meta(description="the command it was started with; null: it was started elsewhere")]
+    log_file: str | None
     functionalities: list[FunctionalityStatus]
-    attachments: list[AttachmentStatus]
-    parameters: Annotated[list[ParameterStatus], Meta(description="none where it does not answer")] = []
-    simulated_time: Annotated[bool, Meta(description="/clock drives its ROS clock")] = False
-    run: Annotated[str | None, Meta(description="the command it was started with; null: it was started elsewhere")] = (
-        None
+    ports: list[PortStatus]
+    parameters: Annotated[list[ParameterStatus], Meta(description="none where it is not reachable")]
+    endpoints: Annotated[list[EndpointStatus], Meta(description="that are no ports, by kind and name")]
+    changed_files: Annotated[
+        list[str] | UnsetType, Meta(description="of its program: changed on disk since it started")
+    ] = UNSET
+    unknown_files: Annotated[str | UnsetType | None, Meta(description="what is not known of its program's files")] = (
+        UNSET
     )
-    log_file: str | None = None
 
 
 class RespawnStatus(Report, frozen=True, kw_only=True):
@@ -169,20 +187,24 @@ class CrashedInstance(Report, frozen=True):
     role: Annotated[str | None, Meta(description="null: the specification does not have it any more")] = None
 
 
-class TopicStatus(Report, frozen=True):
-    """A topic, whether its contract is satisfied, and its ports."""
+class TopicStatus(Report, frozen=True, kw_only=True):
+    """A topic. `topic` is its name in ROS, which differs from `name` only while its contract is being changed."""
 
     name: str
-    satisfied: bool
-    publishers: list[str]
+    topic: str
+    type: str
+    rate: Annotated[float | None, Meta(description="that its contract guarantees (Hz)")]
+    satisfied: Annotated[bool, Meta(description="its contract, in the manager's model")]
+    publishers: Annotated[list[str], Meta(description="attached outputs, as `talker.out`")]
     subscribers: list[str]
+    outside: Annotated[list[str], Meta(description="publishers outside the system, that the specification declares")]
 
 
 class RunningCommand(Report, frozen=True):
-    """The command that is being carried out, and for how long, in seconds."""
+    """The command that is being carried out, and for how long."""
 
     command: str
-    since: float
+    seconds: float | UnsetType = UNSET
 
 
 class SpareStatus(Report, frozen=True, kw_only=True):
@@ -203,24 +225,28 @@ class Middleware(Report, frozen=True, kw_only=True):
 
 
 class Status(Report, frozen=True, kw_only=True):
-    """The running system."""
+    """The running system. Instances and topics are sorted by name.
 
-    valid: bool
-    violations: list[str]
-    components: list[ComponentStatus]
-    crashed: list[CrashedInstance]
-    silences: list[SilenceFault]
-    topics: list[TopicStatus]
+    It is a part of the live view, SystemView, whose stream leaves out what changes with every look: fields that may be
+    absent.
+    """
+
     system: str
     backend: str
     revision: int
-    running: RunningCommand | None
+    running: Annotated[RunningCommand | None, Meta(description="the command in progress")]
+    valid: bool
+    violations: list[str]
+    instances: list[InstanceStatus]
+    topics: list[TopicStatus]
+    crashed: list[CrashedInstance]
+    silences: list[SilenceFault]
     unwritten: Annotated[str | None, Meta(description="why the state or the journal could not be written to disk")]
     damaged: Annotated[str | None, Meta(description="where a damaged journal is kept, and what was wrong with it")]
+    file: Annotated[str | None, Meta(description="the file that was brought up, or applied last")]
+    changed_since: Annotated[bool, Meta(description="another command has changed the specification since then")]
     middleware: Middleware
     spares: SpareStatus
-    file: Annotated[str | None, Meta(description="the file that was brought up, or applied last")] = None
-    changed_since: Annotated[bool, Meta(description="another command has changed the specification since then")] = False
 
 
 class Why(Report, frozen=True, kw_only=True):

@@ -33,7 +33,7 @@ export function mountDetails(element, context) {
   const draw = () => {
     const name = store.selected;
     const view = store.view;
-    const found = view === null || name === null ? null : name.startsWith("topic:") ? view.topics[name.slice(6)] : view.components[name];
+    const found = view === null || name === null ? null : name.startsWith("topic:") ? view.topics[name.slice(6)] : view.instances[name];
     if (name === drawnFor && found === entry && crashed === view?.crashed && name !== null) return;
     if (name !== drawnFor) {
       reasons = new Map();
@@ -51,7 +51,7 @@ export function mountDetails(element, context) {
     draw();
   };
   draw();
-  store.subscribe(["selection", "components", "topics", "crashed", "time"], draw);
+  store.subscribe(["selection", "instances", "topics", "crashed", "time"], draw);
   setInterval(() => {
     for (const each of element.querySelectorAll("[data-since]")) each.textContent = lasting(Number(/** @type {HTMLElement} */ (each).dataset.since), store.now());
   }, 1000);
@@ -73,7 +73,7 @@ function content(name, view, context, reasons, redraw) {
   const close = h("button", { class: "button quiet", type: "button", "aria-label": "Clear the selection", "data-key": "close", onclick: () => context.store.select(null) }, "✕");
   if (name.startsWith("topic:")) return [title, ...topicContent(name.slice(6), view, context, close)];
   const crash = view.crashed.find((each) => each.name === name);
-  const component = view.components[name];
+  const component = view.instances[name];
   if (component === undefined && crash === undefined) {
     return [title, heading(name, close), h("p", { class: "muted" }, "It does not run any more.")];
   }
@@ -101,7 +101,7 @@ function heading(name, close) {
 function crashContent(crash) {
   const how = crash.status === null ? "It exited unexpectedly." : crash.status < 0 ? `It was ended by signal ${-crash.status}.` : `It exited with status ${crash.status}.`;
   return [
-    h("div", { class: "banner", "data-kind": "bad" }, h("strong", {}, "✕ crashed. "), how, crash.respawn ? ` ${crash.respawn}` : "", crash.remedy ? ` ${crash.remedy}` : ""),
+    h("div", { class: "banner", "data-kind": "bad" }, h("strong", {}, "✕ crashed. "), how, crash.respawn ? ` ${crash.respawn.words}` : "", crash.remedy ? ` ${crash.remedy}` : ""),
     crash.log === "" ? null : h("details", {}, h("summary", {}, "The last lines of its output"), h("pre", { tabindex: "0" }, crash.log)),
   ];
 }

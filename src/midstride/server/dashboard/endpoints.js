@@ -59,5 +59,5 @@ function nameOf({ kind, name }) {
 
 /** @param {string} name as "service /map/save" @param {View} view @returns {Component[]} */
 function withEndpoint(name, view) {
-  return Object.values(view.components).filter((each) => (each.endpoints ?? []).some((found) => nameOf(found) === name));
+  return Object.values(view.instances).filter((each) => (each.endpoints ?? []).some((found) => nameOf(found) === name));
 }

@@ -33,7 +33,7 @@ const graph = createGraph(section("#graph"), {
 });
 const context = { store, ask, graph, say };
 
-store.subscribe(["components", "topics", "crashed", "time"], () => {
+store.subscribe(["instances", "topics", "crashed", "time"], () => {
   if (store.view !== null) graph.draw(store.view);
 });
 store.subscribe(["selection"], () => graph.select(store.selected));

@@ -20,7 +20,7 @@ export function search(view, text) {
   const sought = text.trim().toLowerCase();
   /** @type {Found[]} */
   const all = [
-    ...Object.values(view.components).map(({ name, component }) => ({ name, label: name, words: component })),
+    ...Object.values(view.instances).map(({ name, component }) => ({ name, label: name, words: component })),
     ...Object.values(view.topics).map(({ name, type }) => ({ name: `topic:${name}`, label: name, words: type })),
   ];
   const rank = ({ label, words }) => {

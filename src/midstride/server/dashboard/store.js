@@ -19,16 +19,16 @@ import { follow } from "./stream.js";
  * @typedef {{name: string, value: unknown, declared: unknown, set_at_run_time: boolean}} Parameter
  * @typedef {{kind: "topic" | "service" | "ROS action", name: string, serves: boolean | null}} Endpoint
  * @typedef {{name: string, role: string, component: string, namespace: string, host: string | null, node: string | null,
- *   pid: number | null, answers: boolean, ending: boolean, waiting: string | null, as_modelled: boolean,
+ *   pid: number | null, reachable: boolean, ending: boolean, waiting: string | null, as_modelled: boolean,
  *   differences: string[], undeclared: string[], deviation: string | null, functionalities: Functionality[],
  *   ports: Port[], parameters: Parameter[], endpoints: Endpoint[]}} Component
  * @typedef {{name: string, topic: string, type: string, rate: number | null, satisfied: boolean, publishers: string[],
  *   subscribers: string[], outside: string[]}} Topic
  * @typedef {{name: string, role: string | null, status: number | null, log: string, remedy: string | null,
- *   respawn: string | null}} Crash
+ *   respawn: {words: string} | null}} Crash
  * @typedef {{kind: string, instance: string, port: string | null, topic: string | null, words: string}} Silence
  * @typedef {{manager: string, n: number, at: number, system: string, backend: string, phase: string, revision: number,
- *   running: string | null, valid: boolean, violations: string[], components: Record<string, Component>,
+ *   running: {command: string} | null, valid: boolean, violations: string[], instances: Record<string, Component>,
  *   topics: Record<string, Topic>, crashed: Crash[], silences: Silence[], change: any}} View
  * @typedef {{n: number, at: number, kind: string, words: string, [more: string]: any}} Event
  * @typedef {{state: "connecting" | "live" | "lost" | "refused" | "ended", since: number, because: string | null,
@@ -41,14 +41,14 @@ import { follow } from "./stream.js";
 const EVENTS_KEPT = 1000;
 
 /**
- * A view with components and topics by name. Without a prototype, so that no name means anything to the language.
+ * A view with instances and topics by name. Without a prototype, so that no name means anything to the language.
  *
  * @param {any} document as GET /view sends it
  * @returns {View}
  */
 export function byName(document) {
-  const view = { ...document, components: Object.create(null), topics: Object.create(null) };
-  for (const each of document.components) view.components[each.name] = each;
+  const view = { ...document, instances: Object.create(null), topics: Object.create(null) };
+  for (const each of document.instances) view.instances[each.name] = each;
   for (const each of document.topics) view.topics[each.name] = each;
   return view;
 }
@@ -62,8 +62,8 @@ export function byName(document) {
  */
 function patched(view, patch) {
   const changed = new Set(Object.keys(patch));
-  const next = { ...view, ...patch, components: view.components, topics: view.topics };
-  for (const [plural, one] of /** @type {const} */ ([["components", "component"], ["topics", "topic"]])) {
+  const next = { ...view, ...patch, instances: view.instances, topics: view.topics };
+  for (const [plural, one] of /** @type {const} */ ([["instances", "instance"], ["topics", "topic"]])) {
     if (!patch[plural]) continue;
     const entries = Object.assign(Object.create(null), view[plural]);
     for (const [name, entry] of Object.entries(patch[plural])) {
@@ -123,7 +123,7 @@ export class Store {
   }
 
   /**
-   * Calls back once per animation frame in which one of the keys has changed: "components", "component:NAME", "topics",
+   * Calls back once per animation frame in which one of the keys has changed: "instances", "instance:NAME", "topics",
    * "topic:NAME", a scalar of the view, "events", "connection", "time", "selection". It is not called at once.
    *
    * @param {Iterable<string>} keys

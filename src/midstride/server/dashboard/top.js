@@ -55,8 +55,8 @@ export function mountTop(element, context) {
   replace(part("#tools"), ...tools(context));
   draw();
   drawConnection();
-  store.subscribe(["components", "crashed", "topics", "valid", "violations", "phase", "running", "system", "time"], draw);
-  store.subscribe(["connection", "time", "components"], drawConnection);
+  store.subscribe(["instances", "crashed", "topics", "valid", "violations", "phase", "running", "system", "time"], draw);
+  store.subscribe(["connection", "time", "instances"], drawConnection);
   setInterval(drawConnection, 1000);
   element.dataset.ready = "true";
 }
@@ -66,10 +66,10 @@ export function mountTop(element, context) {
  * @returns {{kind: string, words: string}[]}
  */
 function summaryOf(view) {
-  const components = Object.values(view.components);
+  const components = Object.values(view.instances);
   const kinds = components.map((each) => componentLook(each, view).kind);
   const lowered = kinds.filter((kind) => kind === "reduced" || kind === "degraded").length;
-  const silent = components.filter((each) => !each.answers).length;
+  const silent = components.filter((each) => !each.reachable).length;
   const low = components.flatMap((each) => each.ports).filter((port) => port.met === false).length;
   const found = [{ kind: "", words: `${plural(components.length, "component")} · ${plural(Object.keys(view.topics).length, "topic")}` }];
   const add = (/** @type {number} */ count, /** @type {string} */ kind, /** @type {string} */ words) => {
@@ -82,7 +82,7 @@ function summaryOf(view) {
   add(view.violations.length, "bad", `▲ ${plural(view.violations.length, "violation")}`);
   if (found.length === 1 && view.valid) found.push({ kind: "good", words: "✓ as specified" });
   if (view.phase !== "up") found.push({ kind: "warn", words: view.phase });
-  if (view.running) found.push({ kind: "warn", words: `⟳ ${view.running}` });
+  if (view.running) found.push({ kind: "warn", words: `⟳ ${view.running.command}` });
   return found;
 }
 

@@ -7,10 +7,16 @@ from collections.abc import Iterator
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import Evaluator, violations
-from midstride.server.view.component_views import namespace_of
-from midstride.server.view.endpoint_views import endpoint_views
-from midstride.server.view.topics import topic_view
-from midstride.server.view.view_forms import VERSION, ComponentView, FunctionalityView, PortView, SystemView
+from midstride.runtime.records.status_forms import (
+    FunctionalityStatus,
+    InstanceStatus,
+    Middleware,
+    PortStatus,
+    SpareStatus,
+)
+from midstride.runtime.view.instance_status import endpoints, namespace_of
+from midstride.runtime.view.status import topic_status
+from midstride.server.view.view_forms import VERSION, SystemView
 
 
 def modelled_view(configuration: Configuration, system: str, backend: str, at: float) -> SystemView:
@@ -28,20 +34,26 @@ def modelled_view(configuration: Configuration, system: str, backend: str, at: f
         running=None,
         valid=not found,
         violations=found,
-        components=[_component(configuration, each) for _, each in sorted(configuration.instances.items())],
-        topics=[topic_view(configuration, evaluator, name) for name in sorted(configuration.context.connectors)],
+        instances=[_instance(configuration, each) for _, each in sorted(configuration.instances.items())],
+        topics=[topic_status(configuration, evaluator, name) for name in sorted(configuration.context.connectors)],
         crashed=[],
         silences=[],
+        unwritten=None,
+        damaged=None,
+        file=None,
+        changed_since=False,
+        middleware=Middleware(name=backend),
+        spares=SpareStatus(kept=0, ready=0, unused_by=[]),
         change=None,
     )
 
 
-def _component(configuration: Configuration, instance: Instance) -> ComponentView:
+def _instance(configuration: Configuration, instance: Instance) -> InstanceStatus:
     modes = {
         each.name: each.modes[configuration.modes[FunctionalityRef(instance.name, each.name)]].name
         for each in instance.component
     }
-    return ComponentView(
+    return InstanceStatus(
         name=instance.name,
         role=instance.role,
         component=instance.component.name,
@@ -49,6 +61,7 @@ def _component(configuration: Configuration, instance: Instance) -> ComponentVie
         host=None,
         node=None,
         pid=None,
+        reachable=True,
         answers=True,
         ending=False,
         waiting=None,
@@ -56,8 +69,11 @@ def _component(configuration: Configuration, instance: Instance) -> ComponentVie
         differences=[],
         undeclared=[],
         deviation=None,
+        simulated_time=False,
+        run=instance.component.run,
+        log_file=None,
         functionalities=[
-            FunctionalityView(
+            FunctionalityStatus(
                 name=each.name,
                 mode=modes[each.name],
                 modes=[mode.name for mode in each.modes],
@@ -72,17 +88,17 @@ def _component(configuration: Configuration, instance: Instance) -> ComponentVie
         ],
         ports=list(_ports(configuration, instance, modes)),
         parameters=[],
-        endpoints=endpoint_views(instance, None, ()),
+        endpoints=endpoints(instance, None, ()),
     )
 
 
-def _ports(configuration: Configuration, instance: Instance, modes: dict[str, str]) -> Iterator[PortView]:
+def _ports(configuration: Configuration, instance: Instance, modes: dict[str, str]) -> Iterator[PortStatus]:
     component = instance.component
     for name in component.ports():
         owner = component.find_owner(name)
         topics: list[str | None] = [*configuration.attached_to(PortRef(instance.name, name))]
         for topic in topics or [None]:
-            yield PortView(
+            yield PortStatus(
                 name=name,
                 direction="in" if owner is None else "out",
                 functionalities=[each.name for each in (component.users(name) if owner is None else [owner])],

@@ -14,22 +14,30 @@ import secrets
 import time
 from collections.abc import Callable, Container, Iterable, Iterator
 
+from msgspec import UNSET, structs
+
 from midstride.codec.writing import to_json
 from midstride.model.configuration import Configuration
 from midstride.model.rules import Evaluator, violations
-from midstride.model.specification import initial
 from midstride.runtime.process.component_client import ComponentEvent
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.reports import Event
+from midstride.runtime.records.status_forms import InstanceStatus, RunningCommand, SilenceFault, Status
+from midstride.runtime.view.instance_status import EntryShape, instance_status, is_sound, port_statuses
+from midstride.runtime.view.status import system_values, topic_status
+from midstride.runtime.view.watched_system import Baseline
 from midstride.server.manager_lifecycle import Lifecycle
 from midstride.server.view.change_views import ChangeTracker
-from midstride.server.view.component_views import Baseline, EntryShape, component_view, port_views
-from midstride.server.view.fault_views import crash_views, silence_views
-from midstride.server.view.noticeable_changes import rates_as_shown, same_but_figures, same_report, same_values
+from midstride.server.view.changed_parts import changed_parts
+from midstride.server.view.noticeable_changes import (
+    entries_differ_in_measurements_only,
+    rates_met_as_shown,
+    reports_differ_in_measurements_only,
+    same_parameters_and_reasons,
+)
 from midstride.server.view.table import PartKey, ViewTable, encode_view
 from midstride.server.view.timing import FIGURES, LOOK, SOON, TOGETHER, Alarm, Wakers, figures_interval
-from midstride.server.view.topics import changed_parts, topic_view
-from midstride.server.view.view_forms import VERSION, ComponentView, SilenceView, Timeline
+from midstride.server.view.view_forms import VERSION, SystemView, Timeline
 from midstride.server.view.view_history import ModeHistory, ViewRecording
 from midstride.wire.state import ComponentState
 
@@ -40,19 +48,18 @@ class LiveView:
     ``manager`` identifies this run of the manager, ``now`` gives the UNIX time.
     """
 
-    def __init__(self, lifecycle: Lifecycle, *, backend: str, now: Callable[[], float] = time.time) -> None:
+    def __init__(self, lifecycle: Lifecycle, *, now: Callable[[], float] = time.time) -> None:
         self.manager = secrets.token_hex(8)
         self.table = ViewTable()
         self.lifecycle = lifecycle
         self._watched = watched = lifecycle.manager.watched
-        self.backend = backend
         self.now = now
         self._changes = ChangeTracker()
         self._recording = ViewRecording()
         self._modes = ModeHistory()
         self._wakers = Wakers()
         self._shapes: dict[str, EntryShape] = {}
-        self._shown: dict[str, ComponentView] = {}
+        self._shown: dict[str, InstanceStatus] = {}
         self._reported: dict[str, ComponentState] = {}  # what the entries were built from
         self._unsound: set[str] = set()  # the components that are not as modelled
         self._dirty: set[str] = set()  # to be built
@@ -61,7 +68,7 @@ class LiveView:
         self._configuration = Configuration()
         self._baseline: Baseline | None = None
         self._violations: list[str] = []
-        self._silences: list[SilenceView] | None = None  # None: to be looked for
+        self._silences: list[SilenceFault] | None = None  # None: to be looked for
         self._tick = Alarm(watched.clock, lambda: self.refresh(figures=bool(self._wakers)))
         self._looking = Alarm(watched.clock, self._look)
         self._waking = Alarm(watched.clock, self._wakers.wake)
@@ -99,7 +106,7 @@ class LiveView:
         if not isinstance(event, ComponentState) or not self._same(event):
             self._dirty.add(name)
             self._soon()
-        elif not self._as_measured(event, now) or not same_values(self._reported.get(name), event):
+        elif not self._as_measured(event, now) or not same_parameters_and_reasons(self._reported.get(name), event):
             self._revalued.add(name)
             self._tick.at(max(now + SOON, self._revalued_at + self._interval))
         else:
@@ -110,7 +117,11 @@ class LiveView:
     def _same(self, state: ComponentState) -> bool:
         """Whether a report differs from the entry of its component in what may wait at most: figures and values."""
         shown = self._shown.get(state.instance)
-        return shown is not None and shown.answers and same_report(self._reported.get(state.instance), state)
+        return (
+            shown is not None
+            and shown.reachable
+            and reports_differ_in_measurements_only(self._reported.get(state.instance), state)
+        )
 
     def _as_measured(self, state: ComponentState, now: float) -> bool:
         """Whether declared rates are met as the entry says. Judged as often as figures are refreshed: see `timing`."""
@@ -118,7 +129,7 @@ class LiveView:
         if now - self._rated_at.get(name, -math.inf) < self._interval:
             return True
         self._rated_at[name] = now
-        return rates_as_shown(self._shown[name], state, self._configuration.context)
+        return rates_met_as_shown(self._shown[name], state, self._configuration.context)
 
     def _on_event(self, event: Event) -> None:
         self._changes.on_event(event)
@@ -134,7 +145,7 @@ class LiveView:
     def _look(self) -> None:
         """Find what no report shows."""
         life = self._watched.system.life
-        silent = {name for name, each in self._shown.items() if each.answers != (life.responsive(name) is not None)}
+        silent = {name for name, each in self._shown.items() if each.reachable != (life.responsive(name) is not None)}
         if silent or self._wakers:
             self._dirty |= silent
             self._silences = None
@@ -153,6 +164,19 @@ class LiveView:
     def document(self) -> bytes:
         """The whole view as it is now, as JSON."""
         return encode_view(VERSION, self.manager, self.table.n, self.table.at, self.table.parts())
+
+    def view(self, status: Status) -> SystemView:
+        """The whole view, where ``status`` is the one now: of what is measured it says more than the stream."""
+        self.refresh(figures=False)
+        return SystemView(
+            **structs.asdict(status),
+            version=VERSION,
+            manager=self.manager,
+            n=self.table.n,
+            at=self.table.at,
+            phase=self.lifecycle.phase,
+            change=self._changes.current,
+        )
 
     def document_at(self, at: float) -> bytes | None:
         """The view as it was at ``at`` (UNIX time); None for a time before the oldest that is known."""
@@ -207,8 +231,8 @@ class LiveView:
         """The entries that may have changed; ``minor`` are those of which nothing but figures has."""
         system = self._watched.system
         configuration, before = system.configuration, self._configuration
-        if self._baseline is None or self._baseline.specification is not system.specification:
-            self._baseline = Baseline(system.specification, initial(system.specification))
+        if self._baseline is not (baseline := self._watched.baseline()):
+            self._baseline = baseline
             self._dirty.update(configuration.instances)
         if configuration is not before:
             instances, connectors = changed_parts(before, configuration)
@@ -223,25 +247,24 @@ class LiveView:
             evaluator = Evaluator(configuration)
             for name in sorted(connectors):
                 known = name in configuration.context.connectors
-                yield ("topics", name), to_json(topic_view(configuration, evaluator, name)) if known else None
+                yield ("topics", name), to_json(topic_status(configuration, evaluator, name)) if known else None
         names = self._dirty | self._measured if figures else self._dirty
         dirty, self._dirty = self._dirty, set()
         self._measured = set() if figures else self._measured - names
-        yield from self._components(names, dirty, configuration, self._baseline, now, minor)
+        yield from self._instances(names, dirty, configuration, now, minor)
 
-    def _components(
+    def _instances(
         self,
         names: Iterable[str],
         dirty: Container[str],
         configuration: Configuration,
-        baseline: Baseline,
         now: float,
         minor: set[PartKey],
     ) -> Iterator[tuple[PartKey, bytes | None]]:
         """The entries of ``names``; of those that are not ``dirty``, nothing but figures has changed."""
         client, steady = self._watched.client, self._watched.clock.steady()
         for name in sorted(names):
-            part, shown = ("components", name), self._shown.get(name)
+            part, shown = ("instances", name), self._shown.get(name)
             instance, latest = configuration.instances.get(name), client.life.latest(name)
             if latest is None or instance is None:
                 self._reported.pop(name, None)
@@ -262,34 +285,31 @@ class LiveView:
             refresh = steady - self._figures_of.get(name, -math.inf) >= self._interval
             if refresh:
                 self._figures_of[name] = steady
-            ports = port_views(shape, client.life.responsive(name), before, refresh=refresh)
+            ports = port_statuses(shape, client.life.responsive(name), before, refresh=refresh)
             if before and name not in dirty and all(map(operator.is_, ports, before)):
                 continue
-            view = component_view(self._watched, configuration, shape, baseline, now, shown, ports)
+            view = instance_status(self._watched, shape, now, shown, ports)
             self._shown[name] = view
-            if shown is not None and same_but_figures(shown, view):
+            if shown is not None and entries_differ_in_measurements_only(shown, view):
                 minor.add(part)
             else:
                 self._modes.shown(view, now)
-                sound = view.as_modelled and view.waiting is None and not view.differences
-                (self._unsound.discard if sound else self._unsound.add)(name)
+                (self._unsound.discard if is_sound(view) else self._unsound.add)(name)
             yield part, to_json(view)
 
     def _single(self) -> Iterator[tuple[PartKey, bytes]]:
         """The parts that are one value."""
-        watched, system = self._watched, self._watched.system
+        watched, running = self._watched, self._watched.commands.current
         if self._silences is None:
-            self._silences = silence_views(watched, self._configuration)
+            faults = watched.monitor.faults(self._configuration)
+            self._silences = [structs.replace(each, seconds=UNSET) for each in faults]
         silences = [each for each in self._silences if each.instance in self._configuration.instances]
         values = {
-            "system": system.specification.name,
-            "backend": self.backend,
+            **system_values(watched),
             "phase": self.lifecycle.phase,
-            "revision": system.revision,
-            "running": watched.commands.current,
+            "running": None if running is None else RunningCommand(running),
             "valid": not (self._violations or silences or self._unsound),
             "violations": self._violations,
-            "crashed": crash_views(watched),
             "silences": silences,
             "change": self._changes.current,
         }

@@ -1,4 +1,4 @@
-"""Whether two reports, or two entries, of a component differ in more than measured figures."""
+"""Whether two reports, or two entries, of an instance differ in more than what is measured."""
 
 from __future__ import annotations
 
@@ -6,15 +6,16 @@ from operator import attrgetter
 from typing import Final
 
 from midstride.model.configuration import SystemContext
-from midstride.server.view.view_forms import ComponentView
+from midstride.runtime.records.status_forms import InstanceStatus
 from midstride.wire.state import ComponentState, LinkState
 
 _NO_LINKS: Final[dict[str, LinkState]] = {}
-_others = attrgetter(*(name for name in ComponentView.__struct_fields__ if name != "ports"))
+_others = attrgetter(*(name for name in InstanceStatus.__struct_fields__ if name != "ports"))
 
 
-def same_report(before: ComponentState | None, state: ComponentState) -> bool:
-    """Whether a component reports the same as before, but for figures, times, and what :func:`same_values` compares.
+def reports_differ_in_measurements_only(before: ComponentState | None, state: ComponentState) -> bool:
+    """Whether a report is the same as before, but for measurements, times, and what
+    :func:`same_parameters_and_reasons` compares.
 
     Called for every report, so it must be cheap.
     """
@@ -40,15 +41,16 @@ def same_report(before: ComponentState | None, state: ComponentState) -> bool:
             known = former.get(topic)
             if known is None or known.gate != link.gate:
                 return False
-    return (before.waiting, before.node, before.differences, before.undeclared) == (
+    return (before.waiting, before.node, before.answers, before.differences, before.undeclared) == (
         state.waiting,
         state.node,
+        state.answers,
         state.differences,
         state.undeclared,
     )
 
 
-def same_values(before: ComponentState | None, state: ComponentState) -> bool:
+def same_parameters_and_reasons(before: ComponentState | None, state: ComponentState) -> bool:
     """Whether the parameters have the same values, and modes that last the same reasons."""
     if before is None or before.parameters != state.parameters or before.declared != state.declared:
         return False
@@ -56,7 +58,7 @@ def same_values(before: ComponentState | None, state: ComponentState) -> bool:
     return all(each.because == reasons[name].because for name, each in state.functionalities.items() if name in reasons)
 
 
-def rates_as_shown(shown: ComponentView, state: ComponentState, context: SystemContext) -> bool:
+def rates_met_as_shown(shown: InstanceStatus, state: ComponentState, context: SystemContext) -> bool:
     """Whether the declared rates are met or not as the entry says."""
     for port in shown.ports:
         if port.declared is None or port.topic is None or port.topic not in context.connectors:
@@ -68,8 +70,8 @@ def rates_as_shown(shown: ComponentView, state: ComponentState, context: SystemC
     return True
 
 
-def same_but_figures(before: ComponentView, view: ComponentView) -> bool:
-    """Whether nothing but measured figures of ports differs. Whether a declared rate is met is no figure."""
+def entries_differ_in_measurements_only(before: InstanceStatus, view: InstanceStatus) -> bool:
+    """Whether nothing but measurements of ports differs. Whether a declared rate is met is none."""
     if len(before.ports) != len(view.ports):
         return False
     for earlier, port in zip(before.ports, view.ports, strict=True):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 from fastapi import APIRouter, Header, Query, Response
 from fastapi.responses import StreamingResponse
@@ -12,7 +12,7 @@ from midstride.server.error_answers import answer
 from midstride.server.openapi import answers, failures
 from midstride.server.view.live import LiveView
 from midstride.server.view.view_forms import SystemView, Timeline
-from midstride.server.view.view_stream import position, view_events
+from midstride.server.view.view_stream import position, stream
 
 # The largest time that makes sense: the year 10000.
 _LATEST: Final = 253_402_300_800.0
@@ -26,9 +26,7 @@ def viewing(live: LiveView) -> APIRouter:
     @router.get("/view", responses=answers(SystemView))
     async def view() -> Response:
         """The running system in one document, as its components last reported themselves."""
-        live.start()
-        live.refresh(figures=True)
-        return Response(live.document(), media_type="application/json", headers=_NOT_STORED)
+        return answer(live.view(await live.lifecycle.manager.status()))
 
     @router.get(
         "/view/stream",
@@ -42,13 +40,18 @@ def viewing(live: LiveView) -> APIRouter:
         },
     )
     async def view_stream(
-        since: Annotated[str, Query(max_length=100, description="the id of the last event received")] = "",
+        since: Annotated[
+            str, Query(max_length=100, description="the id of the last one received, or the number of an event")
+        ] = "",
+        only: Annotated[Literal["event"] | None, Query(description="no `view` and no `patch`")] = None,
         last_event_id: Annotated[str | None, Header(max_length=100, description="takes precedence")] = None,
     ) -> Response:
         """The view, then what changes in it as it changes, and the manager's events."""
-        live.start()
+        if only is None:
+            live.start()
         begin = position(since if last_event_id is None else last_event_id)
-        return StreamingResponse(view_events(live, begin), media_type="text/event-stream", headers=_NOT_STORED)
+        events = stream(live, begin, log_only=only is not None)
+        return StreamingResponse(events, media_type="text/event-stream", headers=_NOT_STORED)
 
     @router.get("/view/timeline", responses=answers(Timeline))
     async def timeline(since: _Time = None, until: _Time = None) -> Response:

@@ -13,8 +13,8 @@ from typing import Final, Literal, TypeAlias
 import msgspec
 
 # The keyed lists of a view; any other part is one value, under the key "".
-Keyed: TypeAlias = Literal["components", "topics"]
-KEYED: Final[tuple[Keyed, ...]] = ("components", "topics")
+Keyed: TypeAlias = Literal["instances", "topics"]
+KEYED: Final[tuple[Keyed, ...]] = ("instances", "topics")
 PartKey: TypeAlias = tuple[str, str]  # the field of the view, and the key in it
 # For how many entries that are gone it is remembered when: a client that lacks more is sent the whole view.
 GONE_LIMIT: Final = 1_000

@@ -11,111 +11,23 @@ from midstride.plan.forms.plan_forms import PlanPreview
 from midstride.runtime.records.measure import SwapReport
 from midstride.runtime.records.mode_recorder import ModeInterval
 from midstride.runtime.records.reports import Event, OutcomeKind
-from midstride.runtime.records.status_forms import ParameterStatus, Phase, SilenceKind
+from midstride.runtime.records.status_forms import (
+    CrashedInstance,
+    InstanceStatus,
+    Middleware,
+    Phase,
+    RunningCommand,
+    SilenceFault,
+    SpareStatus,
+    Status,
+    TopicStatus,
+    UnixTime,
+)
 
 # The version of these forms. A later version may add fields; what is there keeps its meaning.
 VERSION: Final = 1
 
-UnixTime: TypeAlias = Annotated[float, Meta(description="seconds since 1970")]
 ChangeState: TypeAlias = Literal["planning", "verifying", "executing", "rolling_back", "measuring", "ended"]
-
-
-class FunctionalityView(Report, frozen=True, kw_only=True):
-    """A functionality of an instance, in the mode that its component reports."""
-
-    name: str
-    mode: str
-    modes: Annotated[list[str], Meta(description="best first")]
-    modelled: Annotated[str, Meta(description="the mode in the manager's model")]
-    normal: Annotated[bool, Meta(description="it is in its best mode")]
-    because: Annotated[str | None, Meta(description="why it is in this mode")]
-    reflex: Annotated[bool, Meta(description="the component's local reflex has led to this mode")]
-    restoring: Annotated[str | None, Meta(description="whether and when it is restored after that, in words")]
-    since: Annotated[UnixTime | None, Meta(description="when it entered this mode; null: not known")]
-
-
-class PortView(Report, frozen=True, kw_only=True):
-    """A port of an instance on a topic, or on none. Figures are rounded, and refreshed where they change noticeably."""
-
-    name: str
-    direction: Literal["in", "out"]
-    functionalities: Annotated[list[str], Meta(description="that write to it, or use it")]
-    topic: Annotated[str | None, Meta(description="the `name` in `topics`; null: it is attached to none")]
-    type: str | None
-    gate: Annotated[Literal["open", "closed"] | None, Meta(description="null: an input, or not known")]
-    declared: Annotated[float | None, Meta(description="the rate (Hz) that is guaranteed or assumed now")]
-    rate: Annotated[float | None, Meta(description="as measured (Hz), to within 1 %")]
-    met: Annotated[bool | None, Meta(description="the rate is at least 90 % of the declared one; null: not known")]
-    age: Annotated[float | None, Meta(description="of the last message (s); coarse: to within a half, and 1 s")]
-    jitter: Annotated[float | None, Meta(description="standard deviation of the times between messages (s), coarse")]
-    longest: Annotated[float | None, Meta(description="the longest time between messages (s), coarse")]
-
-
-class EndpointView(Report, frozen=True, kw_only=True):
-    """A service, ROS action or topic of an instance's node that is no port, as its component allows it."""
-
-    kind: Literal["topic", "service", "ROS action"]
-    name: Annotated[str, Meta(description="in full, as `/map/save`")]
-    serves: Annotated[
-        bool | None, Meta(description="it is the server; false: it calls it; null: a topic, or not known")
-    ]
-
-
-class ComponentView(Report, frozen=True, kw_only=True):
-    """An instance, as it last reported itself."""
-
-    name: str
-    role: str
-    component: str
-    namespace: Annotated[str, Meta(description="of its role: `/` or `/front`")]
-    host: Annotated[str | None, Meta(description="the computer or container that reports it; null: the manager's")]
-    node: Annotated[str | None, Meta(description="the full name of its ROS node")]
-    pid: int | None
-    answers: Annotated[bool, Meta(description="it has reported its state in the last 2 s")]
-    ending: Annotated[bool, Meta(description="it has been asked to end")]
-    waiting: Annotated[str | None, Meta(description="what it is waiting for")]
-    as_modelled: Annotated[bool, Meta(description="its modes are those of the manager's model")]
-    differences: Annotated[list[str], Meta(description="in which way its node is not what is declared")]
-    undeclared: Annotated[list[str], Meta(description="the topics of its node that are no ports")]
-    deviation: Annotated[str | None, Meta(description="in which way it is not as specified, in words; null: it is")]
-    functionalities: list[FunctionalityView]
-    ports: list[PortView]
-    parameters: list[ParameterStatus]
-    endpoints: Annotated[list[EndpointView], Meta(description="that are no ports, by kind and name")]
-
-
-class TopicView(Report, frozen=True, kw_only=True):
-    """A topic. `topic` is its name in ROS, which differs from `name` only while its contract is being changed."""
-
-    name: str
-    topic: str
-    type: str
-    rate: Annotated[float | None, Meta(description="that its contract guarantees (Hz)")]
-    satisfied: Annotated[bool, Meta(description="its contract, in the manager's model")]
-    publishers: Annotated[list[str], Meta(description="attached outputs, as `talker.out`")]
-    subscribers: list[str]
-    outside: Annotated[list[str], Meta(description="publishers outside the system, that the specification declares")]
-
-
-class CrashView(Report, frozen=True, kw_only=True):
-    """An instance that exited unexpectedly."""
-
-    name: str
-    role: str | None
-    status: Annotated[int | None, Meta(description="its exit status, negative for a signal")]
-    log: Annotated[str, Meta(description="the last lines of its output")]
-    remedy: Annotated[str | None, Meta(description="what to do, in words")]
-    respawn: Annotated[str | None, Meta(description="what its restart policy does next, in words")]
-
-
-class SilenceView(Report, frozen=True, kw_only=True):
-    """A component that does not answer, or a port that has been silent for too long."""
-
-    kind: SilenceKind
-    instance: str
-    port: str | None
-    topic: str | None
-    words: str
 
 
 class StepView(Report, frozen=True, kw_only=True):
@@ -145,31 +57,21 @@ class ChangeView(Report, frozen=True, kw_only=True):
     because: Annotated[str | None, Meta(description="how it ended, in words")]
 
 
-class SystemView(Report, frozen=True, kw_only=True):
-    """The running system. Components and topics are sorted by name."""
+class SystemView(Status, frozen=True, kw_only=True):
+    """The running system, and the change in it."""
 
     version: int
     manager: Annotated[str, Meta(description="of this run of the manager: numbers of another one mean nothing to it")]
     n: Annotated[int, Meta(description="the number of this state: it grows with each that differs")]
     at: UnixTime
-    system: str
-    backend: str
     phase: Phase
-    revision: int
-    running: Annotated[str | None, Meta(description="the command in progress")]
-    valid: bool
-    violations: list[str]
-    components: list[ComponentView]
-    topics: list[TopicView]
-    crashed: list[CrashView]
-    silences: list[SilenceView]
     change: ChangeView | None
 
 
 class Patch(Report, frozen=True, kw_only=True):
     """What has changed in a view since what the client was last sent. What is absent is as before.
 
-    `components` and `topics` have the entries that changed, by name; null for one that is gone.
+    `instances` and `topics` have the entries that changed, by name; null for one that is gone.
     """
 
     n: int
@@ -178,13 +80,19 @@ class Patch(Report, frozen=True, kw_only=True):
     backend: str | UnsetType = UNSET
     phase: Phase | UnsetType = UNSET
     revision: int | UnsetType = UNSET
-    running: str | UnsetType | None = UNSET
+    running: RunningCommand | UnsetType | None = UNSET
     valid: bool | UnsetType = UNSET
     violations: list[str] | UnsetType = UNSET
-    components: dict[str, ComponentView | None] | UnsetType = UNSET
-    topics: dict[str, TopicView | None] | UnsetType = UNSET
-    crashed: list[CrashView] | UnsetType = UNSET
-    silences: list[SilenceView] | UnsetType = UNSET
+    instances: dict[str, InstanceStatus | None] | UnsetType = UNSET
+    topics: dict[str, TopicStatus | None] | UnsetType = UNSET
+    crashed: list[CrashedInstance] | UnsetType = UNSET
+    silences: list[SilenceFault] | UnsetType = UNSET
+    unwritten: str | UnsetType | None = UNSET
+    damaged: str | UnsetType | None = UNSET
+    file: str | UnsetType | None = UNSET
+    changed_since: bool | UnsetType = UNSET
+    middleware: Middleware | UnsetType = UNSET
+    spares: SpareStatus | UnsetType = UNSET
     change: ChangeView | UnsetType | None = UNSET
 
 

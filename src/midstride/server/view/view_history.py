@@ -13,8 +13,8 @@ from typing import Final, NamedTuple
 from msgspec import structs
 
 from midstride.runtime.records.mode_recorder import ModeInterval, in_order, mode_level
+from midstride.runtime.records.status_forms import FunctionalityStatus, InstanceStatus
 from midstride.server.view.table import PartKey
-from midstride.server.view.view_forms import ComponentView, FunctionalityView
 
 # How many changed entries of views are kept, and how many modes that were left. An entry has 1 kB or so.
 ENTRIES: Final = 20_000
@@ -93,7 +93,7 @@ class ModeHistory:
         self._open: dict[str, dict[str, ModeInterval]] = {}  # by instance and functionality
         self._closed: deque[ModeInterval] = deque(maxlen=limit)
 
-    def shown(self, component: ComponentView, now: float) -> None:
+    def shown(self, component: InstanceStatus, now: float) -> None:
         """An instance is like this at ``now`` (UNIX time). One that does not answer is as it was, as far as we know."""
         if not component.answers:
             return
@@ -124,7 +124,7 @@ class ModeHistory:
             yield from (interval for interval in modes.values() if interval.began <= until)
 
 
-def _interval(component: ComponentView, functionality: FunctionalityView, began: float) -> ModeInterval:
+def _interval(component: InstanceStatus, functionality: FunctionalityStatus, began: float) -> ModeInterval:
     return ModeInterval(
         instance=component.name,
         role=component.role,

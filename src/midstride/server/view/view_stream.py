@@ -1,7 +1,8 @@
-"""The stream of the live view: server-sent events `view`, `patch` and `event`.
+"""The stream of a manager: server-sent events `view`, `patch` and `event`.
 
 The differences are made when the client takes them: one that does not read is owed nothing but the current state and
-the events that the manager keeps, and no queue grows for it.
+the events that the manager keeps, and no queue grows for it. A comment every few seconds keeps proxies from closing the
+connection, and shows when the client has gone.
 """
 
 from __future__ import annotations
@@ -13,23 +14,30 @@ from typing import Final, NamedTuple
 
 from midstride.codec.writing import to_json
 from midstride.runtime.timeouts import within
-from midstride.server.event_stream import KEEP_ALIVE
 from midstride.server.view.live import LiveView
 from midstride.server.view.timing import SOON
 
+# How long nothing is sent at most (s).
+KEEP_ALIVE: Final = 15.0
+_NUMBER: Final = re.compile(r"[0-9]{1,15}")
 _POSITION: Final = re.compile(r"([0-9a-f]+):([0-9]{1,15})(?:\.([0-9]{1,15}))?")
 
 
 class Position(NamedTuple):
-    """What a client was last sent: the state of a view of one manager, and the last event, where that is known."""
+    """What a client was last sent: the state of a view of one manager, and the last event, where that is known.
 
-    manager: str
+    ``manager`` is None where the client has the number of an event alone.
+    """
+
+    manager: str | None
     n: int
     event: int | None
 
 
 def position(text: str) -> Position | None:
-    """The position that an event's id is; None for any other text: its client is sent the whole view."""
+    """The position that an id or the number of an event is; None for any other text: its client is sent the whole."""
+    if _NUMBER.fullmatch(text):
+        return Position(None, 0, int(text))
     match = _POSITION.fullmatch(text)
     if match is None:
         return None
@@ -37,26 +45,33 @@ def position(text: str) -> Position | None:
     return Position(manager, int(n), None if event is None else int(event))
 
 
-async def view_events(live: LiveView, since: Position | None) -> AsyncGenerator[bytes, None]:
-    """The view, or what has changed since ``since``, and then each difference, until the manager exits."""
+async def stream(live: LiveView, since: Position | None, *, log_only: bool = False) -> AsyncGenerator[bytes, None]:
+    """The view, or what has changed since ``since``, and then each difference, until the manager exits.
+
+    ``log_only``: events of the log alone, from the first on where ``since`` says nothing, and only until it is known
+    that the system could not be brought up.
+    """
     lifecycle, events, table = live.lifecycle, live.events, live.table
-    known = since is not None and since.manager == live.manager
-    with live.client() as waker:
+    known = since is not None and since.manager in {None, live.manager}
+    with events.client() if log_only else live.client() as waker:
         sent = since.n if since is not None and known and table.knows(since.n) else 0
-        last = since.event if since is not None and known and since.event is not None else events.last
-        last = min(last, events.last)
-        ended = asyncio.ensure_future(lifecycle.ended.wait())
-        ended.add_done_callback(lambda _: waker.set())
+        unknown = 0 if log_only else events.last
+        last = since.event if since is not None and known and since.event is not None else unknown
+        last = unknown if last > events.last else last  # the number of an earlier manager's event
+        ends = [asyncio.ensure_future(end.wait()) for end in (lifecycle.ended, lifecycle.settled)]
+        for end in ends:
+            end.add_done_callback(lambda _: waker.set())
         loop = asyncio.get_running_loop()
         due = loop.time()  # when the next difference may be sent; an event may at any time
         try:
             yield b": midstride\n\n"
             while True:
                 waker.clear()
-                if over := ended.done():
+                over = lifecycle.ended.is_set() or (log_only and lifecycle.failure is not None)
+                if over and not log_only:
                     live.refresh(figures=False)  # the last difference is sent as well
-                known = table.knows(sent)
-                if not known or (table.n != sent and (over or loop.time() >= due)):
+                known = log_only or table.knows(sent)
+                if not known or (not log_only and table.n != sent and (over or loop.time() >= due)):
                     kind, json = ("patch", table.patch(sent)) if known else ("view", live.document())
                     sent, due = table.n, loop.time() + SOON
                     yield _message(kind, live.manager, sent, last, json)
@@ -65,12 +80,13 @@ async def view_events(live: LiveView, since: Position | None) -> AsyncGenerator[
                     yield _message("event", live.manager, sent, last, to_json(event))
                 if over:
                     return
-                if table.n != sent:
+                if not log_only and table.n != sent:
                     await _woken(waker, due - loop.time())
                 elif events.last == last and not await _woken(waker, KEEP_ALIVE):
                     yield b": still here\n\n"
         finally:
-            ended.cancel()
+            for end in ends:
+                end.cancel()
 
 
 async def _woken(waker: asyncio.Event, seconds: float) -> bool:

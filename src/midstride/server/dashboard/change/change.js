@@ -93,7 +93,7 @@ class ChangePanel {
 
   #offer() {
     const { store } = this.context;
-    const parameters = (/** @type {string} */ node) => Object.values(store.live?.components ?? {}).find((/** @type {any} */ each) => each.role === node)?.parameters ?? [];
+    const parameters = (/** @type {string} */ node) => Object.values(store.live?.instances ?? {}).find((/** @type {any} */ each) => each.role === node)?.parameters ?? [];
     this.form.offer(this.#specification, this.#choice, { versions: this.#versions, parameters });
     this.#choice = { ...this.#choice, ...this.form.settled };
     this.#drawActions();
@@ -112,7 +112,7 @@ class ChangePanel {
 
   #selected() {
     const { store } = this.context;
-    const role = store.live?.components[store.selected]?.role;
+    const role = store.live?.instances[store.selected]?.role;
     if (!role || this.#plan || this.#mine || ["add", "rollback"].includes(this.#choice.kind)) return;
     this.#choose({ kind: this.#choice.kind === "apply" ? "replace" : this.#choice.kind, node: role, component: "", parameter: "" });
   }

@@ -134,7 +134,7 @@ export class ComponentShape {
   update(entry, view, ghosts, detail) {
     const found = componentLook(entry, view);
     const fate = ghosts?.components.get(entry.name) ?? null;
-    const planned = fate === "created" && !(entry.name in view.components);
+    const planned = fate === "created" && !(entry.name in view.instances);
     set(this.element, "data-kind", found.kind);
     set(this.element, "data-fate", fate ?? "");
     set(this.element, "data-planned", String(planned));

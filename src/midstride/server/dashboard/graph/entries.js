@@ -37,5 +37,5 @@ export function crashedComponent({ name, role }) {
   const namespace = `/${slash < 0 ? "" : name.slice(0, slash)}`;
   const nothing = { node: null, pid: null, host: null, waiting: null, deviation: null, ending: false };
   const none = { differences: [], undeclared: [], functionalities: [], ports: [], parameters: [], endpoints: [] };
-  return { name, role: role ?? name, component: "exited", namespace, answers: false, as_modelled: false, ...nothing, ...none };
+  return { name, role: role ?? name, component: "exited", namespace, reachable: false, as_modelled: false, ...nothing, ...none };
 }

@@ -50,7 +50,7 @@ export function ghostsOf(plan, view, { step = null } = {}) {
     if (index === step) for (const name of subjects(each)) ghosts.current.add(name);
     if (each.action === "create") {
       ghosts.components.set(each.instance, "created");
-      if (!(each.instance in view.components)) planned.set(each.instance, newComponent(each, view));
+      if (!(each.instance in view.instances)) planned.set(each.instance, newComponent(each, view));
     } else if (each.action === "remove") ghosts.components.set(each.instance, "removed");
     else if (each.action === "attach") link(each.port, each.topic, "created");
     else if (each.action === "detach") link(each.port, each.topic, "removed");
@@ -96,7 +96,7 @@ function subjects(step) {
  * @returns {Component}
  */
 function newComponent(create, view) {
-  const before = Object.values(view.components).find((each) => each.role === create.role);
+  const before = Object.values(view.instances).find((each) => each.role === create.role);
   const slash = create.role.lastIndexOf("/");
   return {
     name: create.instance,
@@ -106,7 +106,7 @@ function newComponent(create, view) {
     host: before?.host ?? null,
     node: null,
     pid: null,
-    answers: true,
+    reachable: true,
     ending: false,
     waiting: null,
     as_modelled: true,
@@ -127,7 +127,7 @@ function newComponent(create, view) {
  * @param {View} view
  */
 function addPort(entry, port, topic, view) {
-  const like = Object.values(view.components)
+  const like = Object.values(view.instances)
     .filter((each) => each.role === entry.role || each.component === entry.component)
     .flatMap((each) => each.ports)
     .find((each) => each.name === port);

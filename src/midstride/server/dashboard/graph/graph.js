@@ -97,7 +97,7 @@ export class Graph {
   draw(view) {
     const before = this.#view;
     this.#view = view;
-    if (this.#plan !== null && (before === null || before.components !== view.components)) this.#makeGhosts();
+    if (this.#plan !== null && (before === null || before.instances !== view.instances)) this.#makeGhosts();
     const everything = before === null || before.crashed !== view.crashed;
     const structural = this.#gather(view, everything);
     this.#writer.update(everything);
@@ -198,7 +198,7 @@ export class Graph {
       if (before !== entry && (before === undefined || signature(before) !== signature(entry))) structural = true;
       found.set(entry.name, entry);
     };
-    for (const name in view.components) take(view.components[name]);
+    for (const name in view.instances) take(view.instances[name]);
     for (const entry of this.#ghosts?.planned ?? []) take(entry);
     for (const crash of view.crashed) {
       if (!found.has(crash.name)) take(this.#lastSeen.get(crash.name) ?? crashedComponent(crash));
@@ -211,14 +211,14 @@ export class Graph {
 
   /** @param {View} view */
   #remember(view) {
-    for (const name in view.components) this.#lastSeen.set(name, view.components[name]);
-    if (this.#lastSeen.size <= 2 * Object.keys(view.components).length + 100) return;
-    for (const name of this.#lastSeen.keys()) if (!(name in view.components)) this.#lastSeen.delete(name);
+    for (const name in view.instances) this.#lastSeen.set(name, view.instances[name]);
+    if (this.#lastSeen.size <= 2 * Object.keys(view.instances).length + 100) return;
+    for (const name of this.#lastSeen.keys()) if (!(name in view.instances)) this.#lastSeen.delete(name);
   }
 
   /** @param {Group} group */
   #isCollapsed(group) {
-    return this.#choices.get(group.id) ?? Object.keys(this.#view?.components ?? {}).length > COLLAPSE_ABOVE;
+    return this.#choices.get(group.id) ?? Object.keys(this.#view?.instances ?? {}).length > COLLAPSE_ABOVE;
   }
 
   async #restructure() {

@@ -29,7 +29,7 @@ export function namesIn(words, view) {
   const text = Array.isArray(words) ? words.join("\n") : words;
   for (const raw of text.match(/[\w/.~-]+/g) ?? []) {
     const name = raw.replace(/[.:,;-]+$/, "");
-    if (name in view.topics || name in view.components || owner(name) in view.components) found.add(name);
+    if (name in view.topics || name in view.instances || owner(name) in view.instances) found.add(name);
   }
   return [...found];
 }

@@ -26,7 +26,7 @@ const FEW = 6;
  * @returns {View}
  */
 function viewAt(view, timeline, at) {
-  const components = Object.assign(Object.create(null), view.components);
+  const components = Object.assign(Object.create(null), view.instances);
   for (const each of timeline.modes) {
     const component = components[each.instance];
     if (!component || each.began > at || (each.ended !== null && each.ended <= at)) continue;
@@ -37,7 +37,7 @@ function viewAt(view, timeline, at) {
     );
     components[each.instance] = { ...component, functionalities };
   }
-  return { ...view, components, at };
+  return { ...view, instances: components, at };
 }
 
 /**
@@ -61,7 +61,7 @@ function stepAt(timeline, at) {
  * @returns {Drawn}
  */
 export function reportGraph(element, views, plan, timeline) {
-  const many = Object.keys(views.before.components).length > FEW;
+  const many = Object.keys(views.before.instances).length > FEW;
   const canvas = h("div", { class: many ? "report-canvas large" : "report-canvas" });
   const words = h("p", { class: "muted", role: "status" });
   const graph = createGraph(canvas, {});

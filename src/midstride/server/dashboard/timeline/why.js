@@ -48,7 +48,7 @@ export class Why {
     this.element.hidden = false;
     const names = namesIn([name, instance, ...reasons], store.view);
     graph.highlight(names.length ? names : null); // it may be about what is not there any more
-    if (instance in store.view.components) graph.reveal(instance);
+    if (instance in store.view.instances) graph.reveal(instance);
   }
 
   close() {

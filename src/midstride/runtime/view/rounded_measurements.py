@@ -1,4 +1,4 @@
-"""Measured figures as they are shown: rounded, and the same as before until they have changed noticeably.
+"""Measurements as the stream shows them: rounded, and the same as before until they have changed noticeably.
 
 So a system in which nothing happens sends next to nothing, although no two measurements are equal.
 """
@@ -8,16 +8,16 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from midstride.server.view.view_forms import PortView
+from midstride.runtime.records.status_forms import PortStatus
 from midstride.wire.state import Measured
 
-# By which share of the shown value, and by how much, a figure must differ from it to be refreshed.
+# By which share of the shown value, and by how much, a measurement must differ from it to be refreshed.
 _RATE: Final = (0.01, 0.0)
 _AGE: Final = (0.5, 1.0)
 _TIMES: Final = (0.25, 0.002)
 
 
-class Figures(NamedTuple):
+class Measurements(NamedTuple):
     """Of one attachment: the rate in Hz, times in seconds; None where nothing is known."""
 
     rate: float | None = None
@@ -25,15 +25,20 @@ class Figures(NamedTuple):
     jitter: float | None = None
     longest: float | None = None
 
+    @classmethod
+    def of(cls, measured: Measured) -> Measurements:
+        """As measured."""
+        return cls(measured.rate, measured.age, measured.jitter, measured.longest)
 
-NO_FIGURES: Final = Figures()
+
+NOTHING_MEASURED: Final = Measurements()
 
 
-def figures(measured: Measured | None, shown: Figures = NO_FIGURES) -> Figures:
+def rounded(measured: Measured | None, shown: Measurements = NOTHING_MEASURED) -> Measurements:
     """What to show of an attachment, where ``shown`` is shown of it."""
     if measured is None:
-        return NO_FIGURES
-    return Figures(
+        return NOTHING_MEASURED
+    return Measurements(
         _refreshed(shown.rate, measured.rate, *_RATE),
         _refreshed(shown.age, measured.age, *_AGE),
         _refreshed(shown.jitter, measured.jitter, *_TIMES),
@@ -41,10 +46,10 @@ def figures(measured: Measured | None, shown: Figures = NO_FIGURES) -> Figures:
     )
 
 
-def differ(shown: Figures | PortView, measured: Measured | None) -> bool:
-    """Whether :func:`figures` are others than those ``shown``. Called for every port, so it must be cheap."""
+def differ_noticeably(shown: Measurements | PortStatus, measured: Measured | None) -> bool:
+    """Whether :func:`rounded` gives others than those ``shown``. Called for every port, so it must be cheap."""
     if measured is None:
-        return (shown.rate, shown.age, shown.jitter, shown.longest) != NO_FIGURES
+        return (shown.rate, shown.age, shown.jitter, shown.longest) != NOTHING_MEASURED
     return not (
         _stays(shown.rate, measured.rate, *_RATE)
         and _stays(shown.age, measured.age, *_AGE)

@@ -1,25 +1,8 @@
-"""The entry of one topic in the live view, and what of a view differs between two configurations."""
+"""What of a view differs between two configurations."""
 
 from __future__ import annotations
 
 from midstride.model.configuration import Configuration
-from midstride.model.rules import Evaluator
-from midstride.server.view.view_forms import TopicView
-
-
-def topic_view(configuration: Configuration, evaluator: Evaluator, name: str) -> TopicView:
-    """The entry of the connector ``name``."""
-    connector = configuration.context.connectors[name]
-    return TopicView(
-        name=name,
-        topic=connector.topic,
-        type=connector.guarantee.type,
-        rate=connector.guarantee.rate,
-        satisfied=evaluator.connector_satisfied(name),
-        publishers=[str(port) for port in sorted(configuration.publishers_on(name))],
-        subscribers=[str(port) for port in sorted(configuration.subscribers_on(name))],
-        outside=sorted({each.name for each in configuration.context.publishers_out_of_scope(connector)}),
-    )
 
 
 def changed_parts(before: Configuration, after: Configuration) -> tuple[set[str], set[str]]:

@@ -1,6 +1,7 @@
-"""The entry of one component in the live view, from its last report and the manager's model.
+"""The status of one instance, from its last report and the manager's model.
 
-It is built up to 20 times a second for each component that changes, so what does not change with a report is prepared.
+For the stream of the live view it is built up to 20 times a second for each instance that changes, so what does not
+change with a report is prepared. There, measurements are rounded, and what changes with every look is left out.
 """
 
 from __future__ import annotations
@@ -9,31 +10,27 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
+from msgspec import UNSET
+
 from midstride.model.component import FunctionalityRef, FunctionalitySpec, PortRef
 from midstride.model.configuration import Configuration, Instance
-from midstride.model.specification import Specification
-from midstride.runtime.view import status
-from midstride.runtime.view.watched_system import WatchedSystem
-from midstride.server.view.endpoint_views import endpoint_views
-from midstride.server.view.rounded_measurements import Figures, differ, figures
-from midstride.server.view.view_forms import ComponentView, FunctionalityView, PortView
-from midstride.wire.state import THIS_HOST, ComponentState, FunctionalityState, LinkState
+from midstride.model.graph_names import resolved
+from midstride.runtime.process.registration import REPORTED
+from midstride.runtime.records.status_forms import (
+    EndpointStatus,
+    FieldStatus,
+    FunctionalityStatus,
+    InstanceStatus,
+    ParameterStatus,
+    PortStatus,
+)
+from midstride.runtime.view.rounded_measurements import Measurements, differ_noticeably, rounded
+from midstride.runtime.view.watched_system import Baseline, WatchedSystem
+from midstride.wire.state import THIS_HOST, ComponentState, Endpoint, FunctionalityState, LinkState
 
 # By how much (s) the beginning of a mode may seem to move between two reports, which travel for different times.
 _SAME_MODE: Final = 0.5
 _NO_LINKS: Final[dict[str, LinkState]] = {}
-
-
-class Baseline:
-    """What the specification provides: for each role its component, and the best modes that the system allows."""
-
-    def __init__(self, specification: Specification, intended: Configuration) -> None:
-        self.specification = specification
-        self._modes = intended.modes
-
-    def level(self, role: str, functionality: str) -> int:
-        """The level of the mode that a functionality of a role should be in; 0 (the best) for an unknown one."""
-        return self._modes.get(FunctionalityRef(role, functionality), 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,24 +83,27 @@ def _port_shapes(configuration: Configuration, instance: Instance) -> Iterator[_
             yield _PortShape(port, direction, users, connector, topic, component.type_of(port))
 
 
-def component_view(
+def instance_status(
     watched: WatchedSystem,
-    configuration: Configuration,
     shape: EntryShape,
-    baseline: Baseline,
     now: float,
-    shown: ComponentView | None,
-    ports: list[PortView],
-) -> ComponentView:
-    """The entry of the instance of ``shape`` at ``now`` (UNIX time), where ``shown`` is the one before."""
-    instance = shape.instance
+    shown: InstanceStatus | None,
+    ports: list[PortStatus],
+    *,
+    exact: bool = False,
+) -> InstanceStatus:
+    """The status of the instance of ``shape`` at ``now`` (UNIX time), where ``shown`` is the one before.
+
+    ``exact``: with what changes with every look.
+    """
+    instance, configuration, baseline = shape.instance, watched.system.configuration, watched.baseline()
     latest = watched.system.life.latest(instance.name)
     state = watched.system.life.responsive(instance.name)
     handle = watched.system.life[instance.name].handle
     process = state or handle
     reported = now if latest is None else now - (watched.clock.steady() - latest.at)
-    modes = list(_functionalities(watched, configuration, shape, state, reported, shown))
-    return ComponentView(
+    modes = list(_functionalities(watched, configuration, shape, state, reported, shown, exact))
+    return InstanceStatus(
         name=instance.name,
         role=instance.role,
         component=instance.component.name,
@@ -111,18 +111,48 @@ def component_view(
         host=None if state is None or state.host in {"", THIS_HOST} else state.host,
         node=None if state is None else state.node,
         pid=None if process is None else process.pid,
-        answers=state is not None,
+        reachable=state is not None,
+        answers=state is not None and state.answers,
         ending=watched.system.life.is_ending(instance.name),
         waiting=None if state is None else state.waiting,
         as_modelled=all(each.mode == each.modelled for each in modes),
         differences=[] if state is None else state.differences,
         undeclared=[] if state is None else state.undeclared,
         deviation="; ".join(_deviations(instance, state, modes, ports, baseline)) or None,
+        simulated_time=state is not None and state.simulated_time,
+        run=instance.component.run,
+        log_file=None if handle is None else handle.log,
         functionalities=modes,
         ports=ports,
-        parameters=[] if state is None else status.parameters(state),
-        endpoints=endpoint_views(instance, state, watched.client.endpoints(instance.name)),
+        parameters=[] if state is None else parameters(state),
+        endpoints=endpoints(instance, state, watched.client.endpoints(instance.name)),
     )
+
+
+def is_sound(status: InstanceStatus) -> bool:
+    """Whether an instance does what its modes guarantee. One that waits for the clock of a simulation does not."""
+    return status.as_modelled and status.waiting is None and not status.differences
+
+
+def parameters(state: ComponentState) -> list[ParameterStatus]:
+    """The parameters of a component, by name."""
+    return [
+        ParameterStatus(name, value, state.declared.get(name, value), name in state.declared)
+        for name, value in sorted(state.parameters.items())
+    ]
+
+
+def endpoints(instance: Instance, state: ComponentState | None, reported: Sequence[Endpoint]) -> list[EndpointStatus]:
+    """What the component of ``instance`` allows; which end its node has is known where it has ``reported`` that.
+
+    A node with others is refused when it starts, so these are all.
+    """
+    if not instance.component.allows:
+        return []
+    node = instance.role if state is None or state.node is None else state.node
+    ends = {(endpoint.kind, endpoint.name): endpoint.serves for endpoint in reported}
+    found = {(REPORTED[each.kind], resolved(each.name, node)) for each in instance.component.allows}
+    return [EndpointStatus(kind=kind, name=name, serves=ends.get((kind, name))) for kind, name in sorted(found)]
 
 
 def namespace_of(role: str) -> str:
@@ -136,14 +166,15 @@ def _functionalities(
     shape: EntryShape,
     state: ComponentState | None,
     reported: float,
-    shown: ComponentView | None,
-) -> Iterator[FunctionalityView]:
+    shown: InstanceStatus | None,
+    exact: bool,
+) -> Iterator[FunctionalityStatus]:
     before = {} if shown is None else {each.name: each for each in shown.functionalities}
     for ref, functionality, modes in shape.functionalities:
         modelled = modes[configuration.modes[ref]]
         found = None if state is None else state.functionalities.get(functionality.name)
         mode = modelled if found is None else found.mode
-        yield FunctionalityView(
+        yield FunctionalityStatus(
             name=functionality.name,
             mode=mode,
             modes=modes,
@@ -153,51 +184,64 @@ def _functionalities(
             reflex=found is not None and found.reflex,
             restoring=watched.restorer.status(ref),
             since=None if found is None else _since(found, reported, before.get(functionality.name)),
+            busy=(None if found is None else found.busy) if exact else UNSET,
         )
 
 
-def _since(found: FunctionalityState, reported: float, before: FunctionalityView | None) -> float:
+def _since(found: FunctionalityState, reported: float, before: FunctionalityStatus | None) -> float:
     """When the mode began: the same as before while it lasts, although each report was on its way for another time."""
     began = reported - found.since
     known = before.since if before is not None and before.mode == found.mode else None
     return known if known is not None and abs(began - known) <= _SAME_MODE else round(began, 3)
 
 
-def port_views(
-    shape: EntryShape, state: ComponentState | None, before: Sequence[PortView], *, refresh: bool
-) -> list[PortView]:
+def port_statuses(
+    shape: EntryShape,
+    state: ComponentState | None,
+    before: Sequence[PortStatus] = (),
+    *,
+    refresh: bool = True,
+    exact: bool = False,
+) -> list[PortStatus]:
     """The ports of the instance; ``before`` are those of the entry before, if that had the same shape, else empty.
 
-    ``refresh``: with new figures. A port that stays the same is the same object.
+    ``refresh``: with new measurements. A port that stays the same is the same object. ``exact``: as measured.
     """
     if state is None:
-        return [_port(port, None, None, None, refresh) for port in shape.ports]
-    found: list[PortView] = []
+        return [_port(port, None, None, None, refresh, exact) for port in shape.ports]
+    found: list[PortStatus] = []
     for index, (port, declared) in enumerate(zip(shape.ports, shape.declared(state), strict=True)):
         link = None if port.topic is None else state.ports.get(port.name, _NO_LINKS).get(port.topic)
-        found.append(_port(port, link, declared, before[index] if before else None, refresh))
+        found.append(_port(port, link, declared, before[index] if before else None, refresh, exact))
     return found
 
 
 def _port(
-    port: _PortShape, link: LinkState | None, declared: float | None, shown: PortView | None, refresh: bool
-) -> PortView:
+    port: _PortShape,
+    link: LinkState | None,
+    declared: float | None,
+    shown: PortStatus | None,
+    refresh: bool,
+    exact: bool,
+) -> PortStatus:
     gate, measured = (None, None) if link is None else (link.gate, link.measured)
     met = None if declared is None or measured is None else measured.meets(declared)
     refresh = refresh or link is None
-    if shown is None:
-        found = figures(measured)
+    if exact:
+        found = Measurements() if measured is None else Measurements.of(measured)
+    elif shown is None:
+        found = rounded(measured)
     elif (
         shown.gate == gate
         and shown.declared == declared
         and shown.met == met
-        and not (refresh and differ(shown, measured))
+        and not (refresh and differ_noticeably(shown, measured))
     ):
         return shown
     else:
-        before = Figures(shown.rate, shown.age, shown.jitter, shown.longest)
-        found = figures(measured, before) if refresh else before
-    return PortView(
+        before = Measurements(shown.rate, shown.age, shown.jitter, shown.longest)
+        found = rounded(measured, before) if refresh else before
+    return PortStatus(
         name=port.name,
         direction=port.direction,
         functionalities=port.functionalities,
@@ -210,14 +254,30 @@ def _port(
         age=found.age,
         jitter=found.jitter,
         longest=found.longest,
+        window=(None if measured is None else measured.window) if exact else UNSET,
+        fields=_fields(link) if exact else UNSET,
     )
+
+
+def _fields(link: LinkState | None) -> list[FieldStatus]:
+    return [
+        FieldStatus(
+            field=name,
+            constraint=each.constraint,
+            checked=each.checked,
+            violations=each.violations,
+            run=each.run,
+            last=each.last,
+        )
+        for name, each in ({} if link is None else link.fields).items()
+    ]
 
 
 def _deviations(
     instance: Instance,
     state: ComponentState | None,
-    functionalities: list[FunctionalityView],
-    ports: list[PortView],
+    functionalities: list[FunctionalityStatus],
+    ports: list[PortStatus],
     baseline: Baseline,
 ) -> Iterator[str]:
     """In which way an instance is not as specified."""

@@ -1,0 +1,1291 @@
+// The forms of the HTTP API (docs/http.md), for the checker of the dashboard's modules.
+// `make reference` writes this file from midstride.server.openapi.
+
+declare namespace Api {
+  /** The best plan in which one functionality does not fall below its baseline, or why there is none. */
+  interface Alternative {
+    functionality: string;
+    /** that of its baseline */
+    kept_at: string;
+    disruption: number | null;
+    /** that degrade instead */
+    degraded: (string)[];
+    /** why no plan keeps it; null where one does */
+    impossible: string | null;
+  }
+
+  /** UNKNOWN is neither yes nor no: ``Verdict.because`` says why there is no answer. */
+  type Answer = "holds" | "unknown" | "violated";
+
+  /** One of several inputs, or what a message of some input must be like. */
+  type AssumptionForm = { /** one of these inputs */ any_of: (string)[]; } | { /** the message type, pkg/msg/Type or pkg/Type */ type: string; /** in Hz, at least */ rate?: number; qos?: QoSForm; /** the values that fields may have, by dotted path */ where?: Record<string, ValuesForm>; };
+
+  /** A port of an instance is attached to a topic. */
+  interface AttachStep {
+    action: "attach";
+    port: string;
+    topic: string;
+    seconds: number;
+    /** the shortest and the longest that were measured (s) */
+    between?: [number, number];
+  }
+
+  /** What the creations and removals of some roles lose at least, whatever the others do. */
+  interface BoundPartForm {
+    roles: (string)[];
+    /** in weighted functionality-seconds */
+    bound: number;
+  }
+
+  /** One link of the chain from an assumption to its unmet cause, for diagrams. */
+  interface CauseLink {
+    kind: "assumption" | "environment" | "functionality" | "input" | "output" | "topic";
+    name: string;
+    detail: string;
+    satisfied: boolean;
+    causes?: (CauseLink)[];
+  }
+
+  /** A change; without an outcome, it is in progress. */
+  interface ChangeRecord {
+    number: number;
+    /** when it began, in unix seconds */
+    at: number;
+    command: string;
+    /** who asked for it, in the client's words */
+    by: string | null;
+    /** how many steps its plan has */
+    total: number;
+    /** those that were begun */
+    steps: (StepRecord)[];
+    /** of the specification that is in force afterwards */
+    version: number;
+    outcome: "done" | "failed" | "refused" | "rolled_back" | null;
+    because: string | null;
+    seconds: number | null;
+    /** the longest, in seconds; null where it is unknown */
+    gap: number | null;
+    /** messages, at all subscribers; null where it is unknown */
+    missed: number | null;
+    /** what was measured at each subscriber */
+    swaps: (SwapReport)[];
+  }
+
+  /** A change of the history. Null: not recorded, as by an earlier version, or because the manager ended meanwhile. */
+  interface ChangeReport {
+    change: ChangeRecord;
+    plan: PlanPreview | null;
+    /** the specification it began with */
+    before: SpecificationForm | null;
+    /** the one it was to lead to */
+    after: SpecificationForm | null;
+    /** as it was reported, without the plan */
+    outcome: Outcome | null;
+    timeline: ChangeTimeline | null;
+    /** from its beginning to its end */
+    incidents: (Incident)[];
+  }
+
+  /** What is asked for: single changes, or a whole specification (`to`) to change to. */
+  interface ChangeRequest {
+    /** [node, component] pairs */
+    replace?: ([string, string])[];
+    /** nodes to restart: each gets a new instance */
+    restart?: (string)[];
+    /** nodes to add */
+    add?: (NewNode)[];
+    /** nodes to remove */
+    remove?: (string)[];
+    to?: SpecificationForm | null;
+    /** components that the specification does not have yet */
+    components?: (NamedComponentForm)[];
+    strategy?: "minimal" | "paper" | "quiesce" | "stop";
+    /** with `minimal`: nodes that stay may be moved, and roles have stand-ins meanwhile */
+    detours?: boolean;
+    /** start with the declared values of parameters, not with those set at run time */
+    declared_parameters?: boolean;
+    /** for a plan that is only shown: what it would cost to keep what it degrades */
+    explain?: boolean;
+  }
+
+  /** What happened during a change; times in unix seconds. ``modes``: of its nodes, and of all that was lowered. */
+  interface ChangeTimeline {
+    since: number;
+    until: number;
+    modes: (ModeInterval)[];
+    events: (Event)[];
+  }
+
+  /** The change in progress, or the last one that ended. */
+  interface ChangeView {
+    /** the one in its request */
+    id: string | null;
+    command: string;
+    state: "ended" | "executing" | "measuring" | "planning" | "rolling_back" | "verifying";
+    /** null until it is planned */
+    plan: PlanPreview | null;
+    /** the latest step that has begun, from 0 */
+    index: number | null;
+    /** how many steps the plan has */
+    total: number | null;
+    /** seconds since 1970 */
+    began: number;
+    ended: number | null;
+    steps: (StepView)[];
+    /** what each subscriber saw, as measured */
+    swaps: (SwapReport)[];
+    outcome: "done" | "failed" | "refused" | "rolled_back" | null;
+    /** how it ended, in words */
+    because: string | null;
+  }
+
+  /** Whether the text can be applied: `request` is then what `/plan` and `/change` take. */
+  interface CheckedText {
+    ok: boolean;
+    diagnostics: (DiagnosticReport)[];
+    /** null where there are errors */
+    request: ChangeRequest | null;
+  }
+
+  /** A component, whose name is the key it is under. */
+  interface ComponentForm {
+    /** the command that starts it; none: started elsewhere */
+    run?: string;
+    /** the ROS 2 package of its program */
+    package?: string;
+    takes_seconds?: number;
+    /** what it holds of resources */
+    holds?: Record<string, number>;
+    /** its parameters */
+    parameters?: Record<string, ParameterForm>;
+    /** endpoints that are not ports */
+    allows?: (EndpointForm)[];
+    /** its assumption on each input */
+    inputs?: Record<string, InputForm>;
+    /** the names of its outputs */
+    outputs?: (string)[];
+    /** what it does */
+    functionalities?: Record<string, FunctionalityForm>;
+    /** what holds it back; none: it uses Midstride's API */
+    gate?: "lifecycle" | "lifecycle preload" | "none" | "preload" | "relay";
+    /** what its program calls the topics of its ports */
+    topics?: Record<string, string>;
+  }
+
+  /** A configuration, with the topics, resources and environment that it lives in. */
+  interface ConfigurationForm {
+    context: SpecificationForm;
+    instances: (InstanceForm)[];
+    attachments: ([string, string])[];
+    /** the current mode of each functionality */
+    modes: Record<string, string>;
+  }
+
+  /** A constraint on every plan. */
+  type ConstraintForm = { keep: string; at: string; } | { limit: string; below_baseline_seconds: number; } | { order: string; before: string; };
+
+  /** An instance that exited unexpectedly; `status` is negative for a signal, null where it is not known. */
+  interface CrashedInstance {
+    name: string;
+    status: number | null;
+    log: string;
+    /** what to do, in words */
+    remedy: string | null;
+    /** null: the node has no restart policy */
+    respawn: RespawnStatus | null;
+    /** null: the specification does not have it any more */
+    role: string | null;
+  }
+
+  /** A new instance is started. */
+  interface CreateStep {
+    action: "create";
+    /** the shortest and the longest that were measured (s) */
+    between?: [number, number];
+    instance: string;
+    role: string;
+    component: string;
+    parameters: Record<string, boolean | number | string | (boolean | number | string)[]>;
+    seconds: number;
+  }
+
+  /** A functionality of a role below its baseline: the steps that take it there and back, how long, and why. Steps count from 1; from step 0: the plan begins below; to step null: it ends below. ``seconds`` adds up the estimates of the steps during which it is below. */
+  interface Degradation {
+    functionality: string;
+    from_step: number;
+    to_step: number | null;
+    seconds: number;
+    because: string;
+    /** from which on no instance serves it; null where one always does */
+    unserved_from_step: number | null;
+    /** the capacities and caps that keep the new side from coming first */
+    forced_by: (string)[];
+  }
+
+  /** Functionalities enter worse modes. */
+  interface DegradeStep {
+    action: "degrade";
+    modes: Record<string, ModeChangeForm>;
+    seconds: number;
+    /** the shortest and the longest that were measured (s) */
+    between?: [number, number];
+  }
+
+  /** A functionality of a role that is in a worse mode than before the change, or if it is new, than its normal one. `planned`: the plan led there. Otherwise its code raised, say, or what it relies on has exited. */
+  interface DegradedFunctionality {
+    functionality: string;
+    /** the better mode */
+    from: string | null;
+    /** the mode now; null: no instance serves it */
+    to: string | null;
+    planned: boolean;
+    because: string | null;
+  }
+
+  /** A port of an instance is detached from a topic. */
+  interface DetachStep {
+    action: "detach";
+    port: string;
+    topic: string;
+    seconds: number;
+    /** the shortest and the longest that were measured (s) */
+    between?: [number, number];
+  }
+
+  /** What one role does beyond the change: it moves away and back, or has a stand-in, or both. */
+  interface DetourForm {
+    role: string;
+    /** a node that stays is replaced by one like it */
+    moved: boolean;
+    /** of the instance that exists during the plan only */
+    stand_in: string | null;
+  }
+
+  /** A problem in a text, as `midstride check --json` prints it; `end_column` is exclusive. */
+  interface DiagnosticReport {
+    code: string;
+    severity: "error" | "warning";
+    file: string;
+    /** from 1 */
+    line: number;
+    /** from 1 */
+    column: number;
+    /** from 1 */
+    end_line: number;
+    /** from 1 */
+    end_column: number;
+    message: string;
+    help: string | null;
+    /** what follows from it */
+    follows: string | null;
+    notes: (NotePlace)[];
+  }
+
+  /** The system is down. */
+  interface DownReport {
+    outcome: "done";
+  }
+
+  /** An endpoint of the node that is not a port. */
+  interface EndpointForm {
+    kind: "action" | "service" | "topic";
+    name: string;
+  }
+
+  /** A service, ROS action or topic of an instance's node that is no port, as its component allows it. */
+  interface EndpointStatus {
+    kind: "ROS action" | "service" | "topic";
+    /** in full, as `/map/save` */
+    name: string;
+    /** it is the server; false: it calls it; null: a topic, or not known */
+    serves: boolean | null;
+  }
+
+  /** What happened: numbered from 1, at a time (unix seconds), its kind, in words, with the details of that kind. */
+  interface Event {
+    n: number;
+    at: number;
+    kind: string;
+    words: string;
+    /** waiting: the command that waits */
+    command?: string;
+    /** waiting, command: the id in its request */
+    id?: string | null;
+    /** step…: which step, from 0 */
+    index?: number;
+    /** step…, rollback: how many steps there are */
+    total?: number;
+    /** step…: the step of the plan */
+    step?: CreateStep | RemoveStep | AttachStep | DetachStep | DegradeStep | UpgradeStep | HandoverStep | SetStep;
+    /** plan: what will be done */
+    plan?: PlanPreview;
+    /** measured: what each subscriber saw */
+    swaps?: (SwapReport)[];
+    /** verified: what Alloy found */
+    verdict?: Verdict;
+    /** outcome, parameters: how the command ended */
+    outcome?: "done" | "failed" | "refused" | "rolled_back";
+    /** degraded: which functionality */
+    functionality?: string;
+    /** fenced: which instance */
+    instance?: string;
+    /** exited: the last of the instance's output */
+    log?: string;
+  }
+
+  /** An operation that failed. */
+  interface Failure {
+    error: FailureDetails;
+  }
+
+  /** The exception's name, as in midstride.errors, its message, and each fault of a specification. */
+  interface FailureDetails {
+    kind: string;
+    message: string;
+    problems?: (string)[];
+  }
+
+  /** An instance that hung, was stopped or too slow, and was replaced inside a call of its user code. */
+  interface FencedInstance {
+    instance: string;
+    /** its outputs were closed, or its process was killed */
+    how: "gate" | "killed";
+    because: string;
+    words: string;
+  }
+
+  /** Samples of one field that the contract constrains. */
+  interface FieldStatus {
+    field: string;
+    constraint: string;
+    checked: number;
+    violations: number;
+    /** how many of the latest samples violate it, without one that meets it */
+    run: number;
+    /** the last value that violated it */
+    last: boolean | number | string | null;
+  }
+
+  /** One violation, in the names of the file. ``step`` counts from 1; None is the configuration at the start (or the only one), the declarations, or the end. */
+  interface Finding {
+    kind: "assumption" | "attachment" | "cap" | "capacity" | "document" | "effect" | "end" | "name" | "precondition" | "rule";
+    step: number | null;
+    where: string;
+    subject: string;
+    because: string;
+    assumption: string | null;
+    chain: CauseLink | null;
+  }
+
+  /** A computation from inputs to outputs, with its chain of modes. */
+  interface FunctionalityForm {
+    /** how much its loss matters */
+    weight?: number;
+    /** its inputs */
+    uses?: (string)[];
+    /** its outputs */
+    produces?: (string)[];
+    /** its modes, best first */
+    modes: Record<string, ModeForm>;
+  }
+
+  /** A functionality of an instance, in the mode that its component reports, else in that of the manager's model. */
+  interface FunctionalityStatus {
+    name: string;
+    mode: string;
+    /** best first */
+    modes: (string)[];
+    /** the mode in the manager's model */
+    modelled: string;
+    /** it is in its best mode */
+    normal: boolean;
+    /** why it is in this mode */
+    because: string | null;
+    /** the component's local reflex has led to this mode */
+    reflex: boolean;
+    /** whether and when it is restored after that, in words; null: by a command only */
+    restoring: string | null;
+    /** when it entered this mode; null: not known */
+    since: number | null;
+    /** how long the current call of user code has taken, in seconds */
+    busy?: number | null;
+  }
+
+  /** Topics change their publisher at one moment. */
+  interface HandoverStep {
+    action: "handover";
+    swaps: (SwapForm)[];
+    seconds: number;
+    /** the shortest and the longest that were measured (s) */
+    between?: [number, number];
+  }
+
+  /** The latest changes, oldest first, and the incidents since the first of them. */
+  interface History {
+    changes: (ChangeRecord)[];
+    incidents: (Incident)[];
+    /** where an earlier history is kept that could not be read */
+    damaged: string | null;
+  }
+
+  /** What happened besides, such as an instance that exited. */
+  interface Incident {
+    at: number;
+    kind: string;
+    words: string;
+  }
+
+  /** What an input assumes of its topics, how many missed messages it tolerates, and whether it is a condition. */
+  interface InputForm {
+    /** the message type, pkg/msg/Type or pkg/Type */
+    type: string;
+    /** in Hz, at least */
+    rate?: number;
+    qos?: QoSForm;
+    /** the values that fields may have, by dotted path */
+    where?: Record<string, ValuesForm>;
+    /** missed in succession */
+    tolerates?: number;
+    /** whether its last message decides */
+    condition?: boolean;
+  }
+
+  /** What runs: an instance of a role's component, with the values of its parameters. */
+  interface InstanceForm {
+    name: string;
+    role: string;
+    component: NamedComponentForm;
+    parameters: Record<string, boolean | number | string | (boolean | number | string)[]>;
+  }
+
+  /** An instance, as it last reported itself. */
+  interface InstanceStatus {
+    name: string;
+    role: string;
+    component: string;
+    /** of its role: `/` or `/front` */
+    namespace: string;
+    /** the computer or container that reports it; null: the manager's */
+    host: string | null;
+    /** the full name of its ROS node; null where there is none */
+    node: string | null;
+    pid: number | null;
+    /** it has reported its state in the last 2 s */
+    reachable: boolean;
+    /** it answers requests to its node's services */
+    answers: boolean;
+    /** it has been asked to end */
+    ending: boolean;
+    /** what it is waiting for */
+    waiting: string | null;
+    /** its modes are those of the manager's model */
+    as_modelled: boolean;
+    /** in which way its node is not what is declared */
+    differences: (string)[];
+    /** the topics of its node that are no ports: they have no gate */
+    undeclared: (string)[];
+    /** in which way it is not as specified, in words; null: it is */
+    deviation: string | null;
+    /** /clock drives its ROS clock */
+    simulated_time: boolean;
+    /** the command it was started with; null: it was started elsewhere */
+    run: string | null;
+    log_file: string | null;
+    functionalities: (FunctionalityStatus)[];
+    ports: (PortStatus)[];
+    /** none where it is not reachable */
+    parameters: (ParameterStatus)[];
+    /** that are no ports, by kind and name */
+    endpoints: (EndpointStatus)[];
+    /** of its program: changed on disk since it started */
+    changed_files?: (string)[];
+    /** what is not known of its program's files */
+    unknown_files?: string | null;
+  }
+
+  /** A functionality of a role that ends in another mode than it began in; null: no instance serves it. */
+  interface LevelShift {
+    functionality: string;
+    from: string | null;
+    to: string | null;
+    /** by how many it ends lower */
+    levels: number;
+  }
+
+  /** The configuration as its components report it; those in `silent` are as in the manager's model. */
+  interface LiveConfiguration {
+    revision: number;
+    silent: (string)[];
+    configuration: ConfigurationForm;
+  }
+
+  /** What a back end sets in the environment of the processes that it starts, and what it leaves as set. */
+  interface Middleware {
+    name: string;
+    set: Record<string, string>;
+    kept: Record<string, string>;
+    notes: (string)[];
+  }
+
+  /** The mode that a functionality leaves, and the one that it enters. */
+  interface ModeChangeForm {
+    from: string;
+    to: string;
+  }
+
+  /** A mode: what it assumes, and what it then guarantees on outputs; those left out produce nothing. */
+  interface ModeForm {
+    assumes?: (string | AssumptionForm)[];
+    /** by output */
+    guarantees?: Record<string, PredicateForm>;
+    /** the parameters that are set on entry */
+    parameters?: Record<string, boolean | number | string | (boolean | number | string)[]>;
+  }
+
+  /** A functionality was in one mode; times in unix seconds. `because` says why it had entered it. */
+  interface ModeInterval {
+    instance: string;
+    role: string;
+    functionality: string;
+    mode: string;
+    /** of its mode: 0 is the best */
+    level: number;
+    /** how many modes it has */
+    levels: number;
+    because: string | null;
+    /** the component's local reflex has led to this mode */
+    reflex: boolean;
+    began: number;
+    /** null: it was in this mode to the end */
+    ended: number | null;
+  }
+
+  /** Functionalities of several instances that support each other, and so changed their modes in one step. */
+  interface ModeSkew {
+    /** `degrade` or `upgrade` */
+    kind: string;
+    functionalities: (string)[];
+    /** between the first and the last of them, as measured */
+    seconds: number;
+  }
+
+  /** A component by itself, its name in it: what a node registers. */
+  interface NamedComponentForm {
+    /** the command that starts it; none: started elsewhere */
+    run?: string;
+    /** the ROS 2 package of its program */
+    package?: string;
+    takes_seconds?: number;
+    /** what it holds of resources */
+    holds?: Record<string, number>;
+    /** its parameters */
+    parameters?: Record<string, ParameterForm>;
+    /** endpoints that are not ports */
+    allows?: (EndpointForm)[];
+    /** its assumption on each input */
+    inputs?: Record<string, InputForm>;
+    /** the names of its outputs */
+    outputs?: (string)[];
+    /** what it does */
+    functionalities?: Record<string, FunctionalityForm>;
+    /** what holds it back; none: it uses Midstride's API */
+    gate?: "lifecycle" | "lifecycle preload" | "none" | "preload" | "relay";
+    /** what its program calls the topics of its ports */
+    topics?: Record<string, string>;
+    name: string;
+  }
+
+  /** A node to add: its role, its component, and the topics its ports are attached to. */
+  interface NewNode {
+    component: string;
+    /** the topics of each port */
+    attachments?: Record<string, (string)[]>;
+    /** its own values, over its component's */
+    parameters?: Record<string, boolean | number | string | (boolean | number | string)[]>;
+    respawn?: RespawnForm;
+    role: string;
+  }
+
+  /** A node: its component, the topics of its ports, its own parameter values. */
+  interface NodeForm {
+    component: string;
+    /** the topics of each port */
+    attachments?: Record<string, (string)[]>;
+    /** its own values, over its component's */
+    parameters?: Record<string, boolean | number | string | (boolean | number | string)[]>;
+    respawn?: RespawnForm;
+  }
+
+  /** A further place that a diagnostic is about. */
+  interface NotePlace {
+    message: string;
+    file: string;
+    /** from 1 */
+    line: number;
+    /** from 1 */
+    column: number;
+  }
+
+  /** What the environment guarantees; with a topic, as a publisher of it. */
+  interface OfferForm {
+    guarantee: PredicateForm;
+    topic?: string;
+  }
+
+  /** The result of a change; `refused`: nothing was changed. */
+  interface Outcome {
+    outcome: "done" | "failed" | "refused" | "rolled_back";
+    plan: PlanForm | null;
+    seconds: number;
+    /** those that were done, as measured */
+    steps: (StepTime)[];
+    skews: (ModeSkew)[];
+    /** as measured, by functionality */
+    below_baseline_seconds: Record<string, number>;
+    swaps: (SwapReport)[];
+    /** seconds by which a new component's first slot waited for its state, over a period */
+    late: Record<string, number>;
+    /** new components that continue without the state of the old one: what is lost, and why */
+    own_state: Record<string, string>;
+    because: string | null;
+    /** what became of values that were set at run time */
+    parameters: (RuntimeValue)[];
+    /** of instances, meanwhile */
+    unexpected_exits: (string)[];
+    /** of functionalities, meanwhile */
+    unexpected_degradations: (string)[];
+    /** replaced although they hung */
+    fenced: (FencedInstance)[];
+    /** faults that began meanwhile, and last */
+    silences: (SilenceFault)[];
+    /** what is in a worse mode afterwards */
+    remaining_degradations: (DegradedFunctionality)[];
+    /** what Alloy found, where requested */
+    verdict?: Verdict;
+  }
+
+  /** A parameter's value, and whether it can be set in place. */
+  interface ParameterForm {
+    /** the value of a parameter; a list is of one kind */
+    value: boolean | number | string | (boolean | number | string)[];
+    changeable?: boolean;
+  }
+
+  /** Values to set at run time, all of them or none: of the parameters of a node, by name. */
+  interface ParameterSetting {
+    node: string;
+    parameters: Record<string, boolean | number | string | (boolean | number | string)[]>;
+  }
+
+  /** A parameter of a component. Where it was set at run time, `declared` is the value that it was started with. */
+  interface ParameterStatus {
+    name: string;
+    /** the value of a parameter; a list is of one kind */
+    value: boolean | number | string | (boolean | number | string)[];
+    /** the value of a parameter; a list is of one kind */
+    declared: boolean | number | string | (boolean | number | string)[];
+    set_at_run_time: boolean;
+  }
+
+  /** The parameters that were set, as the instance has them now. */
+  interface ParametersReport {
+    instance: string;
+    parameters: (ParameterStatus)[];
+  }
+
+  /** A change that this manager has carried out, or carries out. */
+  interface PastChange {
+    id: string | null;
+    command: string;
+    /** seconds since 1970 */
+    began: number;
+    ended: number | null;
+    outcome: "done" | "failed" | "refused" | "rolled_back" | null;
+    because: string | null;
+  }
+
+  /** What has changed in a view since what the client was last sent. What is absent is as before. `instances` and `topics` have the entries that changed, by name; null for one that is gone. */
+  interface Patch {
+    n: number;
+    /** seconds since 1970 */
+    at: number;
+    system?: string;
+    backend?: string;
+    phase?: "down" | "failed" | "starting" | "up";
+    revision?: number;
+    running?: RunningCommand | null;
+    valid?: boolean;
+    violations?: (string)[];
+    instances?: Record<string, InstanceStatus | null>;
+    topics?: Record<string, TopicStatus | null>;
+    crashed?: (CrashedInstance)[];
+    silences?: (SilenceFault)[];
+    unwritten?: string | null;
+    damaged?: string | null;
+    file?: string | null;
+    changed_since?: boolean;
+    middleware?: Middleware;
+    spares?: SpareStatus;
+    change?: ChangeView | null;
+  }
+
+  /** A plan, whole: it can be verified alone. */
+  interface PlanForm {
+    strategy: string;
+    proved_minimal: boolean;
+    /** in weighted functionality-seconds */
+    disruption: number;
+    lower_bound: number;
+    /** the plans that the lower bound speaks of */
+    proof_space: "detours" | "direct";
+    /** the critical path of the steps, in seconds */
+    makespan: number;
+    /** one step after another */
+    seconds: number;
+    /** as the plan is carried out: what can start or end at once, does */
+    duration?: number;
+    /** the shortest and the longest that were measured (s) */
+    between?: [number, number];
+    /** of roles, ever below their baseline */
+    degraded: (string)[];
+    /** when and why each of them is below its baseline */
+    degradations: (Degradation)[];
+    /** what is in another mode for good */
+    level_shifts: (LevelShift)[];
+    start: SpecificationForm;
+    target: SpecificationForm;
+    /** what it would cost to keep what degrades, where that was asked for */
+    alternatives?: (Alternative)[];
+    steps: (CreateStep | RemoveStep | AttachStep | DetachStep | DegradeStep | UpgradeStep | HandoverStep | SetStep)[];
+    /** by role, at the start: instances without their role's name; null: none is live */
+    start_instances?: Record<string, string | null>;
+    /** at the start: the modes that are not the best possible */
+    start_modes?: Record<string, string>;
+    /** of parameters, set at run time, and what becomes of them */
+    parameters?: (RuntimeValue)[];
+    /** by new instance: why it starts with its own state */
+    own_state?: Record<string, string>;
+    /** what is done besides, and why */
+    remarks?: (string)[];
+    /** what is done beyond the change itself */
+    detours?: (DetourForm)[];
+    /** of the lower bound, which add up to it; absent where there is none */
+    certificate?: (BoundPartForm)[];
+    /** how long steps took in earlier runs: what is expected, the shortest and the longest (s); only of a plan whose proof covers detours, since it rests on steps that the plan does not take */
+    measured?: Record<string, [number, number, number]>;
+  }
+
+  /** A plan without the specifications that it starts from and leads to. */
+  interface PlanPreview {
+    strategy: string;
+    proved_minimal: boolean;
+    /** in weighted functionality-seconds */
+    disruption: number;
+    lower_bound: number;
+    /** the plans that the lower bound speaks of */
+    proof_space: "detours" | "direct";
+    /** the critical path of the steps, in seconds */
+    makespan: number;
+    /** one step after another */
+    seconds: number;
+    /** as the plan is carried out: what can start or end at once, does */
+    duration?: number;
+    /** the shortest and the longest that were measured (s) */
+    between?: [number, number];
+    /** of roles, ever below their baseline */
+    degraded: (string)[];
+    /** when and why each of them is below its baseline */
+    degradations: (Degradation)[];
+    /** what is in another mode for good */
+    level_shifts: (LevelShift)[];
+    steps: (CreateStep | RemoveStep | AttachStep | DetachStep | DegradeStep | UpgradeStep | HandoverStep | SetStep)[];
+    /** by role, at the start: instances without their role's name; null: none is live */
+    start_instances?: Record<string, string | null>;
+    /** at the start: the modes that are not the best possible */
+    start_modes?: Record<string, string>;
+    /** of parameters, set at run time, and what becomes of them */
+    parameters?: (RuntimeValue)[];
+    /** by new instance: why it starts with its own state */
+    own_state?: Record<string, string>;
+    /** what is done besides, and why */
+    remarks?: (string)[];
+    /** what is done beyond the change itself */
+    detours?: (DetourForm)[];
+    /** of the lower bound, which add up to it; absent where there is none */
+    certificate?: (BoundPartForm)[];
+    /** how long steps took in earlier runs: what is expected, the shortest and the longest (s); only of a plan whose proof covers detours, since it rests on steps that the plan does not take */
+    measured?: Record<string, [number, number, number]>;
+  }
+
+  /** A plan, and the revision of the configuration that it was made for: `expected` of a change. */
+  interface PlannedChange {
+    strategy: string;
+    proved_minimal: boolean;
+    /** in weighted functionality-seconds */
+    disruption: number;
+    lower_bound: number;
+    /** the plans that the lower bound speaks of */
+    proof_space: "detours" | "direct";
+    /** the critical path of the steps, in seconds */
+    makespan: number;
+    /** one step after another */
+    seconds: number;
+    /** as the plan is carried out: what can start or end at once, does */
+    duration?: number;
+    /** the shortest and the longest that were measured (s) */
+    between?: [number, number];
+    /** of roles, ever below their baseline */
+    degraded: (string)[];
+    /** when and why each of them is below its baseline */
+    degradations: (Degradation)[];
+    /** what is in another mode for good */
+    level_shifts: (LevelShift)[];
+    start: SpecificationForm;
+    target: SpecificationForm;
+    /** what it would cost to keep what degrades, where that was asked for */
+    alternatives?: (Alternative)[];
+    steps: (CreateStep | RemoveStep | AttachStep | DetachStep | DegradeStep | UpgradeStep | HandoverStep | SetStep)[];
+    /** by role, at the start: instances without their role's name; null: none is live */
+    start_instances?: Record<string, string | null>;
+    /** at the start: the modes that are not the best possible */
+    start_modes?: Record<string, string>;
+    /** of parameters, set at run time, and what becomes of them */
+    parameters?: (RuntimeValue)[];
+    /** by new instance: why it starts with its own state */
+    own_state?: Record<string, string>;
+    /** what is done besides, and why */
+    remarks?: (string)[];
+    /** what is done beyond the change itself */
+    detours?: (DetourForm)[];
+    /** of the lower bound, which add up to it; absent where there is none */
+    certificate?: (BoundPartForm)[];
+    /** how long steps took in earlier runs: what is expected, the shortest and the longest (s); only of a plan whose proof covers detours, since it rests on steps that the plan does not take */
+    measured?: Record<string, [number, number, number]>;
+    revision: number;
+  }
+
+  /** A port of an instance on a topic, or on none, with what its component measures there on its ROS clock. In the stream, figures are rounded, and refreshed where they change noticeably. */
+  interface PortStatus {
+    name: string;
+    direction: "in" | "out";
+    /** that write to it, or use it */
+    functionalities: (string)[];
+    /** the `name` in `topics`; null: it is attached to none */
+    topic: string | null;
+    type: string | null;
+    /** null: an input, or not known */
+    gate: "closed" | "open" | null;
+    /** the rate (Hz) that is guaranteed or assumed now */
+    declared: number | null;
+    /** as measured (Hz) */
+    rate: number | null;
+    /** the rate is at least 90 % of the declared one; null until a whole window is measured */
+    met: boolean | null;
+    /** of the last message (s) */
+    age: number | null;
+    /** standard deviation of the times between messages (s) */
+    jitter: number | null;
+    /** the longest time between messages, or since the last one (s) */
+    longest: number | null;
+    /** over which all of this is measured (s); null: nothing is */
+    window?: number | null;
+    fields?: (FieldStatus)[];
+  }
+
+  /** What messages are like: a guarantee, or an assumption. */
+  interface PredicateForm {
+    /** the message type, pkg/msg/Type or pkg/Type */
+    type: string;
+    /** in Hz, at least */
+    rate?: number;
+    qos?: QoSForm;
+    /** the values that fields may have, by dotted path */
+    where?: Record<string, ValuesForm>;
+  }
+
+  /** The program of an instance, as far as it is known. */
+  interface ProgramStatus {
+    name: string;
+    role: string;
+    /** its script, the modules that it has imported, and what `run` names */
+    files: (string)[];
+    /** those that have changed on disk since it started */
+    changed: (string)[];
+    /** what is not known of it */
+    unknown: string | null;
+    /** whether the manager can start it: its component has a `run` command */
+    startable: boolean;
+  }
+
+  /** A QoS profile; what is not stated is ROS 2's default. */
+  interface QoSForm {
+    reliability?: "best_effort" | "reliable";
+    durability?: "transient_local" | "volatile";
+    deadline_seconds?: number;
+    liveliness?: "automatic" | "manual_by_topic";
+    lease_seconds?: number;
+    depth?: number;
+    history?: "keep_all" | "keep_last";
+    lifespan_seconds?: number;
+  }
+
+  /** What came of the seeds, as `midstride simulate --json` prints it. */
+  interface Rehearsal {
+    seeds: number;
+    /** how often the change ended in each way */
+    outcomes: Record<string, number>;
+    /** by kind of fault: how often it struck, and how often each branch of recovery followed */
+    faults: Record<string, Record<string, number>>;
+    /** those that violate an invariant */
+    failed: (RehearsedSeed)[];
+  }
+
+  /** What came of one seed: the invariants that it violates, and how the change and its recovery ended. */
+  interface RehearsedSeed {
+    seed: number;
+    problems: (string)[];
+    outcomes: (string)[];
+  }
+
+  /** An instance is ended. */
+  interface RemoveStep {
+    action: "remove";
+    instance: string;
+    seconds: number;
+    /** the shortest and the longest that were measured (s) */
+    between?: [number, number];
+  }
+
+  /** Something of which there is a limited amount. */
+  interface ResourceForm {
+    capacity?: number;
+  }
+
+  /** When a node that has crashed is started again; `{}`: with the defaults. */
+  interface RespawnForm {
+    /** the delay before the first restart */
+    delay_seconds?: number;
+    /** the longest delay; unless stated 30 s, or the first one */
+    max_delay_seconds?: number;
+    /** the most restarts in the window */
+    max_retries?: number;
+    /** the time in which restarts count */
+    window_seconds?: number;
+    /** what then replaces the node */
+    fallback?: string;
+  }
+
+  /** What the restart policy of a crashed node comes to: how many of its restarts are used up, and what is next. */
+  interface RespawnStatus {
+    /** false: its restarts are used up */
+    restarting: boolean;
+    /** until the next restart; null: it has begun, or there is none */
+    seconds: number | null;
+    restarts: number;
+    max_retries: number;
+    /** the time in which restarts count, in seconds */
+    window: number;
+    words: string;
+  }
+
+  /** The command that is being carried out, and for how long. */
+  interface RunningCommand {
+    command: string;
+    seconds?: number;
+  }
+
+  /** A parameter value that was set while the node ran, and what becomes of it in a change. `kept`: the node keeps it. `file_wins`: the specification changed the value as well. `left_behind`: the new component does not declare the parameter. `not_kept`: the request says to start from the file. `late`: it was set on the old instance when the new one had taken over, and the new one refused it. */
+  interface RuntimeValue {
+    node: string;
+    parameter: string;
+    /** the value of a parameter; a list is of one kind */
+    value: boolean | number | string | (boolean | number | string)[];
+    fate: "file_wins" | "kept" | "late" | "left_behind" | "not_kept";
+    /** the same for people */
+    words: string;
+  }
+
+  /** The manager that answers, and whether its system is up. */
+  interface Service {
+    system: string;
+    backend: string;
+    version: string;
+    pid: number;
+    phase: "down" | "failed" | "starting" | "up";
+  }
+
+  /** Parameters of a live instance are set in place. */
+  interface SetStep {
+    action: "set";
+    instance: string;
+    parameters: Record<string, boolean | number | string | (boolean | number | string)[]>;
+    seconds: number;
+    /** the shortest and the longest that were measured (s) */
+    between?: [number, number];
+  }
+
+  /** A component that does not answer, or a port that has been silent for so long (null: unknown). */
+  interface SilenceFault {
+    kind: "not_answering" | "not_discovering" | "not_publishing" | "not_receiving";
+    instance: string;
+    port: string | null;
+    topic: string | null;
+    seconds?: number | null;
+    words: string;
+  }
+
+  /** The processes that are kept ready for the next components. */
+  interface SpareStatus {
+    kept: number;
+    ready: number;
+    /** instances whose command no spare can run */
+    unused_by: (string)[];
+  }
+
+  /** A whole specification: what a robot's software is made of. */
+  interface SpecificationForm {
+    system: string;
+    /** the topics, by full name */
+    topics?: Record<string, TopicForm>;
+    /** what there is a limited amount of */
+    resources?: Record<string, ResourceForm>;
+    /** what holds without any node */
+    environment?: Record<string, OfferForm>;
+    /** types of nodes */
+    components?: Record<string, ComponentForm>;
+    /** the nodes, by name, namespaces in front */
+    nodes?: Record<string, NodeForm>;
+    constraints?: (ConstraintForm)[];
+    timing_seconds?: TimingForm;
+  }
+
+  /** A version of the specification. */
+  interface SpecificationVersion {
+    version: number;
+    specification: SpecificationForm;
+  }
+
+  /** A step that was begun; without an outcome, its end is not recorded. */
+  interface StepRecord {
+    words: string;
+    outcome: "done" | "failed" | "refused" | "rolled_back" | null;
+    seconds: number | null;
+  }
+
+  /** How long a step took, and when it began after the first one, in seconds. Steps that overlap are in one round. */
+  interface StepTime {
+    /** its number in the plan, from 1 */
+    step: number;
+    began: number;
+    seconds: number;
+  }
+
+  /** A step of a change: when it began, and when it was done. Steps that overlap were taken at once. */
+  interface StepView {
+    /** from 0, in `plan.steps` */
+    index: number;
+    words: string;
+    /** seconds since 1970 */
+    began: number;
+    ended: number | null;
+    failed: boolean;
+  }
+
+  /** A request to be carried out. `expected`: refuse it unless the configuration still has that revision. `verify`: refuse it unless Alloy finds every step of the plan safe, and verify the live configuration after each of them. `brief`: the next command does not wait until this change has been measured over 20 periods. `wait`: after how many seconds a component that hangs, and is to go, is fenced: replaced although its code does not return. `file`: the one that `to` was read from. `id`: any text; the events `waiting` and `command` of this change contain it, and those that follow until the next `command` belong to it. `by`: who asks, and for what, for the history. */
+  interface SubmittedChange {
+    request: ChangeRequest;
+    expected?: number | null;
+    verify?: boolean;
+    brief?: boolean;
+    wait?: number;
+    file?: string | null;
+    id?: string | null;
+    by?: string | null;
+  }
+
+  /** A change to be rehearsed on the running specification, with faults that are drawn from a seed each time. `seeds`: how often; `first`: the first of the seeds. After `seconds` no further one is begun. */
+  interface SubmittedRehearsal {
+    request: ChangeRequest;
+    seeds?: number;
+    first?: number;
+    seconds?: number;
+  }
+
+  /** The text of a specification: JSON where `name` ends in `.json`, else the Stride language. */
+  interface SubmittedText {
+    text: string;
+    /** for the diagnostics */
+    name?: string;
+  }
+
+  /** A topic, the output that stops publishing on it and the one that starts. */
+  interface SwapForm {
+    topic: string;
+    old: string;
+    new: string;
+  }
+
+  /** The figures of one subscriber of one swapped topic. ``period`` and ``gap`` in seconds; None if unknown. */
+  interface SwapReport {
+    topic: string;
+    subscriber: string;
+    period: number | null;
+    gap: number | null;
+    gap_periods: number | null;
+    missed: number | null;
+    lost: number | null;
+    duplicates: number | null;
+  }
+
+  /** The running system, and the change in it. */
+  interface SystemView {
+    system: string;
+    backend: string;
+    revision: number;
+    /** the command in progress */
+    running: RunningCommand | null;
+    valid: boolean;
+    violations: (string)[];
+    instances: (InstanceStatus)[];
+    topics: (TopicStatus)[];
+    crashed: (CrashedInstance)[];
+    silences: (SilenceFault)[];
+    /** why the state or the journal could not be written to disk */
+    unwritten: string | null;
+    /** where a damaged journal is kept, and what was wrong with it */
+    damaged: string | null;
+    /** the file that was brought up, or applied last */
+    file: string | null;
+    /** another command has changed the specification since then */
+    changed_since: boolean;
+    middleware: Middleware;
+    spares: SpareStatus;
+    version: number;
+    /** of this run of the manager: numbers of another one mean nothing to it */
+    manager: string;
+    /** the number of this state: it grows with each that differs */
+    n: number;
+    /** seconds since 1970 */
+    at: number;
+    phase: "down" | "failed" | "starting" | "up";
+    change: ChangeView | null;
+  }
+
+  /** What happened between two times, as far as this manager remembers it; GET /history knows of earlier ones. */
+  interface Timeline {
+    manager: string;
+    /** seconds since 1970 */
+    since: number;
+    /** seconds since 1970 */
+    until: number;
+    /** the view of no earlier time than this is known: GET /view/at */
+    oldest: number;
+    /** those that overlap the time, by their beginning */
+    modes: (ModeInterval)[];
+    changes: (PastChange)[];
+    /** all kinds, also crashes (`exited`) */
+    events: (Event)[];
+  }
+
+  /** How long steps take, where known, and for how long a hand-over tries and watches a new publisher. */
+  interface TimingForm {
+    attach?: number;
+    create?: number;
+    degrade?: number;
+    detach?: number;
+    handover?: number;
+    probation?: number;
+    probation_timeout?: number;
+    remove?: number;
+    set?: number;
+    upgrade?: number;
+    watch_after?: number;
+  }
+
+  /** A topic: its contract, and how many may publish on it. */
+  interface TopicForm {
+    /** the message type, pkg/msg/Type or pkg/Type */
+    type: string;
+    /** in Hz, at least */
+    rate?: number;
+    qos?: QoSForm;
+    /** the values that fields may have, by dotted path */
+    where?: Record<string, ValuesForm>;
+    max_publishers?: number;
+    /** the name in the ROS graph, where it differs */
+    topic?: string;
+  }
+
+  /** A topic. `topic` is its name in ROS, which differs from `name` only while its contract is being changed. */
+  interface TopicStatus {
+    name: string;
+    topic: string;
+    type: string;
+    /** that its contract guarantees (Hz) */
+    rate: number | null;
+    /** its contract, in the manager's model */
+    satisfied: boolean;
+    /** attached outputs, as `talker.out` */
+    publishers: (string)[];
+    subscribers: (string)[];
+    /** publishers outside the system, that the specification declares */
+    outside: (string)[];
+  }
+
+  /** The system is up, with these instances. `incomplete`: it ran before, and what is `missing` is not restored. */
+  interface UpReport {
+    outcome: "done" | "incomplete";
+    instances: (string)[];
+    /** what is not in its normal mode */
+    degraded: (DegradedFunctionality)[];
+    /** why nodes could not be restored */
+    missing: Record<string, string>;
+  }
+
+  /** Functionalities enter better modes. */
+  interface UpgradeStep {
+    action: "upgrade";
+    modes: Record<string, ModeChangeForm>;
+    seconds: number;
+    /** the shortest and the longest that were measured (s) */
+    between?: [number, number];
+  }
+
+  /** A set of values: all that is stated holds. */
+  interface ValuesForm {
+    "="?: boolean | number | string;
+    in?: (boolean | number | string)[];
+    ">="?: number;
+    ">"?: number;
+    "<="?: number;
+    "<"?: number;
+  }
+
+  /** The answer to one question. ``steps`` are a plan's; ``failed`` is the first that fails. */
+  interface Verdict {
+    verdict: Answer;
+    subject: string;
+    scope: string;
+    by: string;
+    because: string | null;
+    findings: (Finding)[];
+    steps: (string)[];
+    failed: number | null;
+    seconds: number;
+  }
+
+  /** Why a functionality of a node is in its mode: its own reason, what each better mode lacks, and what to do. */
+  interface Why {
+    functionality: string;
+    /** of the node: the one that was looked at */
+    instance: string;
+    mode: string;
+    normal: boolean;
+    because: string | null;
+    chain: (string)[];
+    /** whether each input is satisfied */
+    inputs: Record<string, boolean>;
+    /** what comes next, or what to do, for each root cause */
+    remedies: (string)[];
+  }
+}
