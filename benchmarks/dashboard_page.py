@@ -26,7 +26,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-from midstride.server.view.view_forms import ComponentView  # noqa: E402
+from midstride.runtime.records.status_forms import InstanceStatus  # noqa: E402
 from tests.browser.synthetic import MODES, Synthetic, functionality, large, serving  # noqa: E402
 
 RESULTS = ROOT / "benchmarks" / "results" / "dashboard_page.json"
@@ -96,7 +96,7 @@ def measure_layout(browser: Browser, runs: int) -> list[float]:
     return found
 
 
-def changed(found: ComponentView, drawn: random.Random) -> ComponentView:
+def changed(found: InstanceStatus, drawn: random.Random) -> InstanceStatus:
     ports = [msgspec.structs.replace(each, rate=round(drawn.uniform(8.5, 10.5), 2)) for each in found.ports]
     mode = functionality("work", drawn.choice(MODES))
     return msgspec.structs.replace(found, ports=ports, functionalities=[mode])

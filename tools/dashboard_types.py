@@ -1,4 +1,4 @@
-"""TypeScript declarations of the API's forms, by which the modules of the dashboard are checked (`tools/check-dashboard`).
+"""TypeScript declarations of the API's forms, by which `tools/dashboard-types` checks the modules of the dashboard.
 
 `make reference` writes them, from the schemas of the OpenAPI document: the dashboard's modules name them as `Api.…` in
 their comments. A field is optional where the manager may leave it out, or a request may.
