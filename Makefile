@@ -58,9 +58,10 @@ verify: ## every proof, and every check of the Alloy specification to scope 5 (A
 	@[ -n "$$MIDSTRIDE_ALLOY" ] || tools/alloy
 	@tools/in-venv midstride prove --alloy $(ARGS)
 
-lint: ## ruff and mypy, and whether the generated pages of docs/ are up to date
+lint: ## ruff and mypy, the types of the dashboard's modules, and whether the generated pages of docs/ are up to date
 	@tools/setup test
 	@tools/in-venv ruff check .
 	@tools/in-venv ruff format --check .
 	@tools/in-venv mypy src tests tools/*.py
 	@tools/in-venv python -m tools.reference --check
+	@tools/check-dashboard

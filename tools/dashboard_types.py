@@ -1,7 +1,7 @@
-"""TypeScript declarations of the API's forms, by which `tools/dashboard-types` checks the modules of the dashboard.
+"""TypeScript declarations of the API's forms, by which `tools/check-dashboard` checks the dashboard's modules.
 
-`make reference` writes them, from the schemas of the OpenAPI document: the dashboard's modules name them as `Api.…` in
-their comments. A field is optional where the manager may leave it out, or a request may.
+`make reference` writes them, from the schemas of the OpenAPI document and of a report's data: the modules name them as
+`Api.…` in their comments. A field is optional where the manager may leave it out, or a request may.
 """
 
 from __future__ import annotations
@@ -16,8 +16,17 @@ import msgspec
 from midstride.codec.form import Form
 from midstride.codec.schema import Schema, schemas
 from midstride.server.openapi import FORMS
+from midstride.server.report.documents import ReportDocument
 
-_PLAIN: Final = {"string": "string", "number": "number", "integer": "number", "boolean": "boolean", "null": "null"}
+_PLAIN: Final = {
+    "string": "string",
+    "number": "number",
+    "integer": "number",
+    "boolean": "boolean",
+    "null": "null",
+    "array": "unknown[]",
+    "object": "Record<string, unknown>",
+}
 _HEAD: Final = """\
 // The forms of the HTTP API (docs/http.md), for the checker of the dashboard's modules.
 // `make reference` writes this file from midstride.server.openapi.
@@ -29,7 +38,7 @@ declare namespace Api {
 def declarations() -> str:
     """The whole file."""
     forms = {form.__name__: form for form in _subclasses(Form)}
-    found = schemas(FORMS, "{name}")
+    found = schemas((*FORMS, ReportDocument), "{name}")
     return _HEAD + "\n".join(_declaration(name, found[name], forms.get(name)) for name in sorted(found)) + "}\n"
 
 
@@ -77,7 +86,8 @@ def _type(schema: Any) -> str:
         case {"type": "array", "prefixItems": items}:
             return f"[{', '.join(map(_type, items))}]"
         case {"type": "array"}:
-            return f"({_type(schema.get('items', {}))})[]"
+            item = _type(schema.get("items", {}))
+            return f"({item})[]" if "|" in item else f"{item}[]"
         case {"type": "object", "properties": _}:
             members = _members(schema, set(schema.get("required", ())), "").replace("\n", " ")
             return f"{{ {members}}}"

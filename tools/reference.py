@@ -1,7 +1,8 @@
-"""Writes the generated pages of the documentation: ``python -m tools.reference``. ``--check`` names outdated ones.
+"""Writes what is generated from the source: ``python -m tools.reference``. ``--check`` names outdated ones.
 
 `make reference` writes them, `make lint` checks them. Each has one source: the catalogue of diagnostics, the help of
-the commands, the JSON Schema of specifications, and the decisions for their index.
+the commands, the JSON Schema of specifications, the decisions for their index, and the API's forms for the checker of
+the dashboard's modules.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Final
 from midstride.codec.schema import specification_schema
 from midstride.lang.catalogue import reference
 from tools.command_blocks import BLOCK, block, blocks
+from tools.dashboard_types import declarations
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 DOCS: Final = ROOT / "docs"
@@ -60,6 +62,7 @@ PAGES: Final[dict[Path, Callable[[str], str]]] = {
     DOCS / "reference" / "commands.md": commands,
     DOCS / "reference" / "specification.schema.json": schema,
     DECISIONS / "README.md": index,
+    ROOT / "tools" / "dashboard" / "api.d.ts": lambda _: declarations(),
 }
 
 

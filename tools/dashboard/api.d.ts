@@ -9,7 +9,7 @@ declare namespace Api {
     kept_at: string;
     disruption: number | null;
     /** that degrade instead */
-    degraded: (string)[];
+    degraded: string[];
     /** why no plan keeps it; null where one does */
     impossible: string | null;
   }
@@ -18,7 +18,7 @@ declare namespace Api {
   type Answer = "holds" | "unknown" | "violated";
 
   /** One of several inputs, or what a message of some input must be like. */
-  type AssumptionForm = { /** one of these inputs */ any_of: (string)[]; } | { /** the message type, pkg/msg/Type or pkg/Type */ type: string; /** in Hz, at least */ rate?: number; qos?: QoSForm; /** the values that fields may have, by dotted path */ where?: Record<string, ValuesForm>; };
+  type AssumptionForm = { /** one of these inputs */ any_of: string[]; } | { /** the message type, pkg/msg/Type or pkg/Type */ type: string; /** in Hz, at least */ rate?: number; qos?: QoSForm; /** the values that fields may have, by dotted path */ where?: Record<string, ValuesForm>; };
 
   /** A port of an instance is attached to a topic. */
   interface AttachStep {
@@ -32,7 +32,7 @@ declare namespace Api {
 
   /** What the creations and removals of some roles lose at least, whatever the others do. */
   interface BoundPartForm {
-    roles: (string)[];
+    roles: string[];
     /** in weighted functionality-seconds */
     bound: number;
   }
@@ -43,7 +43,7 @@ declare namespace Api {
     name: string;
     detail: string;
     satisfied: boolean;
-    causes?: (CauseLink)[];
+    causes?: CauseLink[];
   }
 
   /** A change; without an outcome, it is in progress. */
@@ -57,7 +57,7 @@ declare namespace Api {
     /** how many steps its plan has */
     total: number;
     /** those that were begun */
-    steps: (StepRecord)[];
+    steps: StepRecord[];
     /** of the specification that is in force afterwards */
     version: number;
     outcome: "done" | "failed" | "refused" | "rolled_back" | null;
@@ -68,7 +68,7 @@ declare namespace Api {
     /** messages, at all subscribers; null where it is unknown */
     missed: number | null;
     /** what was measured at each subscriber */
-    swaps: (SwapReport)[];
+    swaps: SwapReport[];
   }
 
   /** A change of the history. Null: not recorded, as by an earlier version, or because the manager ended meanwhile. */
@@ -83,22 +83,22 @@ declare namespace Api {
     outcome: Outcome | null;
     timeline: ChangeTimeline | null;
     /** from its beginning to its end */
-    incidents: (Incident)[];
+    incidents: Incident[];
   }
 
   /** What is asked for: single changes, or a whole specification (`to`) to change to. */
   interface ChangeRequest {
     /** [node, component] pairs */
-    replace?: ([string, string])[];
+    replace?: [string, string][];
     /** nodes to restart: each gets a new instance */
-    restart?: (string)[];
+    restart?: string[];
     /** nodes to add */
-    add?: (NewNode)[];
+    add?: NewNode[];
     /** nodes to remove */
-    remove?: (string)[];
+    remove?: string[];
     to?: SpecificationForm | null;
     /** components that the specification does not have yet */
-    components?: (NamedComponentForm)[];
+    components?: NamedComponentForm[];
     strategy?: "minimal" | "paper" | "quiesce" | "stop";
     /** with `minimal`: nodes that stay may be moved, and roles have stand-ins meanwhile */
     detours?: boolean;
@@ -112,8 +112,8 @@ declare namespace Api {
   interface ChangeTimeline {
     since: number;
     until: number;
-    modes: (ModeInterval)[];
-    events: (Event)[];
+    modes: ModeInterval[];
+    events: Event[];
   }
 
   /** The change in progress, or the last one that ended. */
@@ -131,9 +131,9 @@ declare namespace Api {
     /** seconds since 1970 */
     began: number;
     ended: number | null;
-    steps: (StepView)[];
+    steps: StepView[];
     /** what each subscriber saw, as measured */
-    swaps: (SwapReport)[];
+    swaps: SwapReport[];
     outcome: "done" | "failed" | "refused" | "rolled_back" | null;
     /** how it ended, in words */
     because: string | null;
@@ -142,7 +142,7 @@ declare namespace Api {
   /** Whether the text can be applied: `request` is then what `/plan` and `/change` take. */
   interface CheckedText {
     ok: boolean;
-    diagnostics: (DiagnosticReport)[];
+    diagnostics: DiagnosticReport[];
     /** null where there are errors */
     request: ChangeRequest | null;
   }
@@ -159,11 +159,11 @@ declare namespace Api {
     /** its parameters */
     parameters?: Record<string, ParameterForm>;
     /** endpoints that are not ports */
-    allows?: (EndpointForm)[];
+    allows?: EndpointForm[];
     /** its assumption on each input */
     inputs?: Record<string, InputForm>;
     /** the names of its outputs */
-    outputs?: (string)[];
+    outputs?: string[];
     /** what it does */
     functionalities?: Record<string, FunctionalityForm>;
     /** what holds it back; none: it uses Midstride's API */
@@ -175,8 +175,8 @@ declare namespace Api {
   /** A configuration, with the topics, resources and environment that it lives in. */
   interface ConfigurationForm {
     context: SpecificationForm;
-    instances: (InstanceForm)[];
-    attachments: ([string, string])[];
+    instances: InstanceForm[];
+    attachments: [string, string][];
     /** the current mode of each functionality */
     modes: Record<string, string>;
   }
@@ -219,7 +219,7 @@ declare namespace Api {
     /** from which on no instance serves it; null where one always does */
     unserved_from_step: number | null;
     /** the capacities and caps that keep the new side from coming first */
-    forced_by: (string)[];
+    forced_by: string[];
   }
 
   /** Functionalities enter worse modes. */
@@ -278,7 +278,7 @@ declare namespace Api {
     help: string | null;
     /** what follows from it */
     follows: string | null;
-    notes: (NotePlace)[];
+    notes: NotePlace[];
   }
 
   /** The system is down. */
@@ -320,7 +320,7 @@ declare namespace Api {
     /** plan: what will be done */
     plan?: PlanPreview;
     /** measured: what each subscriber saw */
-    swaps?: (SwapReport)[];
+    swaps?: SwapReport[];
     /** verified: what Alloy found */
     verdict?: Verdict;
     /** outcome, parameters: how the command ended */
@@ -342,7 +342,7 @@ declare namespace Api {
   interface FailureDetails {
     kind: string;
     message: string;
-    problems?: (string)[];
+    problems?: string[];
   }
 
   /** An instance that hung, was stopped or too slow, and was replaced inside a call of its user code. */
@@ -382,9 +382,9 @@ declare namespace Api {
     /** how much its loss matters */
     weight?: number;
     /** its inputs */
-    uses?: (string)[];
+    uses?: string[];
     /** its outputs */
-    produces?: (string)[];
+    produces?: string[];
     /** its modes, best first */
     modes: Record<string, ModeForm>;
   }
@@ -394,7 +394,7 @@ declare namespace Api {
     name: string;
     mode: string;
     /** best first */
-    modes: (string)[];
+    modes: string[];
     /** the mode in the manager's model */
     modelled: string;
     /** it is in its best mode */
@@ -414,7 +414,7 @@ declare namespace Api {
   /** Topics change their publisher at one moment. */
   interface HandoverStep {
     action: "handover";
-    swaps: (SwapForm)[];
+    swaps: SwapForm[];
     seconds: number;
     /** the shortest and the longest that were measured (s) */
     between?: [number, number];
@@ -422,8 +422,8 @@ declare namespace Api {
 
   /** The latest changes, oldest first, and the incidents since the first of them. */
   interface History {
-    changes: (ChangeRecord)[];
-    incidents: (Incident)[];
+    changes: ChangeRecord[];
+    incidents: Incident[];
     /** where an earlier history is kept that could not be read */
     damaged: string | null;
   }
@@ -481,9 +481,9 @@ declare namespace Api {
     /** its modes are those of the manager's model */
     as_modelled: boolean;
     /** in which way its node is not what is declared */
-    differences: (string)[];
+    differences: string[];
     /** the topics of its node that are no ports: they have no gate */
-    undeclared: (string)[];
+    undeclared: string[];
     /** in which way it is not as specified, in words; null: it is */
     deviation: string | null;
     /** /clock drives its ROS clock */
@@ -491,14 +491,14 @@ declare namespace Api {
     /** the command it was started with; null: it was started elsewhere */
     run: string | null;
     log_file: string | null;
-    functionalities: (FunctionalityStatus)[];
-    ports: (PortStatus)[];
+    functionalities: FunctionalityStatus[];
+    ports: PortStatus[];
     /** none where it is not reachable */
-    parameters: (ParameterStatus)[];
+    parameters: ParameterStatus[];
     /** that are no ports, by kind and name */
-    endpoints: (EndpointStatus)[];
+    endpoints: EndpointStatus[];
     /** of its program: changed on disk since it started */
-    changed_files?: (string)[];
+    changed_files?: string[];
     /** what is not known of its program's files */
     unknown_files?: string | null;
   }
@@ -515,7 +515,7 @@ declare namespace Api {
   /** The configuration as its components report it; those in `silent` are as in the manager's model. */
   interface LiveConfiguration {
     revision: number;
-    silent: (string)[];
+    silent: string[];
     configuration: ConfigurationForm;
   }
 
@@ -524,7 +524,7 @@ declare namespace Api {
     name: string;
     set: Record<string, string>;
     kept: Record<string, string>;
-    notes: (string)[];
+    notes: string[];
   }
 
   /** The mode that a functionality leaves, and the one that it enters. */
@@ -564,7 +564,7 @@ declare namespace Api {
   interface ModeSkew {
     /** `degrade` or `upgrade` */
     kind: string;
-    functionalities: (string)[];
+    functionalities: string[];
     /** between the first and the last of them, as measured */
     seconds: number;
   }
@@ -581,11 +581,11 @@ declare namespace Api {
     /** its parameters */
     parameters?: Record<string, ParameterForm>;
     /** endpoints that are not ports */
-    allows?: (EndpointForm)[];
+    allows?: EndpointForm[];
     /** its assumption on each input */
     inputs?: Record<string, InputForm>;
     /** the names of its outputs */
-    outputs?: (string)[];
+    outputs?: string[];
     /** what it does */
     functionalities?: Record<string, FunctionalityForm>;
     /** what holds it back; none: it uses Midstride's API */
@@ -599,7 +599,7 @@ declare namespace Api {
   interface NewNode {
     component: string;
     /** the topics of each port */
-    attachments?: Record<string, (string)[]>;
+    attachments?: Record<string, string[]>;
     /** its own values, over its component's */
     parameters?: Record<string, boolean | number | string | (boolean | number | string)[]>;
     respawn?: RespawnForm;
@@ -610,7 +610,7 @@ declare namespace Api {
   interface NodeForm {
     component: string;
     /** the topics of each port */
-    attachments?: Record<string, (string)[]>;
+    attachments?: Record<string, string[]>;
     /** its own values, over its component's */
     parameters?: Record<string, boolean | number | string | (boolean | number | string)[]>;
     respawn?: RespawnForm;
@@ -638,28 +638,28 @@ declare namespace Api {
     plan: PlanForm | null;
     seconds: number;
     /** those that were done, as measured */
-    steps: (StepTime)[];
-    skews: (ModeSkew)[];
+    steps: StepTime[];
+    skews: ModeSkew[];
     /** as measured, by functionality */
     below_baseline_seconds: Record<string, number>;
-    swaps: (SwapReport)[];
+    swaps: SwapReport[];
     /** seconds by which a new component's first slot waited for its state, over a period */
     late: Record<string, number>;
     /** new components that continue without the state of the old one: what is lost, and why */
     own_state: Record<string, string>;
     because: string | null;
     /** what became of values that were set at run time */
-    parameters: (RuntimeValue)[];
+    parameters: RuntimeValue[];
     /** of instances, meanwhile */
-    unexpected_exits: (string)[];
+    unexpected_exits: string[];
     /** of functionalities, meanwhile */
-    unexpected_degradations: (string)[];
+    unexpected_degradations: string[];
     /** replaced although they hung */
-    fenced: (FencedInstance)[];
+    fenced: FencedInstance[];
     /** faults that began meanwhile, and last */
-    silences: (SilenceFault)[];
+    silences: SilenceFault[];
     /** what is in a worse mode afterwards */
-    remaining_degradations: (DegradedFunctionality)[];
+    remaining_degradations: DegradedFunctionality[];
     /** what Alloy found, where requested */
     verdict?: Verdict;
   }
@@ -690,7 +690,7 @@ declare namespace Api {
   /** The parameters that were set, as the instance has them now. */
   interface ParametersReport {
     instance: string;
-    parameters: (ParameterStatus)[];
+    parameters: ParameterStatus[];
   }
 
   /** A change that this manager has carried out, or carries out. */
@@ -715,11 +715,11 @@ declare namespace Api {
     revision?: number;
     running?: RunningCommand | null;
     valid?: boolean;
-    violations?: (string)[];
+    violations?: string[];
     instances?: Record<string, InstanceStatus | null>;
     topics?: Record<string, TopicStatus | null>;
-    crashed?: (CrashedInstance)[];
-    silences?: (SilenceFault)[];
+    crashed?: CrashedInstance[];
+    silences?: SilenceFault[];
     unwritten?: string | null;
     damaged?: string | null;
     file?: string | null;
@@ -747,30 +747,30 @@ declare namespace Api {
     /** the shortest and the longest that were measured (s) */
     between?: [number, number];
     /** of roles, ever below their baseline */
-    degraded: (string)[];
+    degraded: string[];
     /** when and why each of them is below its baseline */
-    degradations: (Degradation)[];
+    degradations: Degradation[];
     /** what is in another mode for good */
-    level_shifts: (LevelShift)[];
+    level_shifts: LevelShift[];
     start: SpecificationForm;
     target: SpecificationForm;
     /** what it would cost to keep what degrades, where that was asked for */
-    alternatives?: (Alternative)[];
+    alternatives?: Alternative[];
     steps: (CreateStep | RemoveStep | AttachStep | DetachStep | DegradeStep | UpgradeStep | HandoverStep | SetStep)[];
     /** by role, at the start: instances without their role's name; null: none is live */
     start_instances?: Record<string, string | null>;
     /** at the start: the modes that are not the best possible */
     start_modes?: Record<string, string>;
     /** of parameters, set at run time, and what becomes of them */
-    parameters?: (RuntimeValue)[];
+    parameters?: RuntimeValue[];
     /** by new instance: why it starts with its own state */
     own_state?: Record<string, string>;
     /** what is done besides, and why */
-    remarks?: (string)[];
+    remarks?: string[];
     /** what is done beyond the change itself */
-    detours?: (DetourForm)[];
+    detours?: DetourForm[];
     /** of the lower bound, which add up to it; absent where there is none */
-    certificate?: (BoundPartForm)[];
+    certificate?: BoundPartForm[];
     /** how long steps took in earlier runs: what is expected, the shortest and the longest (s); only of a plan whose proof covers detours, since it rests on steps that the plan does not take */
     measured?: Record<string, [number, number, number]>;
   }
@@ -793,26 +793,26 @@ declare namespace Api {
     /** the shortest and the longest that were measured (s) */
     between?: [number, number];
     /** of roles, ever below their baseline */
-    degraded: (string)[];
+    degraded: string[];
     /** when and why each of them is below its baseline */
-    degradations: (Degradation)[];
+    degradations: Degradation[];
     /** what is in another mode for good */
-    level_shifts: (LevelShift)[];
+    level_shifts: LevelShift[];
     steps: (CreateStep | RemoveStep | AttachStep | DetachStep | DegradeStep | UpgradeStep | HandoverStep | SetStep)[];
     /** by role, at the start: instances without their role's name; null: none is live */
     start_instances?: Record<string, string | null>;
     /** at the start: the modes that are not the best possible */
     start_modes?: Record<string, string>;
     /** of parameters, set at run time, and what becomes of them */
-    parameters?: (RuntimeValue)[];
+    parameters?: RuntimeValue[];
     /** by new instance: why it starts with its own state */
     own_state?: Record<string, string>;
     /** what is done besides, and why */
-    remarks?: (string)[];
+    remarks?: string[];
     /** what is done beyond the change itself */
-    detours?: (DetourForm)[];
+    detours?: DetourForm[];
     /** of the lower bound, which add up to it; absent where there is none */
-    certificate?: (BoundPartForm)[];
+    certificate?: BoundPartForm[];
     /** how long steps took in earlier runs: what is expected, the shortest and the longest (s); only of a plan whose proof covers detours, since it rests on steps that the plan does not take */
     measured?: Record<string, [number, number, number]>;
   }
@@ -835,30 +835,30 @@ declare namespace Api {
     /** the shortest and the longest that were measured (s) */
     between?: [number, number];
     /** of roles, ever below their baseline */
-    degraded: (string)[];
+    degraded: string[];
     /** when and why each of them is below its baseline */
-    degradations: (Degradation)[];
+    degradations: Degradation[];
     /** what is in another mode for good */
-    level_shifts: (LevelShift)[];
+    level_shifts: LevelShift[];
     start: SpecificationForm;
     target: SpecificationForm;
     /** what it would cost to keep what degrades, where that was asked for */
-    alternatives?: (Alternative)[];
+    alternatives?: Alternative[];
     steps: (CreateStep | RemoveStep | AttachStep | DetachStep | DegradeStep | UpgradeStep | HandoverStep | SetStep)[];
     /** by role, at the start: instances without their role's name; null: none is live */
     start_instances?: Record<string, string | null>;
     /** at the start: the modes that are not the best possible */
     start_modes?: Record<string, string>;
     /** of parameters, set at run time, and what becomes of them */
-    parameters?: (RuntimeValue)[];
+    parameters?: RuntimeValue[];
     /** by new instance: why it starts with its own state */
     own_state?: Record<string, string>;
     /** what is done besides, and why */
-    remarks?: (string)[];
+    remarks?: string[];
     /** what is done beyond the change itself */
-    detours?: (DetourForm)[];
+    detours?: DetourForm[];
     /** of the lower bound, which add up to it; absent where there is none */
-    certificate?: (BoundPartForm)[];
+    certificate?: BoundPartForm[];
     /** how long steps took in earlier runs: what is expected, the shortest and the longest (s); only of a plan whose proof covers detours, since it rests on steps that the plan does not take */
     measured?: Record<string, [number, number, number]>;
     revision: number;
@@ -869,7 +869,7 @@ declare namespace Api {
     name: string;
     direction: "in" | "out";
     /** that write to it, or use it */
-    functionalities: (string)[];
+    functionalities: string[];
     /** the `name` in `topics`; null: it is attached to none */
     topic: string | null;
     type: string | null;
@@ -889,7 +889,7 @@ declare namespace Api {
     longest: number | null;
     /** over which all of this is measured (s); null: nothing is */
     window?: number | null;
-    fields?: (FieldStatus)[];
+    fields?: FieldStatus[];
   }
 
   /** What messages are like: a guarantee, or an assumption. */
@@ -908,9 +908,9 @@ declare namespace Api {
     name: string;
     role: string;
     /** its script, the modules that it has imported, and what `run` names */
-    files: (string)[];
+    files: string[];
     /** those that have changed on disk since it started */
-    changed: (string)[];
+    changed: string[];
     /** what is not known of it */
     unknown: string | null;
     /** whether the manager can start it: its component has a `run` command */
@@ -937,14 +937,14 @@ declare namespace Api {
     /** by kind of fault: how often it struck, and how often each branch of recovery followed */
     faults: Record<string, Record<string, number>>;
     /** those that violate an invariant */
-    failed: (RehearsedSeed)[];
+    failed: RehearsedSeed[];
   }
 
   /** What came of one seed: the invariants that it violates, and how the change and its recovery ended. */
   interface RehearsedSeed {
     seed: number;
-    problems: (string)[];
-    outcomes: (string)[];
+    problems: string[];
+    outcomes: string[];
   }
 
   /** An instance is ended. */
@@ -954,6 +954,25 @@ declare namespace Api {
     seconds: number;
     /** the shortest and the longest that were measured (s) */
     between?: [number, number];
+  }
+
+  /** The data in a report file. Either `change` or `plans` is given; a plan is as POST /plan answers. */
+  interface ReportDocument {
+    version: number;
+    /** the version of Midstride that has written it */
+    midstride: string;
+    /** unix seconds */
+    written: number;
+    system: string;
+    backend: string | null;
+    title: string;
+    change: Record<string, unknown> | null;
+    /** by strategy; `refused`: why there is none */
+    plans: Record<string, Record<string, unknown>> | null;
+    /** the system as modelled when the plan began */
+    before: SystemView | null;
+    /** and when all its steps are done */
+    after: SystemView | null;
   }
 
   /** Something of which there is a limited amount. */
@@ -1039,7 +1058,7 @@ declare namespace Api {
     kept: number;
     ready: number;
     /** instances whose command no spare can run */
-    unused_by: (string)[];
+    unused_by: string[];
   }
 
   /** A whole specification: what a robot's software is made of. */
@@ -1055,7 +1074,7 @@ declare namespace Api {
     components?: Record<string, ComponentForm>;
     /** the nodes, by name, namespaces in front */
     nodes?: Record<string, NodeForm>;
-    constraints?: (ConstraintForm)[];
+    constraints?: ConstraintForm[];
     timing_seconds?: TimingForm;
   }
 
@@ -1145,11 +1164,11 @@ declare namespace Api {
     /** the command in progress */
     running: RunningCommand | null;
     valid: boolean;
-    violations: (string)[];
-    instances: (InstanceStatus)[];
-    topics: (TopicStatus)[];
-    crashed: (CrashedInstance)[];
-    silences: (SilenceFault)[];
+    violations: string[];
+    instances: InstanceStatus[];
+    topics: TopicStatus[];
+    crashed: CrashedInstance[];
+    silences: SilenceFault[];
     /** why the state or the journal could not be written to disk */
     unwritten: string | null;
     /** where a damaged journal is kept, and what was wrong with it */
@@ -1181,10 +1200,10 @@ declare namespace Api {
     /** the view of no earlier time than this is known: GET /view/at */
     oldest: number;
     /** those that overlap the time, by their beginning */
-    modes: (ModeInterval)[];
-    changes: (PastChange)[];
+    modes: ModeInterval[];
+    changes: PastChange[];
     /** all kinds, also crashes (`exited`) */
-    events: (Event)[];
+    events: Event[];
   }
 
   /** How long steps take, where known, and for how long a hand-over tries and watches a new publisher. */
@@ -1226,18 +1245,18 @@ declare namespace Api {
     /** its contract, in the manager's model */
     satisfied: boolean;
     /** attached outputs, as `talker.out` */
-    publishers: (string)[];
-    subscribers: (string)[];
+    publishers: string[];
+    subscribers: string[];
     /** publishers outside the system, that the specification declares */
-    outside: (string)[];
+    outside: string[];
   }
 
   /** The system is up, with these instances. `incomplete`: it ran before, and what is `missing` is not restored. */
   interface UpReport {
     outcome: "done" | "incomplete";
-    instances: (string)[];
+    instances: string[];
     /** what is not in its normal mode */
-    degraded: (DegradedFunctionality)[];
+    degraded: DegradedFunctionality[];
     /** why nodes could not be restored */
     missing: Record<string, string>;
   }
@@ -1268,8 +1287,8 @@ declare namespace Api {
     scope: string;
     by: string;
     because: string | null;
-    findings: (Finding)[];
-    steps: (string)[];
+    findings: Finding[];
+    steps: string[];
     failed: number | null;
     seconds: number;
   }
@@ -1282,10 +1301,10 @@ declare namespace Api {
     mode: string;
     normal: boolean;
     because: string | null;
-    chain: (string)[];
+    chain: string[];
     /** whether each input is satisfied */
     inputs: Record<string, boolean>;
     /** what comes next, or what to do, for each root cause */
-    remedies: (string)[];
+    remedies: string[];
   }
 }

@@ -4,7 +4,7 @@
 
 (() => {
   const started = new Worker("vendor/elkjs/elk-worker.min.js");
-  globalThis.midstrideWorker = function () {
+  /** @type {any} */ (globalThis).midstrideWorker = function () {
     return started;
   };
 })();

@@ -23,12 +23,12 @@ export function search(view, text) {
     ...Object.values(view.instances).map(({ name, component }) => ({ name, label: name, words: component })),
     ...Object.values(view.topics).map(({ name, type }) => ({ name: `topic:${name}`, label: name, words: type })),
   ];
-  const rank = ({ label, words }) => {
+  const rank = (/** @type {Found} */ { label, words }) => {
     const at = label.toLowerCase().indexOf(sought);
     return at === 0 ? 0 : at > 0 ? 1 : words.toLowerCase().includes(sought) ? 2 : 3;
   };
   return all
-    .map((each) => ({ each, rank: rank(/** @type {any} */ (each)) }))
+    .map((each) => ({ each, rank: rank(each) }))
     .filter((found) => found.rank < 3)
     .sort((a, b) => a.rank - b.rank || (a.each.label < b.each.label ? -1 : 1))
     .slice(0, MOST)

@@ -9,28 +9,20 @@
 import { follow } from "./stream.js";
 
 /**
- * The forms are those of docs/http.md; rates are in Hz, times in seconds, moments in unix seconds.
+ * The forms are those of docs/http.md (`Api`: tools/dashboard/api.d.ts); rates are in Hz, times in seconds, moments in unix seconds.
  *
- * @typedef {{name: string, mode: string, modes: string[], modelled: string, normal: boolean, because: string | null,
- *   reflex: boolean, restoring: string | null, since: number | null}} Functionality
- * @typedef {{name: string, direction: "in" | "out", functionalities: string[], topic: string | null, type: string | null,
- *   gate: "open" | "closed" | null, declared: number | null, rate: number | null, met: boolean | null,
- *   age: number | null, jitter: number | null, longest: number | null}} Port
- * @typedef {{name: string, value: unknown, declared: unknown, set_at_run_time: boolean}} Parameter
- * @typedef {{kind: "topic" | "service" | "ROS action", name: string, serves: boolean | null}} Endpoint
- * @typedef {{name: string, role: string, component: string, namespace: string, host: string | null, node: string | null,
- *   pid: number | null, reachable: boolean, ending: boolean, waiting: string | null, as_modelled: boolean,
- *   differences: string[], undeclared: string[], deviation: string | null, functionalities: Functionality[],
- *   ports: Port[], parameters: Parameter[], endpoints: Endpoint[]}} Component
- * @typedef {{name: string, topic: string, type: string, rate: number | null, satisfied: boolean, publishers: string[],
- *   subscribers: string[], outside: string[]}} Topic
- * @typedef {{name: string, role: string | null, status: number | null, log: string, remedy: string | null,
- *   respawn: {words: string} | null}} Crash
- * @typedef {{kind: string, instance: string, port: string | null, topic: string | null, words: string}} Silence
- * @typedef {{manager: string, n: number, at: number, system: string, backend: string, phase: string, revision: number,
- *   running: {command: string} | null, valid: boolean, violations: string[], instances: Record<string, Component>,
- *   topics: Record<string, Topic>, crashed: Crash[], silences: Silence[], change: any}} View
- * @typedef {{n: number, at: number, kind: string, words: string, [more: string]: any}} Event
+ * @typedef {Api.FunctionalityStatus} Functionality
+ * @typedef {Api.PortStatus} Port
+ * @typedef {Api.ParameterStatus} Parameter
+ * @typedef {Api.EndpointStatus} Endpoint
+ * @typedef {Api.InstanceStatus} Component
+ * @typedef {Api.TopicStatus} Topic
+ * @typedef {Api.CrashedInstance} Crash
+ * @typedef {Omit<Api.SystemView, "instances" | "topics"> & {instances: Record<string, Component>,
+ *   topics: Record<string, Topic>}} View
+ * @typedef {Api.Event} Event
+ * @typedef {Api.PlanPreview & {alternatives?: Api.Alternative[], start?: Api.SpecificationForm | null,
+ *   target?: Api.SpecificationForm | null}} Plan
  * @typedef {{state: "connecting" | "live" | "lost" | "refused" | "ended", since: number, because: string | null,
  *   retryAt: number | null}} Connection
  * @typedef {{at: number | null, shown: number | null}} Time the moment that was asked for, and that whose view is shown; null is
@@ -43,7 +35,7 @@ const EVENTS_KEPT = 1000;
 /**
  * A view with instances and topics by name. Without a prototype, so that no name means anything to the language.
  *
- * @param {any} document as GET /view sends it
+ * @param {Api.SystemView} document as GET /view sends it
  * @returns {View}
  */
 export function byName(document) {
@@ -57,7 +49,7 @@ export function byName(document) {
  * The view after a patch. The one before stays as it was.
  *
  * @param {View} view
- * @param {any} patch
+ * @param {Api.Patch} patch
  * @returns {{view: View, changed: Set<string>}} the keys that changed, as for `subscribe`
  */
 function patched(view, patch) {
@@ -184,7 +176,7 @@ export class Store {
     if (this.time.at === null) this.#notifyAll(["events"]);
   }
 
-  /** @param {any} patch */
+  /** @param {Api.Patch} patch */
   #onPatch(patch) {
     if (this.live === null) return;
     const { view, changed } = patched(this.live, patch);

@@ -14,9 +14,9 @@ const SILENCE = 25; // seconds without a byte: the other end is gone, though not
 
 /**
  * @typedef {Object} Listener
- * @property {(document: any) => void} view
- * @property {(patch: any) => void} patch
- * @property {(event: any) => void} event
+ * @property {(document: Api.SystemView) => void} view
+ * @property {(patch: Api.Patch) => void} patch
+ * @property {(event: Api.Event) => void} event
  * @property {(connection: Omit<import("./store.js").Connection, "since">) => void} connection
  * @property {(at: number) => void} clock the time at the manager when a connection opens (unix seconds), up to 2 s old
  */

@@ -23,13 +23,13 @@ const SEEDS = 20;
 
 /**
  * @param {HTMLElement} element
- * @param {{store: any, ask: any, graph: any, say: any}} context
+ * @param {import("../panels.js").Context} context
  */
 export function mountChange(element, context) {
   new ChangePanel(element, context);
 }
 
-/** @param {any} diagnostic @returns {string} as `midstride check` prints it */
+/** @param {Api.DiagnosticReport} diagnostic @returns {string} as `midstride check` prints it */
 function inWords(diagnostic) {
   const { file, line, column, severity, code, message, help } = diagnostic;
   const head = `${file}:${line}:${column}: ${severity} [${code}]: ${message}`;
@@ -38,10 +38,10 @@ function inWords(diagnostic) {
 
 class ChangePanel {
   /** @type {import("./request.js").Choice} */ #choice = NOTHING;
-  /** @type {any} */ #specification = null;
+  /** @type {Api.SpecificationForm | null} */ #specification = null;
   /** @type {[number, string][]} */ #versions = [];
-  /** @type {any} */ #plan = null;
-  /** @type {any} */ #shown = null; // the plan that is on the graph
+  /** @type {(import("../store.js").Plan & {revision: number}) | null} */ #plan = null;
+  /** @type {import("../store.js").Plan | null} */ #shown = null; // the plan that is on the graph
   #mine = false; // a change that this page has asked for is in progress
   #own = 0; // when that change began
   #watched = 0; // when the change of another client began that is shown until it is closed
@@ -50,7 +50,7 @@ class ChangePanel {
 
   /**
    * @param {HTMLElement} element
-   * @param {{store: any, ask: any, graph: any, say: any}} context
+   * @param {import("../panels.js").Context} context
    */
   constructor(element, context) {
     this.context = context;
@@ -58,7 +58,9 @@ class ChangePanel {
     this.commands = h("div");
     this.actions = h("div", { class: "change-actions" });
     this.result = h("div", { class: "change-result", role: "status" });
-    this.chooser = h("details", { class: "change-chooser", open: true }, h("summary", { class: "panel-title" }, "Change"));
+    this.chooser = /** @type {HTMLDetailsElement} */ (
+      h("details", { class: "change-chooser", open: true }, h("summary", { class: "panel-title" }, "Change"))
+    );
     this.chooser.append(this.form.element, this.actions, this.commands, this.form.drop);
     this.progress = h("div", { class: "change-progress" });
     replace(element, this.progress, this.chooser, this.result);
@@ -93,7 +95,7 @@ class ChangePanel {
 
   #offer() {
     const { store } = this.context;
-    const parameters = (/** @type {string} */ node) => Object.values(store.live?.instances ?? {}).find((/** @type {any} */ each) => each.role === node)?.parameters ?? [];
+    const parameters = (/** @type {string} */ node) => Object.values(store.live?.instances ?? {}).find((each) => each.role === node)?.parameters ?? [];
     this.form.offer(this.#specification, this.#choice, { versions: this.#versions, parameters });
     this.#choice = { ...this.#choice, ...this.form.settled };
     this.#drawActions();
@@ -112,7 +114,7 @@ class ChangePanel {
 
   #selected() {
     const { store } = this.context;
-    const role = store.live?.instances[store.selected]?.role;
+    const role = store.selected === null ? null : store.live?.instances[store.selected]?.role;
     if (!role || this.#plan || this.#mine || ["add", "rollback"].includes(this.#choice.kind)) return;
     this.#choose({ kind: this.#choice.kind === "apply" ? "replace" : this.#choice.kind, node: role, component: "", parameter: "" });
   }
@@ -237,7 +239,7 @@ class ChangePanel {
     this.#drawActions();
   }
 
-  /** @param {any} plan @param {number | null} [step] */
+  /** @param {import("../store.js").Plan | null} plan @param {number | null} [step] */
   #ghosts(plan, step = null) {
     this.#shown = plan;
     this.context.graph.ghosts(plan, { step });
@@ -262,6 +264,7 @@ class ChangePanel {
 
   async #execute() {
     const { plan, choice } = { plan: this.#plan, choice: this.#choice };
+    if (plan === null) return;
     await this.#carryOut(request(choice), plan.revision, `dashboard: ${title(choice)}`, choice);
   }
 
@@ -297,7 +300,7 @@ class ChangePanel {
     }
   }
 
-  /** @param {any} outcome @param {string} what */
+  /** @param {Api.Outcome} outcome @param {string} what */
   #ended(outcome, what) {
     const { say } = this.context;
     this.#ghosts(null);
@@ -348,8 +351,8 @@ class ChangePanel {
   // -- watching -----------------------------------------------------------------------------------------
 
   #running() {
-    const change = this.context.store.live?.change;
-    return Boolean(change && change.state !== "ended");
+    const change = this.context.store.live?.change ?? null;
+    return change !== null && change.state !== "ended";
   }
 
   /** A change in progress is shown, whoever has asked for it; its steps are on the graph. */
@@ -357,13 +360,15 @@ class ChangePanel {
     const { store } = this.context;
     const change = store.live?.change ?? null;
     const running = this.#running();
-    if (running && this.#mine) this.#own = change.began; // its outcome is shown by the answer to the request
-    if (running && change.began !== this.#own) this.#watched = change.began;
-    const shown = running || (change !== null && change.began === this.#watched);
-    const key = shown ? JSON.stringify([change.began, change.state, change.steps, change.swaps.length]) : "";
+    if (change !== null && running) {
+      if (this.#mine) this.#own = change.began; // its outcome is shown by the answer to the request
+      if (change.began !== this.#own) this.#watched = change.began;
+    }
+    const shown = change !== null && (running || change.began === this.#watched) ? change : null;
+    const key = shown ? JSON.stringify([shown.began, shown.state, shown.steps, shown.swaps.length]) : "";
     if (key === this.#drawn) return;
     this.#drawn = key;
-    if (!shown) {
+    if (shown === null) {
       replace(this.progress);
       if (this.#shown !== null && this.#plan === null) this.#ghosts(null);
       return;
@@ -373,8 +378,8 @@ class ChangePanel {
       this.#follow();
     };
     const button = h("button", { class: "button", type: "button", onclick: close }, "Close");
-    replace(this.progress, ...watch(change, this.#width), running ? null : h("div", { class: "change-actions" }, button));
-    if (running && change.plan) this.#ghosts(change.plan, change.index);
+    replace(this.progress, ...watch(shown, this.#width), running ? null : h("div", { class: "change-actions" }, button));
+    if (running && shown.plan) this.#ghosts(shown.plan, shown.index);
     else if (this.#plan === null) this.#ghosts(null);
   }
 }

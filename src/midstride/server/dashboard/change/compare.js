@@ -10,12 +10,27 @@ import { duration, figure, plannedSeconds } from "../plan/words.js";
 import { STRATEGIES, request } from "./request.js";
 
 /**
- * @param {any} ask
+ * @typedef {import("../store.js").Plan} Plan
+ * @typedef {Record<string, Plan | {refused: string}>} Plans by strategy
+ */
+
+/** @param {Plan | {refused: string}} plan @returns {plan is Plan} */
+function isMade(plan) {
+  return !("refused" in plan);
+}
+
+/** @param {Plans} plans @returns {[string, Plan][]} those that could be made */
+export function madePlans(plans) {
+  return Object.entries(plans).flatMap(([name, plan]) => (isMade(plan) ? [/** @type {[string, Plan]} */ ([name, plan])] : []));
+}
+
+/**
+ * @param {import("../store.js").Ask} ask
  * @param {import("./request.js").Choice} choice
- * @returns {Promise<Record<string, any>>} the plan of each strategy, or `{refused}` with the planner's words
+ * @returns {Promise<Plans>} the plan of each strategy, or `{refused}` with the planner's words
  */
 export async function plansOfAll(ask, choice) {
-  /** @type {Record<string, any>} */ const found = {};
+  /** @type {Plans} */ const found = {};
   for (const strategy of STRATEGIES) {
     try {
       found[strategy] = await ask("POST", "/plan", request({ ...choice, strategy }));
@@ -27,17 +42,17 @@ export async function plansOfAll(ask, choice) {
 }
 
 /**
- * @param {Record<string, any>} plans by strategy
+ * @param {Plans} plans by strategy
  * @param {number} width of an axis (px)
  * @param {((strategy: string) => void) | null} onPick
  * @returns {Node[]}
  */
 export function comparison(plans, width, onPick) {
-  const made = Object.entries(plans).filter(([, plan]) => !plan.refused);
+  const made = madePlans(plans);
   const span = Math.max(0, ...made.map(([, plan]) => plan.seconds));
   const heads = ["strategy", "disruption", "degrade", "takes about", "critical path", "steps"];
   const rows = Object.entries(plans).map(([name, plan]) => {
-    if (plan.refused) return h("tr", {}, h("th", { scope: "row" }, name), h("td", { colspan: 5, class: "refused" }, `refused: ${plan.refused}`));
+    if (!isMade(plan)) return h("tr", {}, h("th", { scope: "row" }, name), h("td", { colspan: 5, class: "refused" }, `refused: ${plan.refused}`));
     const disruption = `${figure(plan.disruption)}${plan.proved_minimal ? " (minimal)" : ""}`;
     const cells = [disruption, plan.degraded.length, duration(plannedSeconds(plan)), duration(plan.makespan), plan.steps.length];
     const head = onPick ? h("button", { class: "button quiet", type: "button", onclick: () => onPick(name) }, name) : name;

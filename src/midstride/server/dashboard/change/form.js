@@ -80,7 +80,7 @@ export class Form {
   /**
    * Shows a choice, with what can be chosen in its place.
    *
-   * @param {any} specification
+   * @param {Api.SpecificationForm | null} specification
    * @param {import("./request.js").Choice} choice
    * @param {Offered} offered
    */

@@ -27,7 +27,7 @@ export class NewNodeFields {
   /**
    * Shows the ports and parameters of the chosen component. What has been typed stays while they are the same.
    *
-   * @param {any} specification
+   * @param {Api.SpecificationForm | null} specification
    * @param {string} component
    */
   offer(specification, component) {
@@ -65,7 +65,7 @@ export class NewNodeFields {
   }
 }
 
-/** @param {any} declared a parameter's value, or an object with it */
+/** @param {unknown} declared a parameter's value, or an object with it */
 function written(declared) {
   const value = declared !== null && typeof declared === "object" && "value" in declared ? declared.value : declared;
   return typeof value === "string" ? value : JSON.stringify(value);

@@ -8,14 +8,14 @@ import { h } from "../dom.js";
 import { valueOf } from "./request.js";
 
 /**
- * @param {any} ask
+ * @param {import("../store.js").Ask} ask
  * @param {import("./request.js").Choice} choice
  * @returns {Promise<Node[]>} the values as they are now
  * @throws {Error} with the manager's words, or those of the node, which may refuse a value
  */
 export async function setParameter(ask, { node, parameter, value }) {
-  const report = await ask("POST", "/parameters", { node, parameters: { [parameter]: valueOf(value) } });
-  return report.parameters.map((/** @type {any} */ each) => {
+  /** @type {Api.ParametersReport} */ const report = await ask("POST", "/parameters", { node, parameters: { [parameter]: valueOf(value) } });
+  return report.parameters.map((each) => {
     const text = typeof each.value === "string" ? each.value : JSON.stringify(each.value);
     return h("p", { class: "banner", "data-kind": "good" }, `✓ ${report.instance}: ${each.name} = ${text}`);
   });

@@ -9,7 +9,7 @@ import { axis, fallRows, gapRows, gapSpan, spanOf, stepRows } from "../plan/axis
 import { details, figures, headline } from "../plan/outcome.js";
 import { about, afterwards, cost, duration, falls, remarks, stepText } from "../plan/words.js";
 
-/** @param {string} text @param {(words: string, options?: any) => void} say */
+/** @param {string} text @param {typeof import("../say.js").say} say */
 export function command(text, say) {
   const copy = () =>
     navigator.clipboard
@@ -24,7 +24,7 @@ export function command(text, say) {
   );
 }
 
-/** @param {any} plan @returns {HTMLElement} what a plan degrades, or that it degrades nothing */
+/** @param {import("../store.js").Plan} plan @returns {HTMLElement} what a plan degrades, or that it degrades nothing */
 export function summary(plan) {
   const found = falls(plan);
   const { worse, better } = afterwards(plan);
@@ -51,14 +51,14 @@ const GLYPHS = /** @type {Record<string, string>} */ ({ planned: "·", current: 
 /**
  * The steps of a plan as a list.
  *
- * @param {any} plan
+ * @param {import("../store.js").Plan} plan
  * @param {import("../plan/schedule.js").Span[]} [spans] how far each of them is
  */
 export function steps(plan, spans) {
   return h(
     "ol",
     { class: "rows steps" },
-    ...plan.steps.map((/** @type {any} */ step, /** @type {number} */ index) => {
+    ...plan.steps.map((step, index) => {
       const state = spans?.[index].state ?? "planned";
       const [verb, ...rest] = stepText(step).split(" ");
       const kind = step.action === "handover" ? "hand over" : verb;
@@ -74,13 +74,13 @@ export function steps(plan, spans) {
   );
 }
 
-/** How long a step took, or is to take. @param {any} step @param {import("../plan/schedule.js").Span} [span] */
+/** How long a step took, or is to take. @param {import("../plan/words.js").Step} step @param {import("../plan/schedule.js").Span} [span] */
 function took(step, span) {
   const measured = span && span.end !== null && ["done", "failed"].includes(span.state);
   return measured ? duration(/** @type {number} */ (span.end) - span.begin) : about(step);
 }
 
-/** Everything that the command line says of a plan. @param {any} plan @param {number} width of the axis (px) */
+/** Everything that the command line says of a plan. @param {import("../store.js").Plan} plan @param {number} width of the axis (px) */
 export function planParts(plan, width) {
   if (!plan.steps.length) return [summary(plan)];
   return [
@@ -92,13 +92,13 @@ export function planParts(plan, width) {
   ];
 }
 
-/** @param {any} plan @param {number} width @param {import("../plan/schedule.js").Span[]} [spans] */
+/** @param {import("../store.js").Plan} plan @param {number} width @param {import("../plan/schedule.js").Span[]} [spans] */
 export function planAxis(plan, width, spans) {
   const rows = [...stepRows(plan, spans), ...fallRows(plan)];
   return axis(rows, { width, span: spanOf(rows), title: `${plural(plan.steps.length, "step")} on a time axis` });
 }
 
-/** Everything that the command line says of an outcome. @param {any} outcome @param {any} plan @param {number} width */
+/** Everything that the command line says of an outcome. @param {Api.Outcome} outcome @param {import("../store.js").Plan | null} plan @param {number} width */
 export function outcomeParts(outcome, plan, width) {
   const { kind, words } = headline(outcome);
   return [
@@ -109,20 +109,20 @@ export function outcomeParts(outcome, plan, width) {
   ];
 }
 
-/** @param {any} swap @returns {HTMLElement} */
+/** @param {Api.SwapReport} swap @returns {HTMLElement} */
 function counts(swap) {
   const [, , missed, lost, duplicates] = figures(swap);
   return h("p", { class: "counts" }, `${swap.subscriber}: missed ${missed}, lost ${lost}, duplicates ${duplicates}`);
 }
 
-/** @param {any} found what Alloy found, where it was asked */
+/** @param {Api.Verdict | undefined} found what Alloy found, where it was asked */
 function verdict(found) {
   if (!found) return null;
   const because = found.because ? `: ${found.because}` : "";
   return h("p", {}, `${found.subject} ${String(found.verdict).toUpperCase()}${because} (${found.by}, ${found.scope})`);
 }
 
-/** @param {any[]} swaps @param {number} width @returns {(Node | null | false)[]} each subscriber's gap and figures */
+/** @param {Api.SwapReport[]} swaps @param {number} width @returns {(Node | null | false)[]} each subscriber's gap and figures */
 export function gaps(swaps, width) {
   if (!swaps.length) return [];
   const narrow = width < NARROW;

@@ -11,7 +11,7 @@ function counted(counts) {
   return Object.entries(counts).map(([name, count]) => `${count} ${name.replace("_", " ")}`).join(", ");
 }
 
-/** @param {any} found as POST /rehearsal answers @param {string} title @returns {Node[]} */
+/** @param {Api.Rehearsal} found as POST /rehearsal answers @param {string} title @returns {Node[]} */
 export function rehearsal(found, title) {
   const failed = found.failed ?? [];
   const runs = plural(found.seeds, "run");
@@ -22,11 +22,11 @@ export function rehearsal(found, title) {
     h("p", { class: "banner", "data-kind": failed.length ? "bad" : "good" }, `${failed.length ? "✕" : "✓"} ${words}`),
     h("p", {}, `How the change ended: ${counted(found.outcomes ?? {}) || "not begun"}.`),
     ...(faults.length ? [table(faults)] : []),
-    h("ul", {}, ...failed.map((/** @type {any} */ each) => h("li", {}, `seed ${each.seed}: ${each.problems.join("; ")}`))),
+    h("ul", {}, ...failed.map((each) => h("li", {}, `seed ${each.seed}: ${each.problems.join("; ")}`))),
   ];
 }
 
-/** @param {[string, any][]} faults by kind: how often each struck, and what followed */
+/** @param {[string, Record<string, number>][]} faults by kind: how often each struck, and what followed */
 function table(faults) {
   const columns = Object.keys(faults[0][1]);
   const heads = ["fault", ...columns.map((each) => each.replace("_", " "))];

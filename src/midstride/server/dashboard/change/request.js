@@ -10,7 +10,7 @@
  *
  * @typedef {"replace" | "restart" | "add" | "remove" | "rollback" | "param" | "apply"} Kind
  * @typedef {{kind: Kind, node: string, component: string, role: string, topics: Record<string, string>,
- *   values: Record<string, string>, version: number | null, parameter: string, value: string, to: any,
+ *   values: Record<string, string>, version: number | null, parameter: string, value: string, to: Api.SpecificationForm | null,
  *   file: string | null, strategy: string, detours: boolean, declared: boolean, verify: boolean}} Choice
  */
 
@@ -188,7 +188,7 @@ export function title(choice) {
 /**
  * The components that may take a node's place: what it falls back to first, then those with all its ports, then others.
  *
- * @param {any} specification
+ * @param {Api.SpecificationForm | null} specification
  * @param {string} role
  * @returns {{name: string, fits: boolean, words: string}[]}
  */
@@ -196,7 +196,7 @@ export function replacements(specification, role) {
   const node = specification?.nodes?.[role];
   if (!node) return [];
   const needed = Object.keys(node.attachments ?? {});
-  const found = Object.entries(specification.components).map(([name, component]) => {
+  const found = Object.entries(specification?.components ?? {}).map(([name, component]) => {
     const missing = needed.filter((port) => !ports(component).has(port));
     const fallback = node.respawn?.fallback === name;
     const same = node.component === name;
@@ -207,8 +207,7 @@ export function replacements(specification, role) {
   return found.sort((a, b) => a.rank - b.rank || (a.name < b.name ? -1 : 1));
 }
 
-/** @param {any} component @returns {Set<string>} */
+/** @param {Api.ComponentForm} component @returns {Set<string>} */
 function ports(component) {
-  const outputs = component.outputs ?? [];
-  return new Set([...Object.keys(component.inputs ?? {}), ...(Array.isArray(outputs) ? outputs : Object.keys(outputs))]);
+  return new Set([...Object.keys(component.inputs ?? {}), ...(component.outputs ?? [])]);
 }

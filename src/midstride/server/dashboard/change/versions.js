@@ -5,7 +5,7 @@
  */
 
 /**
- * @param {any} history as GET /history answers
+ * @param {Api.History} history as GET /history answers
  * @returns {[number, string][]} each with what made it, the latest first; without the one that is in force
  */
 export function earlierVersions({ changes }) {

@@ -16,21 +16,21 @@ const STATES = /** @type {Record<string, string>} */ ({
   measuring: "Measuring at the subscribers, over 20 periods",
 });
 
-/** A change in progress, or one that has ended. @param {any} change of the view @param {number} width of the axis (px) @returns {(Node | null)[]} */
+/** A change in progress, or one that has ended. @param {Api.ChangeView} change of the view @param {number} width of the axis (px) @returns {import("../dom.js").Child[]} */
 export function watch(change, width) {
-  const done = change.steps.filter((/** @type {any} */ each) => each.ended !== null && !each.failed).length;
+  const done = change.steps.filter((each) => each.ended !== null && !each.failed).length;
   const ended = change.state === "ended";
   const count = change.total === null ? "" : `, ${done} of ${change.total} steps done`;
   const good = change.outcome === "done" ? "good" : "bad";
   const kind = ended ? good : change.state === "rolling_back" ? "bad" : null;
   const words = ended ? `ended: ${change.because}` : `${STATES[change.state] ?? change.state}${count} …`;
-  const parts = [
+  /** @type {import("../dom.js").Child[]} */ const parts = [
     h("h2", { class: "panel-title" }, change.command),
     h("p", { class: "banner", "data-kind": kind, role: "status" }, words),
   ];
   if (change.plan) {
-    const spans = liveSpans(change);
-    parts.push(steps(change.plan, spans), /** @type {any} */ (planAxis(change.plan, width, spans)));
+    const spans = liveSpans({ ...change, plan: change.plan });
+    parts.push(steps(change.plan, spans), planAxis(change.plan, width, spans));
   }
   return [...parts, ...gaps(change.swaps, width)];
 }

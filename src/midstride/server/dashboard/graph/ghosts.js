@@ -4,6 +4,7 @@
  * @module
  */
 
+import { modeEntered } from "../plan/words.js";
 import { owner } from "./names.js";
 
 /**
@@ -30,7 +31,7 @@ export function linkKey(component, port, topic) {
 }
 
 /**
- * @param {any} plan as POST /plan answers, or the `plan` of a change
+ * @param {import("../store.js").Plan} plan as POST /plan answers, or the `plan` of a change
  * @param {View} view
  * @param {{step?: number | null}} [options] the step in progress, from 0
  * @returns {Ghosts}
@@ -46,7 +47,7 @@ export function ghostsOf(plan, view, { step = null } = {}) {
     const entry = planned.get(component);
     if (fate === "created" && entry !== undefined) addPort(entry, port, topic, view);
   };
-  (plan.steps ?? []).forEach((/** @type {any} */ each, /** @type {number} */ index) => {
+  (plan.steps ?? []).forEach((each, index) => {
     if (index === step) for (const name of subjects(each)) ghosts.current.add(name);
     if (each.action === "create") {
       ghosts.components.set(each.instance, "created");
@@ -66,32 +67,32 @@ export function ghostsOf(plan, view, { step = null } = {}) {
 }
 
 /**
- * @param {any} plan
+ * @param {import("../store.js").Plan} plan
  * @returns {Map<string, string>}
  */
 function falls(plan) {
   /** @type {Map<string, string>} */ const found = new Map();
   for (const name of plan.degraded ?? []) found.set(name, "falls");
   for (const each of plan.degradations ?? []) {
-    const to = each.to ?? each.mode;
-    if (typeof each.functionality === "string") found.set(each.functionality, to ? `falls to ${to}` : "falls");
+    const to = modeEntered(plan.steps[each.from_step - 1], each.functionality);
+    found.set(each.functionality, to ? `falls to ${to}` : "falls");
   }
   return found;
 }
 
 /**
- * @param {any} step
+ * @param {import("../plan/words.js").Step} step
  * @returns {string[]} the components that a step is about
  */
 function subjects(step) {
-  if (step.instance) return [step.instance];
-  if (step.port) return [owner(step.port)];
-  if (step.swaps) return step.swaps.flatMap((/** @type {any} */ swap) => [owner(swap.old), owner(swap.new)]);
-  return Object.keys(step.modes ?? {}).map(owner);
+  if ("instance" in step) return [step.instance];
+  if ("port" in step) return [owner(step.port)];
+  if ("swaps" in step) return step.swaps.flatMap((swap) => [owner(swap.old), owner(swap.new)]);
+  return Object.keys(step.modes).map(owner);
 }
 
 /**
- * @param {any} create
+ * @param {Api.CreateStep} create
  * @param {View} view
  * @returns {Component}
  */
@@ -107,12 +108,16 @@ function newComponent(create, view) {
     node: null,
     pid: null,
     reachable: true,
+    answers: true,
     ending: false,
     waiting: null,
     as_modelled: true,
     differences: [],
     undeclared: [],
     deviation: null,
+    simulated_time: false,
+    run: null,
+    log_file: null,
     functionalities: [],
     ports: [],
     parameters: [],

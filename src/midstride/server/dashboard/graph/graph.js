@@ -48,7 +48,7 @@ export class Graph {
   /** @type {Map<string, LinkShape>} */ #links = new Map();
   /** @type {Map<string, LinkShape[]>} */ #linksOf = new Map();
   /** @type {Map<string, boolean>} */ #choices = new Map(); // collapsed or not, where the user has said so
-  /** @type {any} */ #plan = null;
+  /** @type {import("../store.js").Plan | null} */ #plan = null;
   /** @type {number | null} */ #step = null;
   /** @type {Ghosts | null} */ #ghosts = null;
   /** @type {Set<string> | null} */ #lit = null;
@@ -107,7 +107,7 @@ export class Graph {
   /**
    * Shows a plan: what it creates and removes is dashed, and functionalities that fall are marked.
    *
-   * @param {any} plan as POST /plan answers; null removes it
+   * @param {import("../store.js").Plan | null} plan as POST /plan answers; null removes it
    * @param {{step?: number | null}} [options] the step in progress, from 0
    */
   ghosts(plan, { step = null } = {}) {

@@ -82,7 +82,7 @@ export function shortened(text, room) {
 /**
  * The steps of a plan as bars.
  *
- * @param {any} plan
+ * @param {import("../store.js").Plan} plan
  * @param {import("./schedule.js").Span[]} [spans] as they are carried out; without, as planned
  * @returns {AxisRow[]}
  */
@@ -95,7 +95,7 @@ export function stepRows(plan, spans = plannedSpans(plan)) {
   });
 }
 
-/** @param {any} plan @returns {AxisRow[]} a heading and bars for each functionality that falls, as planned */
+/** @param {import("../store.js").Plan} plan @returns {AxisRow[]} a heading and bars for each functionality that falls, as planned */
 export function fallRows(plan) {
   const found = stretches(plan);
   return [...new Set(found.map((each) => each.functionality))].flatMap((name) => [
@@ -122,7 +122,7 @@ function fallBars(stretch) {
 /**
  * What each subscriber did without: its longest silence, beside the period that is its due.
  *
- * @param {any[]} swaps
+ * @param {Api.SwapReport[]} swaps
  * @returns {AxisRow[]}
  */
 export function gapRows(swaps) {
@@ -139,12 +139,12 @@ export function gapRows(swaps) {
   });
 }
 
-/** @param {any[]} swaps @returns {number} what the axis of `gapRows` has to reach to (s) */
+/** @param {Api.SwapReport[]} swaps @returns {number} what the axis of `gapRows` has to reach to (s) */
 export function gapSpan(swaps) {
   return Math.max(...swaps.flatMap((swap) => [swap.gap ?? 0, (swap.period ?? 0) * 1.5]), 0.01);
 }
 
-/** @param {any} plan @param {any} outcome @returns {AxisRow[]} the steps as measured */
+/** @param {import("../store.js").Plan} plan @param {Api.Outcome} outcome @returns {AxisRow[]} the steps as measured */
 export function measuredRows(plan, outcome) {
   return stepRows(plan, measuredSpans(plan, outcome));
 }

@@ -4,6 +4,8 @@
  * @module
  */
 
+/** @typedef {Api.PlanPreview["steps"][number]} Step */
+
 /** A duration with three significant digits or so. @param {number | null | undefined} value in seconds */
 export function duration(value) {
   if (value === null || value === undefined) return "unknown";
@@ -22,7 +24,7 @@ export function listed(words) {
   return [words.slice(0, -1).join(", "), words.at(-1)].filter(Boolean).join(" and ");
 }
 
-/** @param {any} value of a parameter */
+/** @param {unknown} value of a parameter @returns {string} */
 function written(value) {
   if (typeof value === "string") return `'${value}'`;
   if (typeof value === "boolean") return value ? "True" : "False";
@@ -30,12 +32,13 @@ function written(value) {
   return String(value);
 }
 
-/** @param {any} step of a plan @returns {string} what it does */
+/** @param {Step} step of a plan @returns {string} what it does */
 export function stepText(step) {
   switch (step.action) {
     case "create":
+      return `create ${step.instance} (${step.component})`;
     case "remove":
-      return step.component ? `${step.action} ${step.instance} (${step.component})` : `${step.action} ${step.instance}`;
+      return `remove ${step.instance}`;
     case "attach":
       return `attach ${step.port} to ${step.topic}`;
     case "detach":
@@ -46,7 +49,7 @@ export function stepText(step) {
       return `${step.action} ${modes.join(", ") || "nothing"}`;
     }
     case "handover": {
-      const swaps = step.swaps.map((/** @type {any} */ each) => `${each.topic} from ${each.old} to ${each.new}`);
+      const swaps = step.swaps.map((each) => `${each.topic} from ${each.old} to ${each.new}`);
       return `hand over ${swaps.join(", ") || "nothing"}`;
     }
     case "set": {
@@ -54,16 +57,16 @@ export function stepText(step) {
       return `set ${values.map(([name, value]) => `${name} = ${written(value)}`).join(", ")} on ${step.instance}`;
     }
     default:
-      return String(step.action);
+      return String(/** @type {{action: string}} */ (step).action);
   }
 }
 
-/** How long a step takes, with the range that was measured where it is wide. @param {any} step */
+/** How long a step takes, with the range that was measured where it is wide. @param {Step} step */
 export function about(step) {
   return withRemarks(step.seconds, spread(step));
 }
 
-/** @param {any} document @returns {string[]} */
+/** @param {{between?: [number, number]}} document @returns {string[]} */
 function spread(document) {
   const [shortest, longest] = document.between ?? [0, 0];
   return longest - shortest < 0.1 ? [] : [`${duration(shortest)} to ${duration(longest)}`];
@@ -74,29 +77,29 @@ function withRemarks(taken, remarks) {
   return duration(taken) + (remarks.length ? ` (${remarks.join("; ")})` : "");
 }
 
-/** How long a plan takes as it is carried out (s). Earlier reports only have the sum of its steps. @param {any} plan */
+/** How long a plan takes as it is carried out (s). Earlier reports only have the sum of its steps. @param {import("../store.js").Plan} plan */
 export function plannedSeconds(plan) {
   return plan.duration ?? plan.seconds;
 }
 
-/** The same in words, with its range; beside it the sum of its steps where they overlap. @param {any} plan */
+/** The same in words, with its range; beside it the sum of its steps where they overlap. @param {import("../store.js").Plan} plan */
 export function aboutPlan(plan) {
   const taken = plannedSeconds(plan);
   const inTurn = duration(taken) === duration(plan.seconds) ? [] : [`${duration(plan.seconds)} one step after another`];
   return withRemarks(taken, [...spread(plan), ...inTurn]);
 }
 
-/** @param {any} shift */
+/** @param {Api.LevelShift} shift */
 function lowered(shift) {
   const { functionality, from, to } = shift;
   return to === null ? `no instance serves ${functionality}` : `${functionality} is in mode ${to} instead of ${from}`;
 }
 
-/** The mode that a role's functionality enters in a step. @param {any} step @param {string} functionality */
-function modeEntered(step, functionality) {
+/** The mode that a role's functionality enters in a step. @param {Step | undefined} step @param {string} functionality */
+export function modeEntered(step, functionality) {
   const dot = functionality.lastIndexOf(".");
   const [role, name] = [functionality.slice(0, dot), functionality.slice(dot + 1)];
-  for (const [ref, modes] of Object.entries(step?.modes ?? {})) {
+  for (const [ref, modes] of Object.entries(step && "modes" in step ? step.modes : {})) {
     const end = ref.lastIndexOf(".");
     const instance = ref.slice(0, end);
     const suffix = instance.startsWith(`${role}_`) ? instance.slice(role.length + 1) : "";
@@ -108,11 +111,11 @@ function modeEntered(step, functionality) {
 /**
  * What degrades on the way, how far, for how long and why.
  *
- * @param {any} plan
+ * @param {import("../store.js").Plan} plan
  * @returns {{functionality: string, head: string, because: string[], already: boolean}[]} `already`: before the first step
  */
 export function falls(plan) {
-  return (plan.degradations ?? []).map((/** @type {any} */ fall) => {
+  return (plan.degradations ?? []).map((fall) => {
     const name = fall.functionality;
     if (!fall.from_step) return already(plan, fall);
     const where = fall.to_step === null ? `from step ${fall.from_step} on` : `steps ${fall.from_step} to ${fall.to_step}`;
@@ -128,7 +131,7 @@ export function falls(plan) {
   });
 }
 
-/** How long a functionality remains below that is below before the first step. @param {any} plan @param {any} fall */
+/** How long a functionality remains below that is below before the first step. @param {import("../store.js").Plan} plan @param {Api.Degradation} fall */
 function already(plan, fall) {
   const name = fall.functionality;
   const until = fall.to_step === null ? "throughout" : `until step ${fall.to_step}`;
@@ -141,38 +144,37 @@ function already(plan, fall) {
   };
 }
 
-/** @param {any} plan @param {string} functionality */
+/** @param {import("../store.js").Plan} plan @param {string} functionality */
 function alternatives(plan, functionality) {
-  const found = (plan.alternatives ?? []).filter((/** @type {any} */ each) => each.functionality === functionality);
+  const found = (plan.alternatives ?? []).filter((each) => each.functionality === functionality);
   return found.map(alternative);
 }
 
-/** What it would cost to keep a functionality. @param {any} each */
+/** What it would cost to keep a functionality. @param {Api.Alternative} each */
 function alternative(each) {
   if (each.impossible !== null) return `It cannot be kept at ${each.kept_at}: ${each.impossible}`;
   const instead = each.degraded.length ? listed(each.degraded) : "nothing";
-  const cost = `the disruption would be ${figure(each.disruption)}`;
+  const cost = `the disruption would be ${figure(each.disruption ?? 0)}`;
   return `To keep it at ${each.kept_at}, ${cost}: ${instead} would degrade instead`;
 }
 
 /**
  * What is in another mode afterwards, for good.
  *
- * @param {any} plan
+ * @param {import("../store.js").Plan} plan
  * @returns {{worse: string[], better: string[]}}
  */
 export function afterwards(plan) {
   const shifts = plan.level_shifts ?? [];
-  const [was, will] = ["from", "to"];
   return {
-    worse: shifts.filter((/** @type {any} */ each) => each.levels > 0).map(lowered),
+    worse: shifts.filter((each) => each.levels > 0).map(lowered),
     better: shifts
-      .filter((/** @type {any} */ each) => each.levels <= 0)
-      .map((/** @type {any} */ each) => `${each.functionality}, from ${each[was] ?? "unserved"} to ${each[will] ?? "unserved"}`),
+      .filter((each) => each.levels <= 0)
+      .map((each) => `${each.functionality}, from ${each.from ?? "unserved"} to ${each.to ?? "unserved"}`),
   };
 }
 
-/** The cost of a plan, and whether its disruption is proved minimal. @param {any} plan */
+/** The cost of a plan, and whether its disruption is proved minimal. @param {import("../store.js").Plan} plan */
 export function cost(plan) {
   let bound = plan.proved_minimal ? "proved minimal" : `at least ${figure(plan.lower_bound ?? 0)}`;
   if (plan.proof_space === "detours") bound += ", with detours";
@@ -182,8 +184,8 @@ export function cost(plan) {
   return `${disruption}; takes about ${aboutPlan(plan)}; strategy ${plan.strategy}.`;
 }
 
-/** What a plan does besides its steps, and to values that were set at run time. @param {any} plan @returns {string[]} */
+/** What a plan does besides its steps, and to values that were set at run time. @param {import("../store.js").Plan} plan @returns {string[]} */
 export function remarks(plan) {
   const own = Object.entries(plan.own_state ?? {}).map(([name, because]) => `${name} starts with its own state: ${because}.`);
-  return [...(plan.remarks ?? []), ...(plan.parameters ?? []).map((/** @type {any} */ each) => each.words), ...own];
+  return [...(plan.remarks ?? []), ...(plan.parameters ?? []).map((each) => each.words), ...own];
 }

@@ -14,23 +14,23 @@ const FEW = 6;
 
 /**
  * @typedef {import("../store.js").View} View
- * @typedef {{graph: any, at: (time: number | null) => void}} Drawn
+ * @typedef {{graph: import("../graph/graph.js").Graph, at: (time: number | null) => void}} Drawn
  */
 
 /**
  * The view at a time: as modelled before, in the modes that components reported.
  *
  * @param {View} view
- * @param {any} timeline of the change
+ * @param {Api.ChangeTimeline} timeline of the change
  * @param {number} at unix seconds
  * @returns {View}
  */
 function viewAt(view, timeline, at) {
-  const components = Object.assign(Object.create(null), view.instances);
+  /** @type {View["instances"]} */ const components = Object.assign(Object.create(null), view.instances);
   for (const each of timeline.modes) {
     const component = components[each.instance];
     if (!component || each.began > at || (each.ended !== null && each.ended <= at)) continue;
-    const functionalities = component.functionalities.map((/** @type {any} */ known) =>
+    const functionalities = component.functionalities.map((known) =>
       known.name === each.functionality
         ? { ...known, mode: each.mode, normal: kindOf(each) === "normal", because: each.because, reflex: each.reflex }
         : known,
@@ -43,12 +43,12 @@ function viewAt(view, timeline, at) {
 /**
  * The step that was being carried out at a time, from 0; the number of steps once all are done.
  *
- * @param {any} timeline
+ * @param {Api.ChangeTimeline} timeline
  * @param {number} at
  * @returns {number | null}
  */
 function stepAt(timeline, at) {
-  const begun = timeline.events.filter((/** @type {any} */ each) => each.kind === "step" && each.at <= at);
+  const begun = timeline.events.filter((each) => each.kind === "step" && each.at <= at);
   const last = begun.at(-1);
   return last?.index ?? null;
 }
@@ -56,8 +56,8 @@ function stepAt(timeline, at) {
 /**
  * @param {HTMLElement} element
  * @param {{before: View, after: View | null}} views
- * @param {any} plan
- * @param {any} timeline null where nothing happened yet
+ * @param {import("../store.js").Plan} plan
+ * @param {Api.ChangeTimeline | null} timeline null where nothing happened yet
  * @returns {Drawn}
  */
 export function reportGraph(element, views, plan, timeline) {

@@ -17,17 +17,23 @@ import { byName } from "../store.js";
 import { reportGraph } from "./graph.js";
 import { reportTimeline } from "./timeline.js";
 
+/**
+ * @typedef {import("../store.js").Plan} Plan
+ * @typedef {Omit<Api.ReportDocument, "change" | "plans"> & {change: Api.ChangeReport | null,
+ *   plans: import("../change/compare.js").Plans | null}} Data
+ */
+
 /** @param {number} at unix seconds @returns {string} the local date and time */
 function date(at) {
   return new Date(at * 1000).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "medium" });
 }
 
-/** @param {string} title @param {...(Node | string | null)} children */
+/** @param {string} title @param {...import("../dom.js").Child} children */
 function section(title, ...children) {
   return h("section", { class: "report-part" }, h("h2", {}, title), ...children);
 }
 
-/** @param {any} data the document in the file */
+/** @param {Data} data the document in the file */
 function report(data) {
   const root = /** @type {HTMLElement} */ (document.getElementById("report"));
   const width = Math.min(Math.max(document.documentElement.clientWidth - 64, 320), 1200);
@@ -41,8 +47,8 @@ function report(data) {
   if (views.before) {
     const graph = h("section", { class: "report-part report-graph" });
     root.append(graph);
-    const drawn = reportGraph(graph, views, made[0] ?? null, found?.timeline ?? null);
-    if (timeline) timeline.append(reportTimeline(found, views.before, drawn));
+    const drawn = reportGraph(graph, { before: views.before, after: views.after }, made[0] ?? null, found?.timeline ?? null);
+    if (timeline && found?.timeline) timeline.append(reportTimeline({ ...found, timeline: found.timeline }, views.before, drawn));
   } else if (timeline) timeline.append(h("p", { class: "muted" }, "The plan was not recorded, so there is no graph."));
   if (timeline) root.append(timeline);
   if (found) root.append(...changeParts(found, plan, width));
@@ -54,7 +60,7 @@ function report(data) {
   root.append(specifications(found, made[0]), foot(data));
 }
 
-/** @param {any} data @param {any} plan */
+/** @param {Data} data @param {Plan | null} plan */
 function head(data, plan) {
   const found = data.change;
   const outcome = found?.outcome ? headline(found.outcome) : null;
@@ -69,11 +75,11 @@ function head(data, plan) {
     h("p", { class: "muted" }, line.filter(Boolean).join(" · ")),
     found && found.change.by && found.change.by !== found.change.command ? h("p", { class: "muted" }, `command: ${found.change.command}`) : null,
     outcome && h("p", { class: "banner", "data-kind": outcome.kind }, outcome.words),
-    ended && h("p", { class: "banner", "data-kind": "warn" }, `${ended}${found.change.because ? `: ${found.change.because}` : ""}`),
+    found && ended && h("p", { class: "banner", "data-kind": "warn" }, `${ended}${found.change.because ? `: ${found.change.because}` : ""}`),
   );
 }
 
-/** @param {any} found @param {any} plan @param {number} width */
+/** @param {Api.ChangeReport} found @param {Plan | null} plan @param {number} width */
 function changeParts(found, plan, width) {
   const parts = [];
   if (found.outcome) {
@@ -81,7 +87,7 @@ function changeParts(found, plan, width) {
     if (plan) {
       const rows = [...measuredRows(plan, found.outcome)];
       const drawn = axis(rows, { width, span: spanOf(rows), title: "The steps as measured" });
-      parts.push(section("Steps, as measured", steps(plan, measuredSpans(plan, found.outcome)), /** @type {any} */ (drawn)));
+      parts.push(section("Steps, as measured", steps(plan, measuredSpans(plan, found.outcome)), drawn));
     }
   } else parts.push(section("Outcome", h("p", {}, "How the change went was not recorded beyond its steps."), ...gaps(found.change.swaps, width)));
   parts.push(plan ? section("Plan, as shown before", ...planParts(plan, width)) : section("Plan", h("p", {}, "The plan was not recorded.")));
@@ -92,9 +98,9 @@ function changeParts(found, plan, width) {
   return parts;
 }
 
-/** @param {any} change */
+/** @param {Api.ChangeRecord} change */
 function journal(change) {
-  const done = change.steps.filter((/** @type {any} */ each) => each.outcome === "done").length;
+  const done = change.steps.filter((each) => each.outcome === "done").length;
   return h(
     "div",
     {},
@@ -102,14 +108,14 @@ function journal(change) {
     h(
       "ol",
       { class: "rows" },
-      ...change.steps.map((/** @type {any} */ each) =>
+      ...change.steps.map((each) =>
         h("li", { class: "row" }, h("span", { class: "grow" }, each.words), h("span", { class: "muted" }, (each.outcome ?? "not ended").replace("_", " ")), h("span", { class: "number" }, duration(each.seconds))),
       ),
     ),
   );
 }
 
-/** @param {any[]} events */
+/** @param {{at: number, words: string}[]} events */
 function eventList(events) {
   const milliseconds = (/** @type {number} */ at) => {
     const time = new Date(at * 1000);
@@ -118,16 +124,16 @@ function eventList(events) {
   return h("ol", { class: "event-list" }, ...events.map((each) => h("li", {}, h("time", {}, milliseconds(each.at)), h("span", { class: "words" }, each.words))));
 }
 
-/** @param {any} found @param {any} plan */
+/** @param {Api.ChangeReport | null} found @param {Plan | undefined} plan */
 function specifications(found, plan) {
   const before = found ? found.before : plan?.start;
   const after = found ? found.after : plan?.target;
-  const one = (/** @type {string} */ title, /** @type {any} */ form) =>
+  const one = (/** @type {string} */ title, /** @type {Api.SpecificationForm | null | undefined} */ form) =>
     form ? h("details", {}, h("summary", {}, title), h("pre", { class: "mono" }, JSON.stringify(form, null, 2))) : h("p", { class: "muted" }, `${title}: not recorded.`);
   return section("Specifications", one("Before, as JSON", before), one("After, as JSON", after));
 }
 
-/** @param {any} data */
+/** @param {Data} data */
 function foot(data) {
   const words = `Written by Midstride ${data.midstride}, ${date(data.written)}. All of its data is in this file, as JSON in the element "data".`;
   return h("footer", { class: "muted" }, words);

@@ -11,9 +11,9 @@ import { mountTimeline } from "../timeline/timeline.js";
 const MARGIN = 0.03;
 
 /**
- * @param {any} found the change
+ * @param {Api.ChangeReport & {timeline: Api.ChangeTimeline}} found the change
  * @param {import("../store.js").View} view
- * @param {{graph: any, at: (time: number | null) => void}} drawn
+ * @param {import("./graph.js").Drawn} drawn
  * @returns {HTMLElement}
  */
 export function reportTimeline(found, view, drawn) {
@@ -22,20 +22,21 @@ export function reportTimeline(found, view, drawn) {
   const fixed = /** @type {[number, number]} */ ([timeline.since - room, timeline.until + room]);
   const past = { command: change.command, began: timeline.since, ended: timeline.until, outcome: change.outcome };
   const document = { ...timeline, oldest: timeline.since, changes: [past] };
-  /** @type {Set<() => void>} */ const listeners = new Set();
+  /** @type {Set<(changed: Set<string>) => void>} */ const listeners = new Set();
   const store = {
     view,
     live: view,
     connection: { state: "live" },
     /** @type {import("../store.js").Time} */ time: { at: null, shown: null },
     now: () => fixed[1],
-    subscribe: (/** @type {string[]} */ keys, /** @type {() => void} */ callback) => {
-      if (keys.includes("time")) listeners.add(callback);
+    subscribe: (/** @type {Iterable<string>} */ keys, /** @type {(changed: Set<string>) => void} */ callback) => {
+      if ([...keys].includes("time")) listeners.add(callback);
+      return () => void listeners.delete(callback);
     },
     scrub: async (/** @type {number | null} */ at) => {
       store.time = { at, shown: at };
       drawn.at(at);
-      for (const each of listeners) each();
+      for (const each of listeners) each(new Set(["time"]));
     },
   };
   const element = h("div", { class: "report-timeline" });

@@ -19,8 +19,10 @@ const TICK = 1000;
 const REFRESH = 10_000;
 
 /**
- * @typedef {{store: any, ask: any, graph: any, say: any, fixed?: [number, number]}} Context `fixed`: the time that is
- *   shown, where that is all there is
+ * @typedef {import("../store.js").Store} Store
+ * @typedef {Pick<Store, "view" | "live" | "time" | "now" | "subscribe" | "scrub"> & {connection: {state: string}}} Source
+ * @typedef {Omit<import("../panels.js").Context, "store"> & {store: Source, fixed?: [number, number]}} Context `fixed`: the
+ *   time that is shown, where that is all there is
  */
 
 /**
@@ -34,8 +36,8 @@ export function mountTimeline(element, context) {
 class Timeline {
   #window = WINDOWS[0][1];
   #all = false;
-  /** @type {any} */ #document = null;
-  /** @type {{at: (x: number) => number, x: (at: number) => number} | null} */ #chart = null;
+  /** @type {Api.Timeline | null} */ #document = null;
+  /** @type {import("./chart.js").Chart | null} */ #chart = null;
   #asked = 0;
   #asking = false;
   #again = false;
@@ -171,8 +173,8 @@ class Timeline {
   /** When something happened, for the keys that go from one to the next. @returns {number[]} */
   #moments() {
     const { modes = [], changes = [] } = this.#document ?? {};
-    const found = [...modes.filter((/** @type {any} */ each) => each.level).map((/** @type {any} */ each) => each.began)];
-    found.push(...changes.map((/** @type {any} */ each) => each.began));
+    const found = [...modes.filter((each) => each.level).map((each) => each.began)];
+    found.push(...changes.map((each) => each.began));
     return found.sort((a, b) => a - b);
   }
 
@@ -206,7 +208,7 @@ class Timeline {
     const origin = fixed ? this.#document.since : until;
     const picture = { ...this.#document, rows: shown, since, until, at, origin, live: at === null && !fixed };
     this.#chart = drawChart(picture, width, (row, segment) => this.#why.show(row, segment));
-    replace(this.picture, /** @type {any} */ (this.#chart).svg);
+    replace(this.picture, this.#chart.svg);
     this.#refocus(held);
     this.more.hidden = every.length <= FEW;
     replace(this.more, this.#all ? "Only what was lowered" : `All ${every.length} functionalities`);

@@ -46,6 +46,7 @@ export class Why {
       h("ol", { class: "why-chain" }, ...reasons.flatMap((each) => each.split("\n")).map((each) => h("li", {}, each))),
     );
     this.element.hidden = false;
+    if (store.view === null) return;
     const names = namesIn([name, instance, ...reasons], store.view);
     graph.highlight(names.length ? names : null); // it may be about what is not there any more
     if (instance in store.view.instances) graph.reveal(instance);
