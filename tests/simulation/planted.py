@@ -285,7 +285,7 @@ PLANTED: Final[dict[str, tuple[Plant, str]]] = {
         (_handover_not_undone, "although nothing has failed"),
         (_never_resumes, "was silent for"),
         (_repetition_carried_out, "and repeated at"),
-        (_pending_forgotten, "although what it assumes there is broken"),
+        (_pending_forgotten, "the running system is not valid"),
         (_lost_reply_not_repeated, "after `detach` is done"),
         (_gate_not_reopened, "is closed after a roll-back"),
         (_new_side_not_closed, "is open on"),
