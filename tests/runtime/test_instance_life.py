@@ -23,6 +23,7 @@ from midstride.runtime.instance_life import (
     STOPPED,
     ConnectionEvent,
     ConnectionState,
+    InstanceLife,
     LifeTable,
     ProcessEvent,
     ProcessState,
@@ -78,7 +79,8 @@ CRASHED = (*RUNNING, ProcessEvent.EXITED)
         (RUNNING, ProcessState.RUNNING),
         (STOPPING, ProcessState.STOPPING),
         ((*STOPPING, ProcessEvent.ENDED), ProcessState.ABSENT),
-        ((*STOPPING, ProcessEvent.END_FAILED), ProcessState.RUNNING),
+        ((*STOPPING, ProcessEvent.END_FAILED), ProcessState.STUCK),
+        ((*STOPPING, ProcessEvent.END_FAILED, ProcessEvent.STARTED), ProcessState.STARTING),
         ((*STOPPING, ProcessEvent.KILLED), ProcessState.EXITED),
         (CRASHED, ProcessState.EXITED),
         ((*CRASHED, ProcessEvent.END_BEGUN, ProcessEvent.ENDED), ProcessState.EXITED),
@@ -206,7 +208,7 @@ def test_of_one_that_has_ended_nothing_is_kept() -> None:
     life.record("talker", ConnectionEvent.OPENED)
     life.record("talker", ConnectionEvent.DISCONNECTED)
     life.record("talker", ProcessEvent.ENDED)
-    assert life["talker"].history == type(life["talker"].history)()
+    assert life["talker"] == InstanceLife()
 
 
 def documented(heading: str) -> dict[tuple[str, str], str]:

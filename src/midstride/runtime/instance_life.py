@@ -45,6 +45,7 @@ class ProcessState(Enum):
     STARTING = "it has been started, here or by hand, and has not been accepted"
     RUNNING = "it runs, as far as is known"
     STOPPING = "it has been asked to exit"
+    STUCK = "it has been asked to exit, and could not be terminated"
     EXITED = "it has exited unexpectedly, and the model may still have it"
     MISSING = "it has exited unexpectedly, and its role has no instance"
 
@@ -113,13 +114,19 @@ def _processes() -> Transitions[ProcessState, ProcessEvent]:
                 event.END_BEGUN: state.STOPPING,
                 event.RELEASED: state.ABSENT,
                 event.EXITED: state.EXITED,
-                event.MISSED: state.MISSING,  # it should have ended, and could not be terminated
             },
             state.STOPPING: {
-                event.END_FAILED: state.RUNNING,
+                event.END_FAILED: state.STUCK,
                 event.ENDED: state.ABSENT,
                 event.KILLED: state.EXITED,
                 event.EXITED: state.EXITED,  # the back end notices late
+            },
+            state.STUCK: {
+                event.STARTED: state.STARTING,  # another process; this one is left over
+                event.ADOPTED: state.RUNNING,
+                event.END_BEGUN: state.STOPPING,
+                event.EXITED: state.EXITED,
+                event.MISSED: state.MISSING,
             },
             # What is left of its process group is ended all the same.
             state.EXITED: {
@@ -217,10 +224,18 @@ class InstanceLife:
     history: deque[Transition] = field(default_factory=lambda: deque(maxlen=KEPT))
 
     @property
+    def is_owned(self) -> bool:
+        """Whether a manager has started its process, so that this one may terminate it."""
+        return self.handle is not None
+
+    @property
     def is_over(self) -> bool:
         """Whether nothing of it is left that matters."""
         states = self.process is ProcessState.ABSENT, self.connection is ConnectionState.NONE
-        return all(states) and self.fence is FenceState.NONE and self.handle is None and self.role is None
+        return all(states) and self.fence is FenceState.NONE and not self.is_owned and self.role is None
+
+
+_UNKNOWN: Final = InstanceLife()
 
 
 class LifeTable:
@@ -322,7 +337,7 @@ class LifeTable:
 
     def __getitem__(self, name: str) -> InstanceLife:
         """What is known of an instance; nothing of one that was never heard of."""
-        return self._lives.get(name) or InstanceLife()
+        return self._lives.get(name, _UNKNOWN)
 
     @property
     def handles(self) -> dict[str, Handle]:

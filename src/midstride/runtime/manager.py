@@ -234,7 +234,7 @@ class Manager:
             self.events.add("down", f"{self.specification.name} is down")
 
     async def _end(self, name: str) -> str | None:
-        if self.system.life[name].handle is None:
+        if not self.system.life[name].is_owned:
             try:
                 await self._launcher.release(name)
                 result = "it is released, and left running"

@@ -137,7 +137,7 @@ class ActionDriver:
         """The instances of a step that the plan removes, and that have not been fenced yet."""
         if self.rolling_back or not isinstance(action, Degrade | Detach | Remove):
             return []
-        return sorted(self.change.leaving.intersection(action.instances()) - self.fences.fenced.keys())
+        return sorted(self.change.leaving.intersection(action.instances()) - self.system.life.fenced.keys())
 
     async def _own_degradations(self, action: Action) -> list[str]:
         """What degraded by itself in the instances of ``action``: the root cause of whatever they refused."""
@@ -243,7 +243,7 @@ class ActionDriver:
 
     async def _remove(self, action: Remove, budget: StepBudget) -> None:
         instance = self.configuration.instances[action.instance]
-        fenced = action.instance in self.fences.fenced
+        fenced = action.instance in self.system.life.fenced
         if (
             not self.rolling_back and not fenced
         ):  # else this change created it, and the instance that returns has its own state

@@ -252,7 +252,7 @@ class ChangeSession:
         await recording.begin(system.configuration, change.actions)
         driver = ActionDriver(self.client, self.launcher, self.backend, system, self.events, change)
         taken = await self._take_steps(driver)
-        fenced = driver.fences.fenced
+        fenced = system.life.fenced
         exited = {name for name in system.life.exits if name in change.before.instances and name not in fenced}
         await self.reconciler.reconcile_crashes()  # before measuring: dependent functionalities must not wait for it
         await change.entry.end(taken.outcome, taken.because, taken.seconds)
@@ -343,7 +343,7 @@ class ChangeSession:
         done = taken.outcome == "done"
         try:
             with self.commands.measuring():
-                swaps = await recording.finish(driver.last_numbers, resumed=not done, hung=driver.fences.fenced)
+                swaps = await recording.finish(driver.last_numbers, resumed=not done, hung=self.system.life.fenced)
                 if done:
                     await recording.wait(taken.ended + self._first_calls(driver.change.actions) - self.clock.steady())
                 return swaps

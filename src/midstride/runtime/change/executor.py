@@ -298,7 +298,7 @@ class Executor:
 
     def _taken_over(self, done: DoneActions) -> set[str]:
         """The fenced instances and those that have taken over from them: a topic does not go back to one that hangs."""
-        fenced = self.driver.fences.fenced
+        fenced = self.system.life.fenced
         swaps = [swap for action, _ in done if isinstance(action, Handover) for swap in action.swaps]
         return {*fenced, *(swap.new.instance for swap in swaps if swap.old.instance in fenced)}
 
@@ -323,7 +323,7 @@ class Executor:
         """Kill the processes of ``instances``, which then count as crashed; whether there was one."""
         killed = False
         for name in instances:
-            if self.system.life.has_exited(name) or self.system.life[name].handle is None:
+            if self.system.life.has_exited(name) or not self.system.life[name].is_owned:
                 continue
             try:
                 await self.driver.launcher.kill(name)

@@ -101,7 +101,7 @@ class Reconciler:
     def on_exit(self, event: Exited) -> None:
         """A process has exited without being asked to."""
         self.launcher.exited(event)
-        if self.system.life[event.instance].handle is not None:
+        if self.system.life[event.instance].is_owned:
             self._record_exit(event)
 
     def on_component_event(self, event: ComponentEvent) -> None:
@@ -113,7 +113,7 @@ class Reconciler:
                 if not exited:
                     self.events.add("note", f"{instance} cannot be reached any more; its process may still run")
                 # The only sign of exit for a component started by hand; for others the back end reports it.
-                elif self.system.life[instance].handle is None:
+                elif not self.system.life[instance].is_owned:
                     self.launcher.disconnected(instance)
                     self._record_exit(Exited(instance, None))
             case state:

@@ -55,11 +55,6 @@ class Fences:
     events: EventLog
     wait: float = DEFAULT_WAIT
 
-    @property
-    def fenced(self) -> dict[str, FencedInstance]:
-        """By instance, what was done and why."""
-        return self.client.life.fenced
-
     def now(self) -> float:
         return self.client.clock.steady()
 
@@ -115,7 +110,7 @@ class Fences:
         return {PortRef(instance, port): last.get(f"{port} {topic}") for port, topic in links}
 
     async def _kill(self, instance: str, error: MidstrideError) -> None:
-        if self.client.life[instance].handle is None:
+        if not self.client.life[instance].is_owned:
             raise StepFailed(
                 f"{instance} was started elsewhere, so it cannot be killed: {error}; end its process, then try again"
             ) from error
@@ -126,12 +121,12 @@ class Fences:
 
     def problems(self) -> Iterator[str]:
         """Why a roll-back is incomplete."""
-        for name, fenced in sorted(self.fenced.items()):
+        for name, fenced in sorted(self.client.life.fenced.items()):
             yield f"{name} was fenced, and its topics are not handed back to it: {fenced.because}"
 
     async def lift(self, instances: Collection[str]) -> None:
         """No successor took over: let these publish again, if they live."""
-        for name in sorted(self.fenced.keys() & set(instances)):
+        for name in sorted(self.client.life.fenced.keys() & set(instances)):
             life = self.client.life[name]
             if life.fence is not FenceState.GATE:
                 continue  # it was killed

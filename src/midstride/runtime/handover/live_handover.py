@@ -381,7 +381,7 @@ class LiveHandover:
     async def _cancel(self, cuts: Iterable[Cut]) -> None:
         for cut in cuts:
             for side in (cut.new, cut.old):
-                if side in self.fences.fenced:
+                if side in self.client.life.fenced:
                     continue  # it may hang for ever, and publishes nothing
                 await self.client.undo(side, commands.CancelCutCommand(cut=cut.id))
 

@@ -288,7 +288,7 @@ class Launcher:
     async def abandon(self, name: str) -> BackendError | None:
         """Stop waiting for ``name``, and terminate its process if there is one; returns why that failed."""
         self._forget_start(name)
-        if self._life[name].handle is not None:
+        if self._life[name].is_owned:
             try:
                 await self.end(name)
             except BackendError as error:
