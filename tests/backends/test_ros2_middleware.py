@@ -70,8 +70,10 @@ def test_an_acknowledgement_that_nothing_checks_is_unknown(
         def wait_for_all_acked(self, timeout: Any) -> bool:
             return True
 
-    publisher = RosPublisher(Unchecked(), rmw.acknowledges, lambda _: None, lambda _: [])
+    reader = SimpleNamespace(endpoint_gid=[1] * 16)
+    publisher = RosPublisher(Unchecked(), QoS(), rmw, lambda _: None, lambda _: [reader])
     assert run(publisher.acknowledged(1.0)) is expected
+    assert publisher.reader_ids() == (frozenset() if rmw is OTHER else {"01" * 16})
 
 
 def hashed(listed: ListedGraph) -> dict[bytes, int]:

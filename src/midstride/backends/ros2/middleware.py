@@ -9,6 +9,7 @@ ros2/rmw_zenoh:
 - *Acknowledgements.* Both DDS wait for their readers. rmw_zenoh returns success unchecked (ros2/rmw_zenoh#215).
 - *Numbers.* rmw_fastrtps and rmw_zenoh number each publisher's messages; rmw_zenoh denied it by mistake until
   ros2/rmw_zenoh#920. rmw_cyclonedds does not.
+- *Identities.* All three show an endpoint under the same gid in every process.
 - *Writers.* With a message, rmw_cyclonedds gives a handle of the receiving process in place of the publisher's GUID.
 """
 
@@ -42,6 +43,7 @@ class RmwImplementation:
     acknowledges: bool = False
     numbers_messages: bool = False
     names_writers: bool = False
+    shares_identities: bool = False
     lease: float = 20.0
     name_delay: float = 4.0
 
@@ -83,10 +85,12 @@ class RmwImplementation:
 
 
 _KNOWN: Final = (
-    RmwImplementation("rmw_fastrtps_cpp", True, _PARTICIPANT, True, True, True),
-    RmwImplementation("rmw_fastrtps_dynamic_cpp", True, _PARTICIPANT, True, True, True),
-    RmwImplementation("rmw_cyclonedds_cpp", participant=_PARTICIPANT, acknowledges=True, lease=10.0),
-    RmwImplementation("rmw_zenoh_cpp", numbers_messages=True, names_writers=True, lease=10.0),
+    RmwImplementation("rmw_fastrtps_cpp", True, _PARTICIPANT, True, True, True, True),
+    RmwImplementation("rmw_fastrtps_dynamic_cpp", True, _PARTICIPANT, True, True, True, True),
+    RmwImplementation(
+        "rmw_cyclonedds_cpp", participant=_PARTICIPANT, acknowledges=True, shares_identities=True, lease=10.0
+    ),
+    RmwImplementation("rmw_zenoh_cpp", numbers_messages=True, names_writers=True, shares_identities=True, lease=10.0),
 )
 
 

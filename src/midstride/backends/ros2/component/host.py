@@ -128,7 +128,8 @@ class Ros2Host:
         self._ports.add(id(publisher))
         return port_endpoints.RosPublisher(
             publisher,
-            qos.is_reliable and self._rmw.acknowledges,
+            qos,
+            self._rmw,
             self._destroy(self.ros_node.destroy_publisher),
             self.ros_node.get_subscriptions_info_by_topic,
         )

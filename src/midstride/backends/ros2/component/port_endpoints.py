@@ -11,6 +11,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProf
 from rclpy.subscription import Subscription as RclpySubscription
 
 from midstride.backends.common import comes_true
+from midstride.backends.ros2.middleware import RmwImplementation
 from midstride.model.contract import QoS
 
 # Where rclpy can hand message information to a callback at all (not on humble).
@@ -69,15 +70,21 @@ def seconds_of(duration: Any) -> float | None:
 class RosPublisher:
     """An output's publisher. ``publish`` is rclpy's own method: a message costs nothing on the way."""
 
-    __slots__ = ("_acknowledged", "_destroy", "_in_graph", "_publisher", "publish")
+    __slots__ = ("_acknowledged", "_destroy", "_in_graph", "_publisher", "_rmw", "publish")
 
     def __init__(
-        self, publisher: Any, acknowledged: bool, destroy: Callable[[Any], object], in_graph: Callable[[str], list[Any]]
+        self,
+        publisher: Any,
+        qos: QoS,
+        rmw: RmwImplementation,
+        destroy: Callable[[Any], object],
+        in_graph: Callable[[str], list[Any]],
     ) -> None:
-        """``acknowledged``: its readers acknowledge, and the middleware tells; ``in_graph`` lists those of a topic."""
+        """``in_graph`` lists the subscriptions of a topic."""
         self._publisher = publisher
+        self._rmw = rmw
         self._in_graph = in_graph
-        self._acknowledged = acknowledged
+        self._acknowledged = qos.is_reliable and rmw.acknowledges
         self._destroy = destroy
         self.publish: Callable[[Any], None] = publisher.publish
 
@@ -89,6 +96,8 @@ class RosPublisher:
             return 0
 
     def reader_ids(self) -> frozenset[str]:
+        if not self._rmw.shares_identities:
+            return frozenset()
         try:
             return frozenset(bytes(info.endpoint_gid).hex() for info in self._in_graph(self._publisher.topic_name))
         except InvalidHandle:
