@@ -21,7 +21,7 @@ PACKAGE = "midstride"
 
 EVERY = frozenset(
     "model codec wire lang launch_files capture plan verify generate runtime backends node foreign server cli "
-    "simulation".split()
+    "simulation transitions".split()
 )
 
 # What each package may import of Midstride, besides itself and `errors`. "" is Midstride's own __init__.
@@ -31,14 +31,15 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "codec": frozenset({"model"}),
     "wire": frozenset({"model", "codec"}),
     "ament_index": frozenset({"model"}),
+    "transitions": frozenset(),
     "lang": frozenset({"model", "codec", "ament_index"}),
     "launch_files": frozenset({"model", "lang", "ament_index"}),
     "capture": frozenset({"model", "lang"}),
     "plan": frozenset({"model", "codec"}),
     "generate": frozenset({"model", "codec"}),
-    "node": frozenset({"model", "codec", "wire"}),
+    "node": frozenset({"model", "codec", "wire", "transitions"}),
     "verify": frozenset({"model", "codec", "plan"}),
-    "runtime": frozenset({"model", "codec", "wire", "plan", "verify"}),
+    "runtime": frozenset({"model", "codec", "wire", "plan", "verify", "transitions"}),
     "backends": frozenset({"model", "codec", "wire", "node", "foreign", "runtime", "capture", "ament_index"}),
     "foreign": frozenset({"model", "codec", "wire", "node"}),
     "server": EVERY - {"node", "cli", "simulation", "launch_files", "capture"} | {""},

@@ -18,6 +18,7 @@ from midstride.node.component_host import Host
 from midstride.node.handover import cut_protocol
 from midstride.node.handover.arbiter import ClaimArbiter
 from midstride.node.handover.cut import IncomingCut, OutgoingCut
+from midstride.node.handover.cut_life import CutEvent
 from midstride.node.handover.cut_protocol import CutInTask, CutOutTask
 from midstride.wire.pipe import PipeClaim
 from tests.node.test_cut import PERIOD, Clocks, Grid, Owner, T, link_of, write
@@ -384,7 +385,12 @@ def test_between_two_hosts_an_old_side_that_knows_writes_on_command_only(manager
         (CutOutTask, "_may_resume", lambda self: not self._taken, ""),
         pytest.param(IncomingCut, "admits", IncomingCut.passes, "", marks=FULL, id="admits"),
         pytest.param(
-            CutOutTask, "cancel", lambda self: self._end("cancelled", self.side.reopen), "co", marks=FULL, id="cancel"
+            CutOutTask,
+            "cancel",
+            lambda self: self._end(CutEvent.CANCELLED, self.side.reopen),
+            "co",
+            marks=FULL,
+            id="cancel",
         ),
     ],
 )

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
+from midstride import transitions
 from midstride.backends.simulator.virtual_clock import SimulatedClock
 from midstride.backends.simulator.virtual_loop import run
-from midstride.runtime import transitions
 from midstride.runtime.backend_protocol import Exited, Handle
 from midstride.runtime.instance_life import (
     CONNECTIONS,
@@ -28,7 +28,7 @@ from midstride.runtime.instance_life import (
     ProcessEvent,
     ProcessState,
 )
-from midstride.runtime.transitions import POLICY, ForbiddenTransition, Transitions
+from midstride.transitions import POLICY, ForbiddenTransition, Transitions
 from tests.runtime.scripted import TALKER, instance, reported, talking
 
 HANDLE = Handle("talker", 7, 1.0)

@@ -25,7 +25,7 @@ from midstride.model.configuration import Instance
 from midstride.runtime.backend_protocol import Exited, Handle
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.records.reports import FencedInstance
-from midstride.runtime.transitions import Transitions
+from midstride.transitions import Transitions
 from midstride.wire.state import ComponentState
 
 log = logging.getLogger(__name__)

@@ -14,7 +14,6 @@ from midstride.model.specification import Specification
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Event
 from midstride.runtime.records.state_store import SavedState, StateStore
-from midstride.runtime.transitions import POLICY, reject
 from midstride.runtime.workspace import Workspace
 from midstride.simulation.invariants import Invariants
 from midstride.simulation.killable_manager import Life
@@ -23,6 +22,7 @@ from midstride.simulation.oracle import Oracle
 from midstride.simulation.platform import Platform
 from midstride.simulation.simulated_disk import SimulatedDisk
 from midstride.simulation.stand_in import StandIn
+from midstride.transitions import POLICY, reject
 
 # Names the files of the simulated disk.
 WORKSPACE: Final = Workspace(Path("simulated"))

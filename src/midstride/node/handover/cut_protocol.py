@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import abc
 import asyncio
-import enum
 import math
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from typing import ClassVar, Final
 from midstride.errors import BackendError, CommandRefused
 from midstride.node.component_host import Host
 from midstride.node.handover.cut import GRACE, IncomingSide, OutgoingSide
+from midstride.node.handover.cut_life import PHASES, STATES, CutEvent, CutPhase, CutProgress, CutState
 from midstride.node.handover.state_transfer import StateExport, StateImport
 from midstride.wire.replies import CutOutcome, CutResult
 
@@ -36,16 +36,6 @@ SLOW_TICK: Final = 0.05
 LONGEST_WAIT: Final = 0.01
 
 
-class CutPhase(enum.Enum):
-    """How far a side is. A command may give it its outcome in any phase."""
-
-    APPROACHING = "approaching"  # waits for T
-    CROSSING = "crossing"  # T has come: the old side writes the rest, the new one its first message
-    REPORTING = "reporting"  # the new side reports that message
-    CONCLUDING = "concluding"  # messages from before T may still be in transit to the new side
-    WATCHING = "watching"  # until nothing of the hand-over can be taken back: see `watch_successor`
-
-
 @dataclass(eq=False)
 class _CutTask(abc.ABC):
     """What both sides share: a phase, an outcome, and cancellation."""
@@ -55,13 +45,17 @@ class _CutTask(abc.ABC):
     changed: Callable[[], None]
     side: OutgoingSide | IncomingSide
     phase: CutPhase = field(default=CutPhase.APPROACHING, init=False)
-    outcome: CutOutcome | None = field(default=None, init=False)
+    status: CutState = field(default=CutState.WAITING, init=False)
     finished: asyncio.Event = field(default_factory=asyncio.Event, init=False)
     _latest: int = field(default=0, init=False)  # what the clock of the cut has shown
 
+    @property
+    def outcome(self) -> CutOutcome:
+        return self.status.value
+
     def _going(self) -> bool:
         """Whether there is no outcome yet; a cancellation may come at any await."""
-        return self.outcome is None
+        return self.status is CutState.WAITING
 
     def _failed(self) -> bool:
         """Whether this side will not write at T."""
@@ -92,9 +86,18 @@ class _CutTask(abc.ABC):
                 return
             await self.host.sleep(min(max(left, 0.0001), LONGEST_WAIT))
 
-    async def _end(self, outcome: CutOutcome, gates: Callable[[], None]) -> None:
+    def _advances(self, progress: CutProgress) -> None:
+        self.phase = PHASES.after(self.phase, progress, str(self))
+
+    def _happens(self, event: CutEvent) -> None:
+        self.status = STATES.after(self.status, event, str(self))
+
+    def __str__(self) -> str:
+        return f"the {'new' if self.new else 'old'} side of a cut"
+
+    async def _end(self, event: CutEvent, gates: Callable[[], None]) -> None:
         """Set the outcome first, since the peer may ask at any moment; then the gates; then wake those that wait."""
-        self.outcome = outcome
+        self._happens(event)
         await self.host.on_data(gates)
         self.finished.set()
         self.changed()
@@ -117,21 +120,22 @@ class CutOutTask(_CutTask):
 
     async def run(self) -> None:
         await self._pass()
-        self.phase = CutPhase.WATCHING
+        self._advances(CutProgress.FINISHED)
         await self.watch_successor()
 
     async def _pass(self) -> None:
         """Do this side's part, until there is an outcome."""
         await self._until(self.side.at)
-        self.phase, self._due_at = CutPhase.CROSSING, self.host.steady()
+        self._advances(CutProgress.DUE)
+        self._due_at = self.host.steady()
         while self._going():
             if self.side.arbiter.passed_on:
                 self._note_taken()
             if self._failed():
-                await self._end("done", self.side.finish)
+                await self._end(CutEvent.TAKEN_OVER, self.side.finish)
                 return
             if self._jumped_back() and self._may_resume():
-                await self._end("resumed", self.side.reopen)
+                await self._end(CutEvent.RECLAIMED, self.side.reopen)
                 return
             passed = self.side.over or await self.host.on_data(self.side.passed)
             if not self._going():
@@ -141,9 +145,9 @@ class CutOutTask(_CutTask):
                 if not self._going():
                     return
             if passed and self._taken:
-                await self._end("done", self.side.confirmed)
+                await self._end(CutEvent.TAKEN_OVER, self.side.confirmed)
             elif not self._taken and self._given_up() and self._may_resume():
-                await self._end("resumed", self.side.reopen)
+                await self._end(CutEvent.RECLAIMED, self.side.reopen)
             else:
                 await (self.host.sleep(TICK) if self.export is None else self.export.pause())
 
@@ -172,25 +176,25 @@ class CutOutTask(_CutTask):
             return on_clock > self.resume_after and silent > min(SHORTEST_SILENCE, self.resume_after)
         return silent > self.resume_after
 
-    async def _end(self, outcome: CutOutcome, gates: Callable[[], None]) -> None:
+    async def _end(self, event: CutEvent, gates: Callable[[], None]) -> None:
         export = self.export
         if export is None:
-            await super()._end(outcome, gates)
+            await super()._end(event, gates)
             return
-        export.end(self, resumed=outcome != "done")
+        export.end(self, resumed=event is not CutEvent.TAKEN_OVER)
 
         def gates_then_calls() -> None:
             gates()
             export.release_if_over()
 
-        await super()._end(outcome, gates_then_calls)
+        await super()._end(event, gates_then_calls)
 
     async def taken(self, failed: bool, place: str = "") -> bool:
         """The new side has written, and has the right to in ``place``; or it has failed.
 
         Returns whether this one writes again.
         """
-        if self.outcome in ("resumed", "cancelled"):
+        if self.status in (CutState.RESUMED, CutState.CANCELLED):
             return True
         if failed:
             await self.cancel()
@@ -217,7 +221,7 @@ class CutOutTask(_CutTask):
             self._note_taken()
             self._wanted = True
             raise CommandRefused("the new side has taken over, and can still write")
-        await self._end("cancelled", self.side.reopen)
+        await self._end(CutEvent.CANCELLED, self.side.reopen)
 
     async def watch_successor(self) -> None:
         """Write again as soon as the new side can no longer: it has given up, or its process has ended.
@@ -236,23 +240,23 @@ class CutOutTask(_CutTask):
 
     @property
     def over(self) -> bool:
-        if self.outcome == "done":
+        if self.status is CutState.DONE:
             return not (self.side.closed or (self._wanted and not self.side.links))
-        return self.outcome is not None
+        return not self._going()
 
     async def _inherit(self) -> None:
         if not self.over and self._taken and self.side.arbiter.inherit():
-            await self._end("resumed", self.side.reopen)
+            await self._end(CutEvent.RECLAIMED, self.side.reopen)
 
     async def resolve(self) -> None:
         if self._going() and self._may_resume():
-            await self._end("cancelled", self.side.reopen)
+            await self._end(CutEvent.CANCELLED, self.side.reopen)
         await self.finished.wait()
         await self._inherit()
 
     def result(self) -> CutResult:
         because = None if self.export is None else self.export.because
-        return CutResult(outcome=self.outcome or "waiting", because=because, last=self.side.last())
+        return CutResult(outcome=self.outcome, because=because, last=self.side.last())
 
 
 @dataclass(eq=False)
@@ -278,7 +282,7 @@ class CutInTask(_CutTask):
         await self._until(self.side.at)
         if self.state is not None and self._going():
             await self.state.decided()
-        self.phase = CutPhase.CROSSING
+        self._advances(CutProgress.DUE)
         waited_from = self.host.steady()
         while self.side.links and self._going() and not self._is_decided():
             # A message in transit at T may still make the new side write; nothing else will.
@@ -290,17 +294,18 @@ class CutInTask(_CutTask):
                 await self.host.sleep(TICK)
         if (self._failed() or self.side.refused) and await self._abandon(report=not self.side.refused):
             return
-        self.phase = CutPhase.REPORTING
+        self._advances(CutProgress.DECIDED)
         if self._going() and await self._resumed(failed=False):
-            await self._end("cancelled", self._close)
+            await self._end(CutEvent.CANCELLED, self._close)
         if self._going():
-            self.phase, self.outcome = CutPhase.CONCLUDING, "done"
+            self._advances(CutProgress.CONFIRMED)
+            self._happens(CutEvent.TAKEN_OVER)
             self.finished.set()
             self.changed()
             if self.side.grace:
                 await self.host.sleep(self.side.grace)  # messages from before T may still be in transit to here
             await self.host.on_data(self._conclude)
-            self.phase = CutPhase.WATCHING
+            self._advances(CutProgress.FINISHED)
             while not self.side.arbiter.settled:
                 await self.host.sleep(SLOW_TICK)
             self.side.arbiter.leave()
@@ -335,7 +340,7 @@ class CutInTask(_CutTask):
     def over(self) -> bool:
         if not self.side.links:
             return self.finished.is_set()
-        return self.outcome == "cancelled" or self.is_detached
+        return self.status is CutState.CANCELLED or self.is_detached
 
     async def _resumed(self, failed: bool) -> bool:
         """Report to the old side until it answers; whether it has resumed. One that cannot be reached has not."""
@@ -354,7 +359,7 @@ class CutInTask(_CutTask):
     async def cancel(self) -> None:
         if self.state is not None:
             await self.state.cancel()
-        await self._end("cancelled", self._close)
+        await self._end(CutEvent.CANCELLED, self._close)
 
     async def resolve(self) -> None:
         if self._going() and self.phase in (CutPhase.APPROACHING, CutPhase.CROSSING):
@@ -364,12 +369,12 @@ class CutInTask(_CutTask):
     async def _abandon(self, report: bool) -> bool:
         """Cancel this side unless it has written; whether it is cancelled. A hung call delays nothing."""
         if self.side.arbiter.renounce() or await self.host.on_data(self.side.abandon):
-            self.outcome = "cancelled"
+            self._happens(CutEvent.CANCELLED)
             if report:
                 await self._resumed(failed=True)
             await self.cancel()
-        return self.outcome == "cancelled"
+        return self.status is CutState.CANCELLED
 
     def result(self) -> CutResult:
         because = None if self.state is None else self.state.problem
-        return CutResult(outcome=self.outcome or "waiting", because=because, first=self.side.first())
+        return CutResult(outcome=self.outcome, because=because, first=self.side.first())

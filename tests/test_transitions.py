@@ -7,8 +7,8 @@ from enum import Enum
 
 import pytest
 
-from midstride.runtime import transitions
-from midstride.runtime.transitions import POLICY, ForbiddenTransition, Transitions
+from midstride import transitions
+from midstride.transitions import POLICY, ForbiddenTransition, Transitions
 
 
 class Door(Enum):
