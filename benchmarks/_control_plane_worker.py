@@ -20,8 +20,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
-from _control_plane_event import Happened
-from _control_plane_old import Plane as OldPlane
+from midstride.runtime.records.reports import Event
 
 HERE = Path(__file__).resolve().parent
 NODES = HERE / "_control_plane_nodes.py"
@@ -29,7 +28,7 @@ Samples = dict[str, list[float]]
 
 
 class Plane:
-    """The control plane of this checkout. _control_plane_old.py has the same for an earlier version."""
+    """The control plane, for one worker."""
 
     def backend(self, name: str, workspace: Any) -> Any:
         from midstride import backends
@@ -60,8 +59,8 @@ class Plane:
     def outcome(self, result: Any) -> tuple[str, str | None]:
         return result.outcome, result.because
 
-    def events(self, manager: Any, since: int) -> list[Happened]:
-        return [Happened(each.n, each.at, each.kind, each.words) for each in manager.events.since(since)]
+    def events(self, manager: Any, since: int) -> list[Event]:
+        return list(manager.events.since(since))
 
 
 def specification(nodes: str) -> Any:
@@ -196,11 +195,11 @@ class Session:
         finally:
             await self.manager.close()
 
-    def events(self, since: int = 0) -> list[Happened]:
-        found: list[Happened] = self.plane.events(self.manager, since)
+    def events(self, since: int = 0) -> list[Event]:
+        found: list[Event] = self.plane.events(self.manager, since)
         return found
 
-    async def change(self, **request: Any) -> list[Happened]:
+    async def change(self, **request: Any) -> list[Event]:
         """Carry a change out; its events."""
         last = self.events()[-1].n
         outcome, because = self.plane.outcome(await self.manager.change(self.plane.request(**request)))
@@ -212,14 +211,14 @@ class Session:
         return [handle.pid for handle in self.manager.system.life.handles.values()]
 
 
-def steps(events: list[Happened]) -> list[tuple[str, float, float]]:
+def steps(events: list[Event]) -> list[tuple[str, float, float]]:
     """Each step in words, when it began and when it was done."""
     begun = [event for event in events if event.kind == "step"]
     done = [event for event in events if event.kind == "step_done"]
     return [(event.words, event.at, end.at) for event, end in zip(begun, done, strict=True)]
 
 
-def creation(events: list[Happened]) -> tuple[float, float]:
+def creation(events: list[Event]) -> tuple[float, float]:
     """When the only creation began and was done."""
     ((begun, done),) = [(begun, done) for words, begun, done in steps(events) if " create " in words]
     return begun, done
@@ -370,12 +369,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenario", choices=("first", "life", "many", "bare", "paused"))
     parser.add_argument("--backend", choices=("ros2", "ros1"), required=True)
-    parser.add_argument("--old", action="store_true")
     parser.add_argument("--times", type=int, required=True)
     parser.add_argument("--nodes", type=int, required=True)
     parser.add_argument("--seconds", type=float, required=True)
     options = parser.parse_args()
-    plane: Any = OldPlane() if options.old else Plane()
+    plane = Plane()
     # Short: an earlier version keeps sockets in it.
     with tempfile.TemporaryDirectory(prefix="ms") as name:
         folder = Path(name)

@@ -3,10 +3,9 @@
 For each change of the published set (``_conflict_core_systems``): how long the planner takes to its proof, or how far
 the plan may be from the least after the time given; the same of a plain A* over the sets of done actions, with the same
 memoised fixed point and each role's own least absence as its bound, but without independent parts, without the bound of
-what has to make room, and without a plan to begin with; and, if asked for, of clingo on the logic program of the tests,
-and of CP-SAT (one worker, ``_conflict_core_cpsat``; needs ``ortools``, which nothing else here does). Times and limits
-are those of the processor, so that other load on the machine makes no difference. The results are written after each
-change; ``--resume`` goes on from them.
+what has to make room, and without a plan to begin with; and, if asked for, of clingo on the logic program of the tests.
+Times and limits are those of the processor, so that other load on the machine makes no difference. The results are
+written after each change; ``--resume`` goes on from them.
 """
 
 from __future__ import annotations
@@ -26,17 +25,20 @@ from typing import Any, Final
 
 from _conflict_core_systems import SEEDS, instance
 
-from midstride.model.specification import initial
-from midstride.plan.change import Change
-from midstride.plan.change_builder import change_between
-from midstride.plan.core.conflict_core import Part, Topic, parts
-from midstride.plan.core.core_bounds import RoleBounds
-from midstride.plan.core.core_losses import PartLosses, fullest
-from midstride.plan.core.core_plan import Budget
-from midstride.plan.core.core_search import PartResult, PartSearch
-from midstride.plan.disruption import Levels
-from midstride.plan.strategies.minimal import minimal
-from tests.replay.plan_replay import replay
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from midstride.model.specification import initial  # noqa: E402
+from midstride.plan.change import Change  # noqa: E402
+from midstride.plan.change_builder import change_between  # noqa: E402
+from midstride.plan.core.conflict_core import Part, Topic, parts  # noqa: E402
+from midstride.plan.core.core_bounds import RoleBounds  # noqa: E402
+from midstride.plan.core.core_losses import PartLosses, fullest  # noqa: E402
+from midstride.plan.core.core_plan import Budget  # noqa: E402
+from midstride.plan.core.core_search import PartResult, PartSearch  # noqa: E402
+from midstride.plan.disruption import Levels  # noqa: E402
+from midstride.plan.strategies.minimal import minimal  # noqa: E402
+from tests.replay.plan_replay import replay  # noqa: E402
 
 
 class OwnAbsences(RoleBounds):
@@ -102,7 +104,6 @@ def plain(change: Change, seconds: float) -> dict[str, Any]:
 
 def _solve(seed: int, seconds: float) -> None:
     """Ends with status 0 if the least disruption is proved; the system ends it when its time is up."""
-    sys.path.insert(0, str(Path(__file__).parents[1]))
     from tests.plan.answer_sets import AnswerSets
 
     change = changed(seed)
@@ -126,21 +127,10 @@ def seconds_of_children() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def cpsat(change: Change, seconds: float) -> dict[str, Any]:
-    from _conflict_core_cpsat import solve
-
-    begin = time.process_time()
-    proved, best, bound = solve(change, seconds)
-    taken = time.process_time() - begin
-    found = None if best == inf else best
-    return {"proved": proved and taken <= seconds, "seconds": taken, "disruption": found, "bound": bound}
-
-
 WAYS: Final[dict[str, Callable[[int, Change, float], dict[str, Any]]]] = {
     "minimal": lambda _, change, seconds: planned(change, seconds),
     "plain": lambda _, change, seconds: plain(change, seconds),
     "clingo": lambda seed, _, seconds: clingo(seed, seconds),
-    "cpsat": lambda _, change, seconds: cpsat(change, seconds),
 }
 
 

@@ -1,8 +1,8 @@
 """What the control plane takes, on real ROS 2 and ROS 1: starts, round trips, replacements, many nodes, paused ones.
 
 Measures the code of the checkout that it is in. With ``--against DIR``, another checkout with a virtual environment
-``DIR/.venv``, of an earlier version, is measured in the same run, the two in turns. Each run of a scenario is a
-manager's process with components of its own (_control_plane_worker.py).
+``DIR/.venv``, of an earlier version, is measured in the same run by its own worker, the two in turns. Each run of a
+scenario is a manager's process with components of its own (_control_plane_worker.py).
 """
 
 from __future__ import annotations
@@ -56,14 +56,14 @@ def run(version: str, checkout: Path, scenario: str, backend: str, options: argp
     mark = uuid.uuid4().hex
     nodes = options.paused if scenario == "paused" else options.nodes
     seconds = 10.0 if scenario == "paused" else options.idle
-    command = [python, str(HERE / "_control_plane_worker.py"), scenario, "--backend", backend]
+    command = [python, str(checkout / "benchmarks" / "_control_plane_worker.py"), scenario, "--backend", backend]
     command += ["--times", str(options.times), "--nodes", str(nodes), "--seconds", str(seconds)]
     with tempfile.TemporaryDirectory(prefix="ms") as home:
         try:
             done = subprocess.run(
-                [*command, *(["--old"] if old else [])],
+                command,
                 env={**environment(checkout, backend), MARK: mark, "ROS_LOG_DIR": home},
-                cwd=HERE,
+                cwd=checkout / "benchmarks",
                 stdout=subprocess.PIPE,
                 timeout=LIMIT,
                 start_new_session=True,
