@@ -106,7 +106,7 @@ def _swapped(outcome: Document) -> str:
         gap, periods, missed = (worst(swaps, figure) for figure in ("gap", "gap_periods", "missed"))
         parts.append(f"longest gap {seconds(gap)}" + (f" ({periods:.2f} periods)" if periods is not None else ""))
         parts.append(f"missed {UNKNOWN if missed is None else missed}")
-    for what in ("ended", "degraded"):
-        if names := outcome[what]:
+    for what, names in (("ended", outcome["unexpected_exits"]), ("degraded", outcome["unexpected_degradations"])):
+        if names:
             parts.append(f"{what} unexpectedly: {', '.join(names)}")
     return ", ".join([*parts, *(fault["words"] for fault in outcome["silences"])])
