@@ -50,12 +50,12 @@ def recorder(path: str) -> None:
 
 async def swapped(swaps: int, folder: Path) -> dict[str, Any]:
     from midstride import backends
-    from midstride.codec.specification_form import decode_specification
+    from midstride.lang import load
     from midstride.plan.request import PlanRequest
     from midstride.runtime.manager import Manager
     from midstride.runtime.workspace import Workspace
 
-    specification = decode_specification(json.loads((EXAMPLE / "filter.json").read_text()))
+    specification = load(EXAMPLE / "filter.stride").require()
     manager = Manager(specification, backends.make("ros2", Workspace(folder)), Workspace(folder), EXAMPLE)
     path = folder / "counts.json"
     reported: Counter[str] = Counter()

@@ -100,7 +100,7 @@ class Camera:
 
 
 def photographs(browser: Browser) -> list[Photograph]:
-    with system("talker", EXAMPLES / "talker" / "talker.json") as talker:
+    with system("talker", EXAMPLES / "talker" / "talker.stride") as talker:
         context = talker.context(
             browser, viewport={"width": WIDTH, "height": HEIGHT}, device_scale_factor=SCALE, color_scheme="light"
         )

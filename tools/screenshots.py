@@ -31,7 +31,7 @@ def opened(browser: Browser, system: System, **options: object) -> Page:
 
 
 def take(browser: Browser, folder: Path) -> None:
-    with system("talker", EXAMPLES / "talker" / "talker.json") as talker:
+    with system("talker", EXAMPLES / "talker" / "talker.stride") as talker:
         page = opened(browser, talker)
         page.locator('.component[data-name="listener"]').click()
         page.screenshot(path=folder / "dashboard-talker.png")

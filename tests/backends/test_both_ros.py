@@ -45,7 +45,7 @@ def test_each_replaces_its_talker_while_the_other_does(tmp_path: Path, monkeypat
         folder.mkdir()
         workspace = Workspace(folder)
         platform = backends.make(name, workspace, guardian=guardian)
-        manager = Manager(load(EXAMPLE / "talker.json"), platform, workspace, EXAMPLE)
+        manager = Manager(load(EXAMPLE / "talker.stride"), platform, workspace, EXAMPLE)
         await manager.up()
         return manager
 

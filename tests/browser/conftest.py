@@ -93,14 +93,14 @@ def system(name: str, file: Path, *options: str) -> Iterator[System]:
 @pytest.fixture(scope="module")
 def talker() -> Iterator[System]:
     """The talker and its listener; tests leave them as they found them."""
-    with system("talker", EXAMPLES / "talker" / "talker.json") as found:
+    with system("talker", EXAMPLES / "talker" / "talker.stride") as found:
         yield found
 
 
 @pytest.fixture
 def own_talker() -> Iterator[System]:
     """The same for a test that changes them."""
-    with system("talker", EXAMPLES / "talker" / "talker.json") as found:
+    with system("talker", EXAMPLES / "talker" / "talker.stride") as found:
         yield found
 
 

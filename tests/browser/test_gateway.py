@@ -62,7 +62,7 @@ def ended(gateway: Gateway) -> None:
 @pytest.fixture
 def gateway() -> Iterator[Gateway]:
     for midstride in running():
-        system = System(midstride, "talker", EXAMPLES / "talker" / "talker.json", free_port(), http=False)
+        system = System(midstride, "talker", EXAMPLES / "talker" / "talker.stride", free_port(), http=False)
         system.up()
         found = opened_gateway(system)
         yield found

@@ -12,14 +12,15 @@ from playwright.sync_api import Browser, Page, expect
 from midstride.cli import main
 from tests.browser.conftest import PATIENCE
 from tests.cli.conftest import EXAMPLES
+from tests.examples import json_form
 
 pytestmark = [pytest.mark.browser, pytest.mark.full]
 
 HOSTILE = "</script><img src=x onerror=fail()>"
 PLANS = {
-    "a swap that degrades nothing": ("talker/talker.json", "--replace", "talker=NewTalker"),
-    "a removal that degrades": ("obstacle/obstacle.json", "--remove", "detector"),
-    "a stop": ("filter/filter.json", "--replace", "filter=MedianFilter", "--strategy", "stop"),
+    "a swap that degrades nothing": ("talker/talker.stride", "--replace", "talker=NewTalker"),
+    "a removal that degrades": ("obstacle/obstacle.stride", "--remove", "detector"),
+    "a stop": ("filter/filter.stride", "--replace", "filter=MedianFilter", "--strategy", "stop"),
     "a capacity": ("patrol/patrol.stride", "--replace", "camera_detector=LargeDetector", "--explain"),
 }
 
@@ -56,7 +57,7 @@ def test_a_plan_says_everything_that_the_command_line_prints(
 
 
 def test_hostile_names_are_text(offline: Page, tmp_path: Path) -> None:
-    specification = json.loads((EXAMPLES / "talker" / "talker.json").read_text())
+    specification = json_form("talker")
     for component in specification["components"].values():
         component["parameters"] = {"label": {"value": HOSTILE}}
     specification["nodes"]["talker"]["parameters"] = {"label": HOSTILE}
@@ -73,7 +74,7 @@ def test_hostile_names_are_text(offline: Page, tmp_path: Path) -> None:
 
 def test_the_graph_is_shown_before_with_the_plan_and_after(offline: Page, tmp_path: Path) -> None:
     file = tmp_path / "plan.html"
-    talker = str(EXAMPLES / "talker" / "talker.json")
+    talker = str(EXAMPLES / "talker" / "talker.stride")
     assert main(["plan", talker, "--replace", "talker=NewTalker", "--html", str(file)]) == 0
     offline.goto(file.as_uri())
     names = offline.locator(".component[transform]")

@@ -20,7 +20,7 @@ pytestmark = [pytest.mark.ros2, pytest.mark.browser, pytest.mark.full]
 
 @pytest.fixture
 def ros_talker() -> Iterator[System]:
-    with system("talker", EXAMPLES / "talker" / "talker.json", "--backend", "ros2") as found:
+    with system("talker", EXAMPLES / "talker" / "talker.stride", "--backend", "ros2") as found:
         yield found
 
 

@@ -185,7 +185,7 @@ def running() -> Iterator[Midstride]:
 def talker() -> Iterator[Midstride]:
     """The talker's system, up on the simulator. Tests leave it as they found it."""
     for midstride in running():
-        done = midstride("up", str(EXAMPLES / "talker" / "talker.json"), "--backend", "sim", "--detach")
+        done = midstride("up", str(EXAMPLES / "talker" / "talker.stride"), "--backend", "sim", "--detach")
         assert done.status == 0, done.err
         yield midstride
 

@@ -34,7 +34,7 @@ def raising(folder: Path, program: str) -> str:
         folder,
         lambda name, text: text.replace("def normal() -> None:\n", RAISING) if name == program else text,
     )
-    return str(written / "talker.json")
+    return str(written / "talker.stride")
 
 
 def test_a_node_that_raises_right_after_up_is_named_with_exit_status_1(midstride: Midstride, tmp_path: Path) -> None:
@@ -49,7 +49,7 @@ def test_a_node_that_raises_right_after_up_is_named_with_exit_status_1(midstride
     root = "next: talker.talk: fix the cause, then `midstride restart talker` restores it"
     assert midstride("why", "listener.listen").out.splitlines()[-1] == f"  {root}"
     status = midstride("status")
-    assert f"specification: {tmp_path / 'programs' / 'talker.json'}" in status.out.splitlines()
+    assert f"specification: {tmp_path / 'programs' / 'talker.stride'}" in status.out.splitlines()
 
 
 def test_a_node_that_raises_right_after_a_change_is_named_with_exit_status_1(
@@ -76,7 +76,7 @@ def test_up_that_cannot_restore_a_node_says_which_why_and_what_to_do(
     """Its manager stays: tests/runtime/test_up_again.py."""
     missing = {"talker": "create talker (Talker): talker exited with status 1 before it registered:\nno device"}
     report = {"outcome": "incomplete", "instances": ["listener"], "degraded": [], "missing": missing}
-    file = EXAMPLES / "talker" / "talker.json"
+    file = EXAMPLES / "talker" / "talker.stride"
     plant(monkeypatch, up, "bring_up", lambda *_, **__: report)
     plant(monkeypatch, Client, "get", lambda *_, **__: encode_specification(load(file)))
     plant(monkeypatch, Client, "service", lambda *_, **__: None)
@@ -94,7 +94,7 @@ def test_up_that_cannot_restore_a_node_says_which_why_and_what_to_do(
 
 
 def test_without_a_terminal_up_prints_each_step_once(midstride: Midstride) -> None:
-    up = midstride.start("up", str(EXAMPLES / "talker" / "talker.json"), "--backend", "sim")
+    up = midstride.start("up", str(EXAMPLES / "talker" / "talker.stride"), "--backend", "sim")
     assert up.stdout is not None
     lines: list[str] = []
     while not lines or not lines[-1].startswith("talker is up"):
@@ -116,7 +116,7 @@ def test_a_program_that_is_not_there_is_warned_of_before_and_named_at_the_start(
         "talker", tmp_path / "programs", lambda _, text: text.replace("python3 talker.py", "./nosuch --x")
     )
     options = {"check": [], "up": ["--backend", "sim", "-d"]}[command]
-    done = midstride(command, str(folder / "talker.json"), *options)
+    done = midstride(command, str(folder / "talker.stride"), *options)
     if command == "check":
         assert done.status == 0
         assert "component Talker runs `./nosuch --x`, but there is no file" in done.out

@@ -15,7 +15,7 @@ from midstride.runtime.records.journal_records import SCHEMA
 from midstride.runtime.workspace import Workspace
 from tests.cli.conftest import EXAMPLES, Midstride
 
-TALKER = str(EXAMPLES / "talker" / "talker.json")
+TALKER = str(EXAMPLES / "talker" / "talker.stride")
 
 
 def up(midstride: Midstride, *options: str) -> None:

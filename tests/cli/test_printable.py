@@ -132,7 +132,7 @@ def test_what_a_component_says_is_printable(midstride: Midstride, tmp_path: Path
     failing = BROKEN.strip().replace("\n", "\n    ")
     hears = '    comp.logger.info(f"I heard: {message.data}")'
     (tmp_path / "listener.py").write_text(listener.replace(hears, f"    {failing}"))
-    specification = str(tmp_path / "talker.json")
+    specification = str(tmp_path / "talker.stride")
     up = midstride("up", specification, "--backend", "sim", "-d")
     assert up.status == 1 and "\\x1b[2J" in up.out  # it is up, and the listener has degraded
     assert raw(up.out) == raw(up.err) == []

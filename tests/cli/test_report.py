@@ -11,7 +11,7 @@ import pytest
 
 from tests.cli.conftest import EXAMPLES, Midstride
 
-TALKER = str(EXAMPLES / "talker" / "talker.json")
+TALKER = str(EXAMPLES / "talker" / "talker.stride")
 
 
 def data_of(file: Path) -> Any:

@@ -21,7 +21,7 @@ from tests.acceptance.test_fencing import WAIT, hanging_specification
 from tests.acceptance.test_manager_killed import silences
 from tests.cli.conftest import EXAMPLES, Midstride, alive, nothing_lost, unwritten
 
-TALKER = str(EXAMPLES / "talker" / "talker.json")
+TALKER = str(EXAMPLES / "talker" / "talker.stride")
 
 pytestmark = pytest.mark.ros2
 
@@ -197,16 +197,16 @@ def test_a_component_started_by_hand_keeps_a_system_whose_other_components_have_
     midstride: Midstride, tmp_path: Path
 ) -> None:
     """Nothing but its control socket shows that it runs, and it obeys only the token of the earlier manager."""
-    text = Path(TALKER).read_text().replace('"run": "python3 talker.py",', "")
+    text = Path(TALKER).read_text().replace('  run "python3 talker.py"\n', "")
     for file in (EXAMPLES / "talker").glob("*.py"):
         (tmp_path / file.name).write_text(file.read_text())
-    (tmp_path / "talker.json").write_text(text)
+    (tmp_path / "talker.stride").write_text(text)
     command = [sys.executable, str(tmp_path / "talker.py"), "--system", "talker"]
     with subprocess.Popen(command, env=midstride.environment, start_new_session=True) as talker:
         try:
-            assert midstride("up", str(tmp_path / "talker.json"), "-d").status == 0
+            assert midstride("up", str(tmp_path / "talker.stride"), "-d").status == 0
             killed(midstride, "talker", "listener")
-            up = midstride("up", str(tmp_path / "talker.json"), "-d")
+            up = midstride("up", str(tmp_path / "talker.stride"), "-d")
             assert up.status == 0, up.err
             assert "talker was reattached unchanged" in up.out and "create listener" in up.out
             assert midstride("down").status == 0

@@ -24,8 +24,9 @@ from midstride.cli import main
 from midstride.runtime.workspace import Workspace
 from tests.cli.conftest import EXAMPLES, Midstride, alive, unwritten
 from tests.cli.terminal import Terminal
+from tests.examples import json_form
 
-TALKER = str(EXAMPLES / "talker" / "talker.json")
+TALKER = str(EXAMPLES / "talker" / "talker.stride")
 
 
 def playing(midstride: Midstride, role: str = "talker") -> tuple[str, str]:
@@ -141,7 +142,7 @@ def test_status_of_single_nodes(talker: Midstride) -> None:
 
 
 def test_the_specification_of_another_system_is_not_applied(talker: Midstride) -> None:
-    other = EXAMPLES / "filter" / "filter.json"
+    other = EXAMPLES / "filter" / "filter.stride"
     refused = talker("apply", str(other), "--yes")
     assert refused.status == 1
     assert refused.err == (
@@ -246,7 +247,7 @@ def test_nodes_come_and_go(talker: Midstride) -> None:
 
 
 def test_components_of_another_file(talker: Midstride, tmp_path: Path) -> None:
-    document = json.loads(Path(TALKER).read_text())
+    document = json_form("talker")
     other = {**document["components"]["Talker"], "run": "other"}  # of no concern: the request does not name it
     document["components"] = {"Ear": document["components"]["Listener"], "Talker": other}
     document["nodes"] = {}
@@ -259,7 +260,7 @@ def test_components_of_another_file(talker: Midstride, tmp_path: Path) -> None:
 
 
 def test_apply_takes_the_system_to_a_file(talker: Midstride, tmp_path: Path) -> None:
-    document = json.loads(Path(TALKER).read_text())
+    document = json_form("talker")
     document["nodes"]["third"] = {"component": "Listener", "attachments": {"in": ["/chatter"]}}
     file = tmp_path / "three.json"
     file.write_text(json.dumps(document))
@@ -394,7 +395,7 @@ def test_the_system_keeps_running_when_the_live_view_is_left(midstride: Midstrid
 
 
 def test_ctrl_c_during_start_up_stops_the_system(midstride: Midstride, tmp_path: Path) -> None:
-    document = json.loads(Path(TALKER).read_text())
+    document = json_form("talker")
     document["components"]["Talker"]["run"] = "python3 never.py"
     (tmp_path / "never.py").write_text("import time\nwhile True:\n    time.sleep(1)\n")
     (tmp_path / "listener.py").write_text((EXAMPLES / "talker" / "listener.py").read_text())
@@ -458,12 +459,12 @@ def test_a_component_that_does_not_come_up(
     (tmp_path / "talker.py").unlink()
     if program is not None:
         (tmp_path / "talker.py").write_text(program)
-    done = midstride("up", str(tmp_path / "talker.json"), "--backend", "sim", "-d")
+    done = midstride("up", str(tmp_path / "talker.stride"), "--backend", "sim", "-d")
     assert done.status == 1
     assert done.err.startswith("midstride up: ")
     assert message in done.err
     assert "midstride/cli" not in done.err
-    failed = midstride("up", str(tmp_path / "talker.json"), "--backend", "sim", "--json")
+    failed = midstride("up", str(tmp_path / "talker.stride"), "--backend", "sim", "--json")
     assert (failed.status, failed.json["error"]["kind"]) == (1, "StepFailed")
     assert not (midstride.runtime / "midstride" / "talker" / "state.db").exists()
 
@@ -484,7 +485,7 @@ def test_the_api_over_tcp(midstride: Midstride) -> None:
 
 @pytest.mark.full
 def test_several_systems(talker: Midstride) -> None:
-    file = str(EXAMPLES / "obstacle" / "obstacle.json")
+    file = str(EXAMPLES / "obstacle" / "obstacle.stride")
     assert talker("up", file, "--backend", "sim", "-d").status == 0
     done = talker("status")
     assert (done.status, done.out) == (2, "")

@@ -27,8 +27,9 @@ from midstride.model.specification import Specification
 from midstride.runtime.records.state_store import StateStore
 from tests.cli import statuses
 from tests.cli.conftest import EXAMPLES, Midstride
+from tests.examples import json_form, json_text
 
-TALKER = str(EXAMPLES / "talker" / "talker.json")
+TALKER = str(EXAMPLES / "talker" / "talker.stride")
 
 
 @pytest.fixture(autouse=True)
@@ -221,7 +222,7 @@ def test_a_system_that_is_not_running(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_the_examples_have_no_problems(capsys: pytest.CaptureFixture[str]) -> None:
-    files = [str(file) for file in sorted(EXAMPLES.glob("*/*.json")) if file.name != "demo.json"]
+    files = [str(EXAMPLES / name / f"{name}.stride") for name in ("filter", "obstacle", "talker")]
     status, out, err = run(capsys, "check", *files)
     assert (status, err) == (0, "")
     assert "no problems found" in out
@@ -230,7 +231,7 @@ def test_the_examples_have_no_problems(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def broken(folder: Path, **changes: Any) -> str:
-    document = json.loads(Path(TALKER).read_text())
+    document = json_form("talker")
     document.update(changes)
     file = folder / "broken.json"
     file.write_text(json.dumps(document))
@@ -265,7 +266,7 @@ def test_a_warning_counts_with_strict(tmp_path: Path, capsys: pytest.CaptureFixt
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("talkr.json", "did you mean `talker.json`?"),
+        ("talkr.stride", "did you mean `talker.stride`?"),
         ("", "is a folder; give a file in it: "),
         ("/dev/zero", "/dev/zero has more than 64 million characters: wrong file?"),
     ],
@@ -308,7 +309,7 @@ def test_not_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_the_export_is_the_same_specification(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "export", TALKER, "--json")
     assert status == 0
-    assert json.loads(out) == json.loads(Path(TALKER).read_text())
+    assert json.loads(out) == json_form("talker")
     again = tmp_path / "again.json"
     again.write_text(out)
     assert run(capsys, "export", str(again))[1] == out
@@ -330,7 +331,7 @@ def test_the_paper_s_seven_steps(capsys: pytest.CaptureFixture[str]) -> None:
         "attach talker_2.out to /chatter",
         "upgrade listener.listen from degraded to normal",
     ]
-    assert out.startswith("talker.json: replace talker with NewTalker\n")
+    assert out.startswith("talker.stride: replace talker with NewTalker\n")
     assert "Degrades: listener.listen to degraded for about" in out
 
 
@@ -388,7 +389,7 @@ def test_the_plans_of_every_strategy_are_compared_on_one_time_axis(capsys: pytes
 
 def on_one_gpu(folder: Path) -> Path:
     """A talker and its replacement that do not fit on the GPU together."""
-    document = json.loads(Path(TALKER).read_text())
+    document = json_form("talker")
     document["resources"] = {"gpu": {"capacity": 1}}
     for name in ("Talker", "NewTalker"):
         document["components"][name]["holds"] = {"gpu": 1}
@@ -425,7 +426,7 @@ def test_a_plan_is_explained_with_what_it_would_cost_to_keep_what_falls(
 
 
 def test_a_strategy_that_refuses_does_not_hide_the_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    document = json.loads(Path(TALKER).read_text())
+    document = json_form("talker")
     document["constraints"] = [{"keep": "listener.listen", "at": "normal"}]
     file = tmp_path / "talker.json"
     file.write_text(json.dumps(document))
@@ -440,14 +441,14 @@ def test_a_strategy_that_refuses_does_not_hide_the_others(tmp_path: Path, capsys
 
 
 def test_a_plan_shows_what_stays_lower(capsys: pytest.CaptureFixture[str]) -> None:
-    file = str(EXAMPLES / "obstacle" / "obstacle.json")
+    file = str(EXAMPLES / "obstacle" / "obstacle.stride")
     _, out, _ = run(capsys, "plan", file, "--remove", "detector")
     assert "Afterwards: controller.control is in mode degraded instead of normal." in out
     assert "Nothing degrades" not in out
 
 
 def test_a_plan_shows_that_a_replaced_role_stays_lower(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    document = json.loads(Path(TALKER).read_text())
+    document = json_form("talker")
     document["components"]["NewTalker"]["functionalities"]["talk"]["modes"]["normal"]["assumes"] = [
         {"type": "sensor_msgs/msg/Image"}
     ]
@@ -538,7 +539,7 @@ def test_a_closed_pipe_is_not_an_error(midstride: Midstride) -> None:
 def test_json_with_a_byte_order_mark_is_read_everywhere(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    text = "\ufeff" + Path(TALKER).read_text(encoding="utf-8")
+    text = "\ufeff" + json_text("talker")
     path = tmp_path / "marked.json"
     path.write_text(text, encoding="utf-8")
     for words in (["check", path], ["export", path], ["plan", path, "--remove", "listener"]):
@@ -616,7 +617,7 @@ def test_a_runtime_folder_that_cannot_be_made(
 
 def test_characters_outside_the_encoding_are_replaced(midstride: Midstride, tmp_path: Path) -> None:
     file = tmp_path / "größe.json"
-    file.write_text(Path(TALKER).read_text())
+    file.write_text(json_text("talker"))
     done = midstride.process(
         "plan", str(file), "--replace", "talker=NewTalker", PYTHONIOENCODING="ascii", PYTHONUTF8="0"
     )
@@ -703,7 +704,7 @@ def test_what_was_generated_is_forgotten_where_its_record_is_damaged(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / ".midstride-generated.json").write_text(DEEP)
-    status, _, err = run(capsys, "generate", str(EXAMPLES / "talker" / "talker.json"), "-o", str(tmp_path))
+    status, _, err = run(capsys, "generate", TALKER, "-o", str(tmp_path))
     assert (status, err) == (0, "")
 
 

@@ -33,12 +33,13 @@ from midstride.plan.forms.plan_forms import decode_plan, encode_plan
 from midstride.plan.forms.request_form import decode_request
 from midstride.plan.strategies.registry import planner
 from tests import drawn
+from tests.examples import json_text
 
 from .known import Known
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 STRIDE = {path.name: path.read_text(encoding="utf-8") for path in sorted(EXAMPLES.glob("*/*.stride"))}
-SPECIFICATIONS = [path.read_text(encoding="utf-8") for path in sorted(EXAMPLES.glob("*/*.json")) if path.stem != "demo"]
+SPECIFICATIONS = [json_text(name) for name in ("filter", "obstacle", "talker")]
 REQUESTS = [
     act["request"] for path in sorted(EXAMPLES.glob("*/demo.json")) for act in json.loads(path.read_text())["acts"]
 ]

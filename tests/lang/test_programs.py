@@ -8,6 +8,7 @@ import pytest
 
 from midstride.lang import load
 from midstride.lang.catalogue_entry import CHATTER, NODE
+from tests.examples import json_text
 
 SYSTEM = CHATTER.replace("  output", '  run "RUN"\n  output') + NODE
 
@@ -76,7 +77,7 @@ def test_programs_of_an_included_file_are_in_the_folder_of_the_system(tmp_path: 
 
 
 def test_json_is_warned_of_as_well_and_a_command_of_two_components_once(tmp_path: Path) -> None:
-    text = (Path(__file__).parents[2] / "examples" / "talker" / "talker.json").read_text()
+    text = json_text("talker")
     (tmp_path / "talker.json").write_text(text.replace("new_talker.py", "talker.py"))
     loaded = load(tmp_path / "talker.json")
     assert {d.message.partition(",")[0] for d in loaded.diagnostics} == {

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import Awaitable, Callable
 from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any, TypeVar
 
 from midstride.backends.simulator import Simulator
-from midstride.codec.specification_form import decode_specification
+from midstride.lang import load
 from midstride.model.contract import DEFAULT_QOS
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
@@ -28,14 +27,14 @@ T = TypeVar("T")
 
 
 def example(name: str, directory: Path | None = None) -> Specification:
-    return decode_specification(json.loads(((directory or EXAMPLES / name) / f"{name}.json").read_text()))
+    return load((directory or EXAMPLES / name) / f"{name}.stride").require()
 
 
 def rewritten(name: str, folder: Path, rewrite: Callable[[str, str], str]) -> Path:
     """The example's programs and specification in ``folder``, each as ``rewrite(its name, its text)`` has it."""
     folder.mkdir()
     for file in (EXAMPLES / name).iterdir():
-        if file.suffix in {".py", ".json"}:
+        if file.suffix in {".py", ".stride"}:
             (folder / file.name).write_text(rewrite(file.name, file.read_text()))
     return folder
 

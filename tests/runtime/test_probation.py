@@ -21,7 +21,7 @@ def at_rate(rate: str, folder: Path) -> Path:
     return rewritten(
         "talker",
         folder,
-        lambda _, text: text.replace("rate=10", f"rate={rate}").replace('"rate": 10', f'"rate": {rate}'),
+        lambda _, text: text.replace("rate=10", f"rate={rate}").replace("@ 10 Hz", f"@ {rate} Hz"),
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import AsyncIterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,6 +22,7 @@ from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.view.status import status
 from midstride.runtime.view.watched_system import WatchedSystem
 from midstride.runtime.watch.silence import SilenceMonitor
+from tests.examples import json_form
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -52,8 +52,7 @@ class ScriptedManager:
     """Says what it was told to say, raises what it was told to raise, and notes what it was asked."""
 
     def __init__(self) -> None:
-        text = (EXAMPLES / "talker" / "talker.json").read_text(encoding="utf-8")
-        self.specification = decode_specification(json.loads(text))
+        self.specification = decode_specification(json_form("talker"))
         self.revision = 7
         self.events = EventLog()
         self.watched = watched_system(self.specification, self.events)

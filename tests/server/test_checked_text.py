@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 
-from midstride.codec.specification_form import decode_specification, encode_specification
+from midstride.codec.specification_form import decode_specification
 from midstride.server.checked_text import checked
 from midstride.server.requests import SubmittedText
+from tests.examples import json_form, json_text
 from tests.server.scripted import EXAMPLES
 
 TALKER = (EXAMPLES / "talker" / "talker.stride").read_text(encoding="utf-8")
@@ -18,13 +18,11 @@ TALKER = (EXAMPLES / "talker" / "talker.stride").read_text(encoding="utf-8")
 def test_a_correct_text_can_be_applied() -> None:
     result = checked(SubmittedText(text=TALKER, name="talker.stride"))
     assert result.ok and result.request is not None and result.request.to is not None
-    document = json.loads((EXAMPLES / "talker" / "talker.json").read_text(encoding="utf-8"))
-    assert result.request.to.specification() == decode_specification(document)
+    assert result.request.to.specification() == decode_specification(json_form("talker"))
 
 
 def test_json_is_told_by_its_name() -> None:
-    document = json.loads((EXAMPLES / "talker" / "talker.json").read_text(encoding="utf-8"))
-    text = json.dumps(encode_specification(decode_specification(document)))
+    text = json_text("talker")
     assert checked(SubmittedText(text=text, name="talker.json")).ok
     assert not checked(SubmittedText(text=text, name="talker.stride")).ok
 

@@ -183,7 +183,7 @@ def test_slow_connections_to_a_running_manager() -> None:
     """A manager that may open 128 files has 300 slow connections on TCP: its socket answers, its log stays empty."""
     for midstride in running():
         port = free_port()
-        specification = str(EXAMPLES / "talker" / "talker.json")
+        specification = str(EXAMPLES / "talker" / "talker.stride")
         command = midstride.command("up", specification, "--backend", "sim", "-d", "--http", str(port))
         limited = ["sh", "-c", 'ulimit -n 128 && exec "$@"', "sh", *command]
         up = subprocess.run(

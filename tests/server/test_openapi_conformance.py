@@ -27,7 +27,7 @@ def api() -> Iterator[httpx.Client]:
     """A client of the API of the talker on the simulator, over TCP."""
     for midstride in running():
         port = free_port()
-        specification = str(EXAMPLES / "talker" / "talker.json")
+        specification = str(EXAMPLES / "talker" / "talker.stride")
         done = midstride("up", specification, "--backend", "sim", "--detach", "--http", str(port))
         assert done.status == 0, done.err
         token = (midstride.runtime / "midstride" / "talker" / "token").read_text()

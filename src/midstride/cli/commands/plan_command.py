@@ -72,11 +72,11 @@ def plan_command(
     SECONDS or at Ctrl-C; then the plan says how much is lost at least.
 
     \b
-    midstride plan talker.json --replace talker=NewTalker
-    midstride plan talker.json --add 'second Listener in=/chatter'
+    midstride plan talker.stride --replace talker=NewTalker
+    midstride plan talker.stride --add 'second Listener in=/chatter'
     midstride plan --restart talker --declared-parameters
-    midstride plan talker.json --replace talker=NewTalker --compare
-    midstride plan talker.json --replace talker=NewTalker --html plan.html
+    midstride plan talker.stride --replace talker=NewTalker --compare
+    midstride plan talker.stride --replace talker=NewTalker --html plan.html
     """
     context = click.get_current_context()
     if compare and explain:

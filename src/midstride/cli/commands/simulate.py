@@ -45,8 +45,8 @@ def simulate_command(file: Path | None, seeds: int, first: int, seed: int | None
     """Rehearse a change of the system of FILE: many times in virtual time, with at least two faults each time.
 
     \b
-    midstride simulate talker.json --replace talker=NewTalker
-    midstride simulate talker.json --replace talker=NewTalker --seed 17
+    midstride simulate talker.stride --replace talker=NewTalker
+    midstride simulate talker.stride --replace talker=NewTalker --seed 17
 
     Components crash, hang and start slowly, messages are lost and delayed, the disk is full, and the manager is killed.
     When the faults are over, the system must be as it should. Programs are not run: a stand-in takes the place of each
