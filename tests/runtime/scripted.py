@@ -31,6 +31,7 @@ from midstride.plan.plan import Plan
 from midstride.plan.step import Step
 from midstride.runtime.backend_protocol import Endpoints, Exited, Handle, Launch
 from midstride.runtime.change.action_driver import ActionDriver
+from midstride.runtime.change.change_states import ChangeEvent
 from midstride.runtime.change.executor import Executor
 from midstride.runtime.change.parameter_transfer import ParameterTransfer
 from midstride.runtime.change.reconciler import Reconciler
@@ -414,6 +415,11 @@ class Bench:
         )
         self.driver = ActionDriver(self.client, self.launcher, self.backend, self.system, self.events, self.change)
         self.executor = Executor(self.driver, self.store)
+
+    def roll_back(self) -> None:
+        """From now on, the driver undoes what was done."""
+        self.change.happened(ChangeEvent.BEGUN)
+        self.change.happened(ChangeEvent.STEP_FAILED)
 
     async def carry_out(self, actions: Sequence[Action], overlap: Overlap | None = None) -> None:
         """A change with these actions, from its first step to its last."""

@@ -330,7 +330,7 @@ def test_a_setting_that_is_rolled_back_restores_what_was_set_at_run_time(tmp_pat
             "talker", SetParametersCommand, PreviousParameters(before={"gain": 4, "rate": 1}, declared={"gain": 0})
         )
         await perform(b, SetParameters("talker", Map(gain=2, rate=2)))
-        b.driver.rolling_back = True
+        b.roll_back()
         await perform(b, SetParameters("talker", Map(gain=1, rate=1)))
         assert b.client.commands("talker") == [
             SetParametersCommand(parameters={"gain": 2, "rate": 2}),
@@ -410,7 +410,7 @@ def test_a_state_that_is_refused_fails_the_step_but_not_a_roll_back(tmp_path: Pa
         with pytest.raises(CommandRefused):
             await perform(b, Create(NEW))
         await b.launcher.abandon("talker_2")
-        b.driver.rolling_back = True
+        b.roll_back()
         await perform(b, Create(NEW))
         assert b.words("note") == [f"talker_2 did not restore its state: {REFUSED}"]
 
@@ -419,7 +419,7 @@ def test_a_state_that_is_refused_fails_the_step_but_not_a_roll_back(tmp_path: Pa
 
 def test_a_roll_back_exports_nothing_from_what_it_removes(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        b.driver.rolling_back = True
+        b.roll_back()
         await perform(b, Remove("talker"))
         assert [sent.how for sent in b.client.sent] == ["peek"], "for what was set on it last"
 
@@ -489,7 +489,7 @@ def test_a_state_that_cannot_be_had_fails_the_hand_over_but_not_a_roll_back(tmp_
         with pytest.raises(StepFailed, match=str(REFUSED)):
             await perform(b, HANDOVER)
         assert b.client.of(CutOutCommand) == []
-        b.driver.rolling_back = True
+        b.roll_back()
         await perform(b, HANDOVER)
         assert b.words("note") == [f"talker_2 keeps its own state: {REFUSED}"]
         assert b.client.of(CutOutCommand)
@@ -501,7 +501,7 @@ def test_in_a_roll_back_the_state_is_not_required_at_the_cut_either(tmp_path: Pa
     async def body(b: Bench) -> None:
         b.client.reply("talker_2", PrepareStateCommand, StateOffer(exports="whole"))
         b.client.reply("talker_2", AwaitCutCommand, CutResult(outcome="done", because="it raised"))
-        b.driver.rolling_back = True
+        b.roll_back()
         await perform(b, HANDOVER)
         [out] = b.client.of(CutOutCommand, "talker")
         assert out.state is not None and not out.state.required

@@ -110,7 +110,7 @@ def test_what_was_done_before_a_failure_is_undone_last_first(tmp_path: Path) -> 
         assert b.system.configuration == configuration
         assert b.backend.ended == []
         assert b.kinds()[-3:] == ["step_failed", "rollback", "rolled_back"]
-        assert b.driver.rolling_back
+        assert b.change.outcome == "rolled_back" and b.change.because == str(failed.value)
 
     bench(configuration, tmp_path, body)
 

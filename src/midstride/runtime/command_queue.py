@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import Any
 
+from midstride.runtime.change.change_states import ChangeState
+from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.status_forms import RunningCommand
@@ -18,15 +20,15 @@ from midstride.runtime.records.status_forms import RunningCommand
 class CommandQueue:
     """Decides which command may run; each ``listener`` is called when one has ended.
 
-    ``current`` is the command in progress, in words. ``is_measuring``: all that it is to change is done, and only the
-    measurement is left. ``another_waits`` is set while the next command waits.
+    ``current`` is the command in progress, in words, and ``change`` the change that it carries out, if any.
+    ``another_waits`` is set while the next command waits.
     """
 
     clock: Clock
     events: EventLog
     listeners: list[Callable[[], object]] = field(default_factory=list)
     current: str | None = None
-    is_measuring: bool = False
+    change: RunningChange | None = None
     another_waits: asyncio.Event = field(default_factory=asyncio.Event)
     lock: asyncio.Lock = field(default_factory=asyncio.Lock)
     _since: float = 0.0  # when the current one started (steady s)
@@ -36,6 +38,11 @@ class CommandQueue:
     def is_changing(self) -> bool:
         """Whether a command is changing the system. One that only measures does not prevent reconciling."""
         return self.current is not None and not self.is_measuring
+
+    @property
+    def is_measuring(self) -> bool:
+        """Whether all that the command in progress is to change is done, and only the measurement is left."""
+        return self.change is not None and self.change.state is ChangeState.MEASURING
 
     @property
     def running(self) -> RunningCommand | None:
@@ -71,15 +78,6 @@ class CommandQueue:
     def is_last(self) -> bool:
         """Whether no command waits."""
         return not self._waiting
-
-    @contextlib.contextmanager
-    def measuring(self) -> Iterator[None]:
-        """While the command in progress only measures."""
-        self.is_measuring = True
-        try:
-            yield
-        finally:
-            self.is_measuring = False
 
     def between(self) -> AbstractAsyncContextManager[Any]:
         """Wait until no command is changing the system, and keep the next one from beginning."""

@@ -31,6 +31,7 @@ from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import handover_seconds
 from midstride.plan.state_continuity import left_behind, without_outputs
 from midstride.runtime.backend_protocol import Backend
+from midstride.runtime.change.change_states import ChangeState
 from midstride.runtime.change.mode_changes import ModeChanges
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.handover.cut_turns import CutTurn, only_turn
@@ -57,9 +58,9 @@ R = TypeVar("R")
 class ActionDriver:
     """Performs the actions of ``change`` on the components of ``system``, whose configuration is that before an action.
 
-    While ``rolling_back``, a removed instance gets back its own state, and a failure to transfer state does not fail
-    the action. ``last_numbers`` holds the number of the last message of each output that was detached. States of
-    replacements that hand over no output move as well.
+    While the change is rolled back, a removed instance gets back its own state, and a failure to transfer state does
+    not fail the action. ``last_numbers`` holds the number of the last message of each output that was detached. States
+    of replacements that hand over no output move as well.
     """
 
     client: ComponentClient
@@ -68,7 +69,6 @@ class ActionDriver:
     system: RunningSystem
     events: EventLog
     change: RunningChange
-    rolling_back: bool = False
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
     late: dict[str, float] = field(default_factory=dict)
     # By instance: what state of its predecessor it continues without, and why.
@@ -91,6 +91,10 @@ class ActionDriver:
         predecessors = {new: old for old, new in change.replaced.items()}
         for new, because in left_behind(change, self.change.actions).items():
             self._keeps_own_state(predecessors[new], new, because)
+
+    @property
+    def rolling_back(self) -> bool:
+        return self.change.state is ChangeState.ROLLING_BACK
 
     @property
     def configuration(self) -> Configuration:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Final, cast
+from typing import Final
 
 from msgspec import UNSET, UnsetType, structs
 
@@ -35,6 +35,7 @@ from midstride.plan.strategies.restore import restore
 from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.cancellation import run_to_completion
 from midstride.runtime.change.action_driver import ActionDriver
+from midstride.runtime.change.change_states import ChangeEvent
 from midstride.runtime.change.crash_during_change import CrashResponse
 from midstride.runtime.change.executor import Executor
 from midstride.runtime.change.parameter_transfer import ParameterTransfer
@@ -54,7 +55,7 @@ from midstride.runtime.records.journal import Journal
 from midstride.runtime.records.journal_records import NewChange
 from midstride.runtime.records.measure import SwapReport
 from midstride.runtime.records.mode_recorder import ModeRecorder
-from midstride.runtime.records.reports import Outcome, OutcomeKind, StepTime
+from midstride.runtime.records.reports import Outcome, StepTime
 from midstride.runtime.records.state_store import StateStore
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.watch.degradation_report import in_words, lowered_functionalities
@@ -74,14 +75,12 @@ LONGEST_FIRST_CALLS: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class _Steps:
-    """How the steps of a plan have ended, and when (steady s).
+    """When the steps of a plan ended (steady s), and how long they took.
 
     ``seconds``: how long they took together; ``times``: each of those that were done.
     ``below_baseline_seconds``: for how long each functionality was below its baseline.
     """
 
-    outcome: OutcomeKind
-    because: str | None
     ended: float
     seconds: float
     below_baseline_seconds: dict[str, float]
@@ -214,9 +213,12 @@ class ChangeSession:
         since, before = time.time(), self.events.last
         modes = self._mode_recorder(change)
         self.client.listeners.append(modes.on_component_event)
+        self.commands.change = change
+        self.reconciler.degraded.clear()
         try:
             outcome = await self._carry_out(change)
         finally:
+            self.commands.change = None
             self.client.listeners.remove(modes.on_component_event)
             await change.recording.stop(self.system.configuration.instances)
         roles = {role for step in change.plan.steps for role in step.roles}
@@ -255,22 +257,23 @@ class ChangeSession:
         fenced = system.life.fenced
         exited = {name for name in system.life.exits if name in change.before.instances and name not in fenced}
         await self.reconciler.reconcile_crashes()  # before measuring: dependent functionalities must not wait for it
-        await change.entry.end(taken.outcome, taken.because, taken.seconds)
+        assert change.outcome is not None
+        await change.entry.end(change.outcome, change.because, taken.seconds)
         swaps = await self._measure(driver, taken)
         await self.reconciler.reconcile()  # the report includes unexpected degradations
         silences = {fault.words: fault for fault in [*recording.silences, *self.monitor.faults(system.configuration)]}
         await change.entry.measured(swaps)
         if swaps:
             self.events.add("measured", f"measured at {counted(len(swaps), 'subscriber')}", swaps=swaps)
-        planned = plan.change.settled(plan.change.final) if taken.outcome == "done" else change.before
+        planned = plan.change.settled(plan.change.final) if change.outcome == "done" else change.before
         lowered = lowered_functionalities(system, change.before, planned)
-        said = f"{taken.outcome}: {taken.because}" if taken.because else taken.outcome
+        said = f"{change.outcome}: {change.because}" if change.because else change.outcome
         words = f"{said}; afterwards {in_words(lowered)}" if lowered else said
-        self.events.add("outcome", words, outcome=taken.outcome)
+        self.events.add("outcome", words, outcome=change.outcome)
         before = change.missing_before
         missing = {name for name, event in system.life.missing.items() if before.get(name) is not event}
         return Outcome(
-            outcome=taken.outcome,
+            outcome=change.outcome,
             plan=PlanForm.of(plan, change.preview),
             seconds=taken.seconds,
             steps=taken.times,
@@ -282,8 +285,8 @@ class ChangeSession:
                 name: words for name, words in driver.own_state.items() if name in system.configuration.instances
             },
             fenced=[fenced[name] for name in sorted(fenced)],
-            because=taken.because,
-            parameters=change.parameters.report(taken.outcome == "done"),
+            because=change.because,
+            parameters=change.parameters.report(change.outcome == "done"),
             unexpected_exits=sorted(exited | missing),
             unexpected_degradations=sorted(map(str, self.reconciler.degraded)),
             silences=[fault for words, fault in silences.items() if words not in silent_before],
@@ -303,51 +306,47 @@ class ChangeSession:
         response = CrashResponse(change, self.reconciler)
         change.observers += [timer, response]
         executor = Executor(driver, self.store)
-        outcome: OutcomeKind = "done"
-        because = None
-        with self.reconciler.during(change):
-            try:
-                # Alloy judges the configurations of the sequence: what is verified takes one step after another.
-                found = await asyncio.to_thread(overlap, plan) if change.verdict is UNSET else None
-                await change.take(executor.run(found))
-                if change.target != system.specification:
-                    system.changed_since = True
-                    self.store.write_specification(change.target)
-                system.specification = change.target
-                system.configuration = plan.change.settled(system.configuration)
-                system.forget_filled_roles()
-            except StepFailed as error:
-                outcome, because = cast("OutcomeKind", error.outcome), str(error)
-                system.life.miss_again(change.missing_before, system.configuration.instances)
-                system.forget_filled_roles()
-                if outcome == "rolled_back":
-                    system.configuration = change.before
-            except asyncio.CancelledError:
-                undone = system.configuration == plan.change.start
-                if undone:
-                    system.configuration = change.before
-                await change.entry.end("rolled_back" if undone else "failed", "the manager was terminated", None)
-                raise
-            finally:
-                await response.close()
+        try:
+            # Alloy judges the configurations of the sequence: what is verified takes one step after another.
+            found = await asyncio.to_thread(overlap, plan) if change.verdict is UNSET else None
+            await change.take(executor.run(found))
+            if change.target != system.specification:
+                system.changed_since = True
+                self.store.write_specification(change.target)
+            system.specification = change.target
+            system.configuration = plan.change.settled(system.configuration)
+            system.forget_filled_roles()
+        except StepFailed:
+            system.life.miss_again(change.missing_before, system.configuration.instances)
+            system.forget_filled_roles()
+            if change.outcome == "rolled_back":
+                system.configuration = change.before
+        except asyncio.CancelledError:
+            if change.outcome == "rolled_back":
+                system.configuration = change.before
+            await change.entry.end(change.outcome or "failed", "the manager was terminated", None)
+            raise
+        finally:
+            await response.close()
         system.values.forget_ended(system.configuration)
         self.reconciler.save_values()
         ended = self.clock.steady()
-        return _Steps(outcome, because, ended, round(ended - started, 6), timer.stop(), executor.times)
+        return _Steps(ended, round(ended - started, 6), timer.stop(), executor.times)
 
     async def _measure(self, driver: ActionDriver, taken: _Steps) -> list[SwapReport]:
         """What each subscriber has seen, once it has been watched for long enough after the last step."""
-        recording = driver.change.recording
+        change, recording = driver.change, driver.change.recording
         if recording.recorded:
             self.events.add("measuring", "watching the subscribers for 20 periods more")
-        done = taken.outcome == "done"
+        done = change.outcome == "done"
+        change.happened(ChangeEvent.WATCHING)
         try:
-            with self.commands.measuring():
-                swaps = await recording.finish(driver.last_numbers, resumed=not done, hung=self.system.life.fenced)
-                if done:
-                    await recording.wait(taken.ended + self._first_calls(driver.change.actions) - self.clock.steady())
-                return swaps
+            swaps = await recording.finish(driver.last_numbers, resumed=not done, hung=self.system.life.fenced)
+            if done:
+                await recording.wait(taken.ended + self._first_calls(change.actions) - self.clock.steady())
+            return swaps
         finally:
+            change.happened(ChangeEvent.WATCHED)
             hurried = recording.hurried is not None and recording.hurried.is_set()
             self._measured_until = int(self.clock.steady() * 1e9) if hurried else 0
 

@@ -21,6 +21,7 @@ from midstride.model.wording import counted
 from midstride.plan.overlap import Overlap, one_by_one
 from midstride.runtime.cancellation import run_to_completion
 from midstride.runtime.change.action_driver import ActionDriver
+from midstride.runtime.change.change_states import ChangeEvent
 from midstride.runtime.change.early_starts import EarlyStarts, StartFailedEarly
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.handover.cut_turns import CutTurn, CutTurns, GivenUp
@@ -97,6 +98,7 @@ class Executor:
         as well, and raises CancelledError where that succeeded. A roll-back is not broken off, and when every step is
         done, nothing is rolled back any more: ``interrupted`` says then that it was cancelled.
         """
+        self.change.happened(ChangeEvent.BEGUN)
         actions = self.change.actions
         run = _Run(self.change, overlap or one_by_one(actions), self.driver.backend.clock.steady())
         for indices in run.overlap.rounds:
@@ -125,6 +127,7 @@ class Executor:
             if failures:
                 await run_to_completion(self._fail(indices, failures, run), self._interrupt)
         await run_to_completion(self._starts.stop(), self._interrupt)
+        self.change.happened(ChangeEvent.ALL_DONE)
 
     def _interrupt(self) -> None:
         self.interrupted = True
@@ -227,14 +230,17 @@ class Executor:
             # What runs is the other manager's.
             await self._starts.stop()
             because += "; nothing is rolled back, since another manager has taken over"
+            self.change.happened(ChangeEvent.SUPERSEDED, because)
             raise StepFailed(because, "failed") from error
+        self.change.happened(ChangeEvent.STEP_FAILED, because)
         await self._starts.stop()
         problems = [*await self._abandon(run.actions[indices[0] :]), *await self._roll_back(run.done)]
-        if not problems:
-            if isinstance(error, asyncio.CancelledError):
-                raise error
-            raise StepFailed(because, "rolled_back") from error
-        raise StepFailed(f"{because}; and the roll-back failed: {'; '.join(problems)}", "failed") from error
+        if problems:
+            because += f"; and the roll-back failed: {'; '.join(problems)}"
+        self.change.happened(ChangeEvent.NOT_UNDONE if problems else ChangeEvent.UNDONE, because)
+        if isinstance(error, asyncio.CancelledError) and not problems:
+            raise error
+        raise StepFailed(because, "failed" if problems else "rolled_back") from error
 
     async def perform(self, action: Action, turn: CutTurn | None = None) -> Configuration:
         """Check the precondition of one action, carry it out, and update the model. Raises MidstrideError.
@@ -272,7 +278,6 @@ class Executor:
         if not done:
             return list(self.driver.fences.problems())
         self.driver.events.add("rollback", f"rolling back {counted(len(done), 'step')}", total=len(done))
-        self.driver.rolling_back = True
         created = {action.instance.name for action, _ in done if isinstance(action, Create)}
         await self._kill(name for name in sorted(created) if self.system.life.responsive(name) is None)
         problems = list(self.driver.fences.problems())

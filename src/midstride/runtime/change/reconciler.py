@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator, Coroutine, Iterable, Iterator, Mapping
+from collections.abc import AsyncIterator, Coroutine, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -20,7 +20,6 @@ from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.mode_changes import lower_modes
-from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.command_queue import CommandQueue
 from midstride.runtime.instance_life import why_exited
 from midstride.runtime.process.component_client import ComponentClient, ComponentEvent, Disconnected
@@ -77,7 +76,6 @@ class Reconciler:
     observers: list[ReconciliationObserver] = field(default_factory=list)
     degraded: set[FunctionalityRef] = field(default_factory=set)
     pending: dict[FunctionalityRef, MidstrideError | None] = field(default_factory=dict)  # could not be degraded yet
-    _change: RunningChange | None = None  # while its steps are carried out
     _why_pending: str = _LOST_BEFORE
     _reconciled_at: float = 0.0  # when a functionality was last degraded, or refused to be (steady s)
     _reconciling: asyncio.Lock = field(default_factory=asyncio.Lock)
@@ -87,16 +85,6 @@ class Reconciler:
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-
-    @contextlib.contextmanager
-    def during(self, change: RunningChange) -> Iterator[None]:
-        """While the steps of ``change`` are carried out: its observers learn of exits and of worse modes at once."""
-        self.degraded.clear()
-        self._change = change
-        try:
-            yield
-        finally:
-            self._change = None
 
     def on_exit(self, event: Exited) -> None:
         """A process has exited without being asked to."""
@@ -123,8 +111,8 @@ class Reconciler:
                 answers_again = self._answers_again(state.instance)
                 configuration = self.system.configuration
                 degraded = own_degradations_in(configuration, state)
-                if degraded and self._change is not None:
-                    self._change.moved(configuration, (state.instance,))
+                if degraded and (change := self.commands.change) is not None:
+                    change.moved(configuration, (state.instance,))
                 wrong = differs(configuration, state) or bool(unsupported_modes(configuration, state))
                 if answers_again or degraded or wrong or self._can_retry(state):
                     self._reconcile_soon()
@@ -154,10 +142,11 @@ class Reconciler:
         self.system.life.exited(event)
         status = "" if event.status is None else f" (status {event.status})"
         self.events.add("exited", f"{why_exited(event.instance)}{status}", log=event.log_tail)
-        if event.instance in self.system.configuration.instances and self._change is not None:
-            self._change.moved(self.system.configuration, (event.instance,))
-        if self.commands.is_changing and self._change is not None:
-            self._in_background(self._change.crashed())
+        change = self.commands.change
+        if event.instance in self.system.configuration.instances and change is not None:
+            change.moved(self.system.configuration, (event.instance,))
+        if self.commands.is_changing and change is not None:
+            self._in_background(change.crashed())
         else:
             self._reconcile_soon()
 

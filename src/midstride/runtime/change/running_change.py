@@ -15,9 +15,11 @@ from midstride.model.specification import Specification
 from midstride.plan.forms.plan_forms import PlanPreview
 from midstride.plan.plan import Plan
 from midstride.runtime.backend_protocol import Exited
+from midstride.runtime.change.change_states import CHANGE_STATES, OUTCOMES, ChangeEvent, ChangeState
 from midstride.runtime.change.parameter_transfer import ParameterTransfer
 from midstride.runtime.change_observer import ChangeObserver
 from midstride.runtime.records.journal import JournalEntry
+from midstride.runtime.records.reports import OutcomeKind
 from midstride.runtime.watch.subscriber_recording import Recording
 from midstride.verify.verdict import Verdict
 
@@ -45,6 +47,9 @@ class RunningChange:
     before: Configuration
     missing_before: dict[str, Exited] = field(default_factory=dict)
     verdict: Verdict | UnsetType = UNSET
+    state: ChangeState = ChangeState.PLANNED
+    outcome: OutcomeKind | None = None  # until its steps have ended
+    because: str | None = None  # why it is not done
     observers: list[ChangeObserver] = field(default_factory=list)
     commanding: asyncio.Lock = field(default_factory=asyncio.Lock)
     actions: list[Action] = field(init=False)
@@ -56,6 +61,11 @@ class RunningChange:
         self.leaving = frozenset(action.instance for action in self.actions if isinstance(action, Remove))
         self.observers.append(self.recording)
 
+    def happened(self, event: ChangeEvent, because: str | None = None) -> None:
+        """Enter the next state. ``because``: why it is not done, if that is known now."""
+        self.state = CHANGE_STATES.after(self.state, event, "the change")
+        self.outcome, self.because = OUTCOMES.get(event, self.outcome), because or self.because
+
     async def take(self, steps: Coroutine[Any, Any, None]) -> None:
         """Await ``steps``, which carry the plan out; cancelled by :meth:`interrupt`, also before they begin."""
         self._steps = asyncio.ensure_future(steps)
@@ -63,6 +73,10 @@ class RunningChange:
             self._steps.cancel()
         try:
             await self._steps
+        except asyncio.CancelledError:
+            if self.state is ChangeState.PLANNED:
+                self.happened(ChangeEvent.CALLED_OFF)
+            raise
         finally:
             self._steps = None
 

@@ -1,0 +1,66 @@
+"""The states of a change, and what leads from one to the next.
+
+``rolling back`` is entered by the first step that fails, and also where the manager is to end. A change that has ended
+has its outcome; what is left is its measurement, during which the next command may begin to plan and the reconciler
+follows what happens.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Final
+
+from midstride.runtime.records.reports import OutcomeKind
+from midstride.runtime.transitions import Transitions
+
+
+class ChangeState(Enum):
+    PLANNED = "its plan is in the journal, and no step has begun"
+    EXECUTING = "its steps are being taken"
+    ROLLING_BACK = "what has been done is being undone"
+    ENDED = "no step is taken any more"
+    MEASURING = "its subscribers are watched for a while"
+    MEASURED = "all that is reported of it is known"
+
+
+class ChangeEvent(Enum):
+    BEGUN = "the first step is about to begin"
+    ALL_DONE = "every step is done"
+    STEP_FAILED = "a step has failed, or the manager is to end"
+    UNDONE = "every step that was done is undone"
+    NOT_UNDONE = "something could not be undone"
+    SUPERSEDED = "another manager has taken over, so nothing is undone"
+    CALLED_OFF = "the manager is to end before the first step"
+    WATCHING = "its subscribers are being watched"
+    WATCHED = "they have been watched for long enough"
+
+
+CHANGE_STATES: Final = Transitions(
+    {
+        ChangeState.PLANNED: {
+            ChangeEvent.BEGUN: ChangeState.EXECUTING,
+            ChangeEvent.CALLED_OFF: ChangeState.ENDED,
+        },
+        ChangeState.EXECUTING: {
+            ChangeEvent.ALL_DONE: ChangeState.ENDED,
+            ChangeEvent.STEP_FAILED: ChangeState.ROLLING_BACK,
+            ChangeEvent.SUPERSEDED: ChangeState.ENDED,
+        },
+        ChangeState.ROLLING_BACK: {
+            ChangeEvent.UNDONE: ChangeState.ENDED,
+            ChangeEvent.NOT_UNDONE: ChangeState.ENDED,
+        },
+        ChangeState.ENDED: {ChangeEvent.WATCHING: ChangeState.MEASURING},
+        ChangeState.MEASURING: {ChangeEvent.WATCHED: ChangeState.MEASURED},
+        ChangeState.MEASURED: {},
+    }
+)
+
+# What the change is reported as, by the event that ends its steps.
+OUTCOMES: Final[dict[ChangeEvent, OutcomeKind]] = {
+    ChangeEvent.ALL_DONE: "done",
+    ChangeEvent.UNDONE: "rolled_back",
+    ChangeEvent.CALLED_OFF: "rolled_back",
+    ChangeEvent.NOT_UNDONE: "failed",
+    ChangeEvent.SUPERSEDED: "failed",
+}
