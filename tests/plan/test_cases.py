@@ -133,7 +133,7 @@ def test_talker_replaced_again_and_again_never_takes_the_bare_name_back() -> Non
         plan = sound(STRATEGIES["minimal"](change))
         names += [instance.name for instance in change.coming]
         *_, last = plan.configurations()
-        configuration, specification = change.settled(last), change.target
+        configuration, specification = change.in_target_context(last), change.target
     assert names == ["talker_2", "talker_3", "talker_2"]
 
 
@@ -375,8 +375,8 @@ def test_a_topic_whose_contract_differs_is_another_topic(strategy: str) -> None:
             "detach user.in from /x",
         ]
     *_, last = plan.configurations()
-    settled = plan.change.settled(last)
-    assert settled == initial(target)
+    reached = plan.change.in_target_context(last)
+    assert reached == initial(target)
 
 
 def test_a_topic_that_nobody_uses_changes_its_contract_in_place() -> None:
@@ -416,7 +416,7 @@ def test_another_name_of_the_same_body_changes_nothing(strategy: str) -> None:
     target = replace(start, components=start.components.set("Speaker", same)).with_replaced("talker", "Speaker")
     plan = changed(start, target, strategy)
     assert plan.steps == ()
-    assert plan.change.settled(plan.change.start).component("talker").name == "Speaker"
+    assert plan.change.in_target_context(plan.change.start).component("talker").name == "Speaker"
 
 
 @pytest.mark.parametrize("strategy", EVERY)

@@ -71,7 +71,7 @@ def test_a_first_instance_bears_its_role_s_name_unless_it_is_taken() -> None:
     configuration = initial(start)
     change = replacing(configuration, start, "talker", "NewTalker")
     *_, last = STRATEGIES["minimal"](change).configurations()
-    change = adding(change.settled(last), change.target, Node("talker_2", "Talker"))
+    change = adding(change.in_target_context(last), change.target, Node("talker_2", "Talker"))
     assert [instance.name for instance in change.coming] == ["talker_2_2"]
     assert [instance.name for instance in adding(configuration, start, Node("other", "Talker")).coming] == ["other"]
 
@@ -381,4 +381,4 @@ def test_connectors_of_the_target_alone_are_there_throughout() -> None:
     change = change_between(initial(start), start, target)
     assert "/more" in change.start.context.connectors
     assert "/more" not in change.origin.context.connectors
-    assert change.settled(change.final).context == target.context
+    assert change.in_target_context(change.final).context == target.context

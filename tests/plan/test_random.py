@@ -259,7 +259,7 @@ def test_the_running_names_do_not_matter(seed: int, strategy: str) -> None:
     first, second = systems.change(rng, systems.system(rng), 4)
     plan = planned(between(first, second), "minimal")
     *_, last = plan.configurations()
-    running = plan.change.settled(last)
+    running = plan.change.in_target_context(last)
     try:
         back = change_between(running, second, first)
     except PlanRefused:

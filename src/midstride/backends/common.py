@@ -116,12 +116,12 @@ def on_thread(function: Callable[[], T], post: Callable[[Callable[[], None]], ob
 
     def work() -> None:
         try:
-            settle = partial(done.set_result, function())
+            resolve = partial(done.set_result, function())
         except BaseException as error:
             raised = RuntimeError(str(error)) if isinstance(error, StopIteration) else error
-            settle = partial(done.set_exception, raised)
+            resolve = partial(done.set_exception, raised)
         with suppress(RuntimeError):  # the loop is closed: the process is ending
-            calling.call_soon_threadsafe(lambda: done.cancelled() or settle())
+            calling.call_soon_threadsafe(lambda: done.cancelled() or resolve())
 
     post(work)
     return done

@@ -62,7 +62,7 @@ class NodeLifecycle:
     async def _step(self, state: str, target: str) -> str:
         """The state after the next transition towards ``target``."""
         if state not in _ORDER:
-            return await self._settled(state, target)
+            return await self._after_transition(state, target)
         up = target in _ORDER and _ORDER.index(target) > _ORDER.index(state)
         name = (_UP if up else _DOWN)[state]
         patience = self._timeouts[name]
@@ -80,7 +80,7 @@ class NodeLifecycle:
             raise CommandRefused(f"{self.instance} has answered `{name}` with a failure; it is {after}")
         return after
 
-    async def _settled(self, state: str, target: str) -> str:
+    async def _after_transition(self, state: str, target: str) -> str:
         """Wait until a transition has ended that was begun before, as one that had not been answered in time."""
         deadline = asyncio.get_running_loop().time() + max(self._timeouts.values())
         while (now := await self._asked(target)) == state and state != FINALIZED:

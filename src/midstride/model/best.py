@@ -38,14 +38,14 @@ def rebalanced(
     evaluator = Evaluator(configuration, overlay)
     pending = list(seeds)
     touched: dict[FunctionalityRef, None] = dict.fromkeys(pending)
-    settled: set[str] = set()  # satisfied connectors: a further publisher makes no difference to any consumer
+    satisfied: set[str] = set()  # connectors: a further publisher makes no difference to any consumer
     while pending:  # raise optimistically: every functionality that could gain goes to its highest mode first
         ref = pending.pop()
         before, highest = evaluator.mode_index(ref), 0 if ceiling is None else ceiling(ref)
         if before <= highest:
             continue
-        gained = [name for name in affected_connectors(configuration, ref, before, highest) if name not in settled]
-        settled.update(gained)
+        gained = [name for name in affected_connectors(configuration, ref, before, highest) if name not in satisfied]
+        satisfied.update(gained)
         gained = [name for name in gained if not evaluator.connector_satisfied(name)]
         overlay[ref] = highest
         for name in gained:

@@ -154,7 +154,7 @@ class Change:
                 found.setdefault(port.instance, []).append((port, connector))
         return found
 
-    def settled(self, configuration: Configuration) -> Configuration:
+    def in_target_context(self, configuration: Configuration) -> Configuration:
         """``configuration``, reached by the whole plan, in the target's own context and with its own names."""
         for name, identity in self.identities.items():
             for port in [*configuration.publishers_on(identity), *configuration.subscribers_on(identity)]:

@@ -182,7 +182,7 @@ class Manager:
                     self._store.forget()
                 raise
             for change in interrupted:
-                await self._journal.settle(change, None if saved is None else self.specification)
+                await self._journal.end_interrupted(change, None if saved is None else self.specification)
             many = counted(len(self.configuration.instances), "component")
             intended = initial(self.specification)
             lowered = lowered_functionalities(self.system, Configuration(), intended)
@@ -258,7 +258,7 @@ class Manager:
 
     async def programs(self) -> list[ProgramStatus]:
         """The files of the programs that run, and which of them have changed on disk since."""
-        await self._programs.settled()
+        await self._programs.await_answers()
         return await self._programs.status(self.configuration)
 
     async def live(self) -> LiveConfiguration:

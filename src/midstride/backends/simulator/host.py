@@ -77,11 +77,11 @@ class SimulatedHost:
 
         def item() -> None:
             try:
-                settle = partial(future.set_result, function())
+                resolve = partial(future.set_result, function())
             except Exception as error:
-                settle = partial(future.set_exception, error)
+                resolve = partial(future.set_exception, error)
             if not future.done():
-                settle()
+                resolve()
 
         self._process.enqueue(item)
         return future

@@ -137,7 +137,7 @@ class DevSession:
         wanted = self.specification.wanted
         if self._differs and decode_specification(self.manager.get("/specification")) == wanted:
             self._differs = False
-            self._settle(_SPECIFICATION)
+            self._up_to_date(_SPECIFICATION)
         elif self._differs and self._is_new(_SPECIFICATION):
             yield _SPECIFICATION, [str(self.specification.path)]
         instances = Counter(program.role for program in self._programs)
@@ -146,7 +146,7 @@ class DevSession:
             if instances[role] > 1:  # it is being replaced, or the change is being rolled back: see what remains
                 continue
             if not program.changed:
-                self._settle(role)
+                self._up_to_date(role)
             elif role in wanted.nodes and self._is_new(role):
                 if program.startable:
                     yield role, program.changed
@@ -158,7 +158,7 @@ class DevSession:
         """Whether a change has not been requested yet with the files as they are."""
         return self._tried.get(name) != self._related(name)
 
-    def _settle(self, name: str) -> None:
+    def _up_to_date(self, name: str) -> None:
         """What runs is what the files have."""
         self._tried.pop(name, None)
         self._refused.discard(name)

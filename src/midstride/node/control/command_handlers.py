@@ -257,24 +257,24 @@ class CommandHandlers:
         self, command: commands.ModesCommand, indices: Mapping[str, int], expected: int | None
     ) -> replies.PreviousModes:
         targets = {runner: indices[runner.name] for runner in self._runners if runner.name in indices}
-        settled = asyncio.Event()
-        on_settled = partial(asyncio.get_running_loop().call_soon_threadsafe, settled.set)
+        ended = asyncio.Event()
+        on_ended = partial(asyncio.get_running_loop().call_soon_threadsafe, ended.set)
 
         def guard() -> str | None:
             if expected is not None and expected != self.revision.value:
                 return "a functionality has degraded by itself meanwhile: observe the component again, then retry"
             return None
 
-        switch = ModeSwitch(targets, command.because, guard, on_settled, hold=self._take_hold())
+        switch = ModeSwitch(targets, command.because, guard, on_ended, hold=self._take_hold())
         attempt = asyncio.ensure_future(self.host.on_data(switch.attempt))
         attempt.add_done_callback(self._log_failure)
-        if await within(self.host, settled.wait(), command.timeout) is None and switch.decision.make():
+        if await within(self.host, ended.wait(), command.timeout) is None and switch.decision.make():
             self.host.on_data(switch.release)
             raise CommandRefused(
                 f"the change of {', '.join(indices)} was withdrawn: "
                 f"user code did not return within {command.timeout:g} s{self._busy_words()}"
             )
-        await settled.wait()
+        await ended.wait()
         if switch.refused is not None:
             raise CommandRefused(switch.refused)
         return replies.PreviousModes(before=switch.before, at=None if switch.hold is None else switch.at)

@@ -287,7 +287,7 @@ class Reflex:
         def guard() -> str | None:
             return None if runner.entered == watch.entered else "its mode has changed meanwhile"
 
-        def settled() -> None:
+        def ended() -> None:
             index = fall.switch.targets[runner]
             if runner.index == index and runner.because == fall.switch.because and not fall.shown:
                 fall.shown = True
@@ -299,7 +299,7 @@ class Reflex:
                 fall.switch.attempt()
             fall.attempted = True
 
-        switch = ModeSwitch({runner: index}, because, guard, settled, reflex=True, conditional=conditional)
+        switch = ModeSwitch({runner: index}, because, guard, ended, reflex=True, conditional=conditional)
         fall = watch.fall = Fall(switch, attempt, steady())
         self._post(fall)
         return fall

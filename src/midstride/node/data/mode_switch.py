@@ -145,7 +145,7 @@ class Hold:
 class ModeSwitch:
     """One mode change of a group of functionalities: all at once, between two calls of each, or not at all.
 
-    ``guard`` is called at that moment; a reason that it returns refuses the change. ``settled`` is called on the data
+    ``guard`` is called at that moment; a reason that it returns refuses the change. ``ended`` is called on the data
     thread once the change has happened or is refused, before the new modes' first calls. ``reflex``: the local
     reflex asks for it; ``conditional``: because of a condition. ``hold``: keeps them between two calls, and ends with
     the switch.
@@ -154,7 +154,7 @@ class ModeSwitch:
     targets: dict[FunctionalityRunner, int]
     because: str
     guard: Callable[[], str | None]
-    settled: Callable[[], object]
+    ended: Callable[[], object]
     reflex: bool = False
     conditional: bool = False
     hold: Hold | None = None
@@ -181,7 +181,7 @@ class ModeSwitch:
             self.refused = f"the change failed half-way: {type(error).__name__}: {error}"
             raise
         finally:
-            self.settled()
+            self.ended()
             self.release()
 
     def _switch(self) -> None:
@@ -193,7 +193,7 @@ class ModeSwitch:
             self.at = runner.since
         if self.hold is not None:
             self.hold.release()
-        self.settled()
+        self.ended()
         for runner in moved:
             runner.start_calls()
 

@@ -265,7 +265,7 @@ class ChangeSession:
         await change.entry.measured(swaps)
         if swaps:
             self.events.add("measured", f"measured at {counted(len(swaps), 'subscriber')}", swaps=swaps)
-        planned = plan.change.settled(plan.change.final) if change.outcome == "done" else change.before
+        planned = plan.change.in_target_context(plan.change.final) if change.outcome == "done" else change.before
         lowered = lowered_functionalities(system, change.before, planned)
         said = f"{change.outcome}: {change.because}" if change.because else change.outcome
         words = f"{said}; afterwards {in_words(lowered)}" if lowered else said
@@ -314,7 +314,7 @@ class ChangeSession:
                 system.changed_since = True
                 self.store.write_specification(change.target)
             system.specification = change.target
-            system.configuration = plan.change.settled(system.configuration)
+            system.configuration = plan.change.in_target_context(system.configuration)
             system.forget_filled_roles()
         except StepFailed:
             system.life.miss_again(change.missing_before, system.configuration.instances)

@@ -135,7 +135,7 @@ class Reconciler:
     def save_values(self) -> None:
         """Save the parameter values that were set at run time, where they have changed, for the next manager."""
         system = self.system
-        for role, values in system.values.settle(system.configuration, system.specification.nodes).items():
+        for role, values in system.values.update_saved(system.configuration, system.specification.nodes).items():
             self.store.write_values(role, values)
 
     def _record_exit(self, event: Exited) -> None:

@@ -112,7 +112,7 @@ class Journal:
                 raise
             return JournalEntry(self, None)
 
-    async def settle(self, interrupted: Interrupted, specification: Specification | None) -> None:
+    async def end_interrupted(self, interrupted: Interrupted, specification: Specification | None) -> None:
         """An interrupted change has been finished, if ``specification`` is its target, or else rolled back.
 
         None: no component was left.

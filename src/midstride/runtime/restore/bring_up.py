@@ -114,7 +114,7 @@ class BringUp:
             if outcome.outcome != "done":
                 raise StepFailed(str(outcome.because), outcome.outcome)
         else:
-            self.system.configuration = change.settled(self.system.configuration)
+            self.system.configuration = change.in_target_context(self.system.configuration)
 
     async def recover(self, saved: SavedState, interrupted: Iterable[Interrupted]) -> set[str]:
         """Find what an earlier manager left, and degrade what has lost its support.

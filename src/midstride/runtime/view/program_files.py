@@ -72,7 +72,7 @@ class Programs:
         except BackendError:
             known.imported = 0  # its next report makes this ask again
 
-    async def settled(self) -> None:
+    async def await_answers(self) -> None:
         """Wait until the components that are being asked have answered, or have had the time for it."""
         if pending := [asking for asking in self._asking.values() if not asking.done()]:
             await asyncio.wait(pending, timeout=PATIENCE)

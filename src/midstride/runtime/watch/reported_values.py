@@ -42,7 +42,7 @@ class ReportedValues:
         }
         return {**self.saved, **live}
 
-    def settle(self, configuration: Configuration, roles: Mapping[str, object]) -> dict[str, Values]:
+    def update_saved(self, configuration: Configuration, roles: Mapping[str, object]) -> dict[str, Values]:
         """What is to be saved: the values of each role that have changed. Forgets roles that are not in ``roles``."""
         now = self.by_role(configuration)
         changed = {
