@@ -65,20 +65,7 @@ class SessionBench(ReconcilingBench):
         super().__post_init__()
         self.busy = True  # during a command
         self.verifier = ScriptedVerifier()
-        self.session = ChangeSession(
-            self.system,
-            self.client,
-            self.monitor,
-            self.clock,
-            self.events,
-            self.store,
-            self.reconciler,
-            self.verifier,
-            self.launcher,
-            self.backend,
-            self.journal,
-            self.commands,
-        )
+        self.session = ChangeSession(self.reconciler, self.backend, self.journal, self.verifier)
         target = self.specification.with_node(changed(self.specification.nodes["talker"], component="NewTalker"))
         self.startable(target.instance("talker", "talker_2"), self.specification.instance("talker"))
 

@@ -93,20 +93,7 @@ class Manager:
         self._monitor = monitor = SilenceMonitor(client.life, clock, events, self._watch.stopped)
         # What changes the system, each part by the one before it.
         self._reconciler = reconciler = Reconciler(system, client, monitor, launcher, events, store, commands)
-        self._session = session = ChangeSession(
-            system,
-            client,
-            monitor,
-            clock,
-            events,
-            store,
-            reconciler,
-            verifier or Verifier(),
-            launcher,
-            backend,
-            journal,
-            commands,
-        )
+        self._session = session = ChangeSession(reconciler, backend, journal, verifier or Verifier())
         self._respawner = Respawner(system, clock, events, reconciler, session)
         self._restorer = Restorer(system, client, clock, events, reconciler, session, not options.keep_degraded)
         self.watched = WatchedSystem(
@@ -170,7 +157,7 @@ class Manager:
                 self.events.add("note", self._journal.damaged)
             if saved is not None:
                 self._store.take_over()
-            bring_up = self._bring_up()
+            bring_up = BringUp(self._session, self._restorer, self._options, self._workspace.name)
             absent = set() if saved is None else await bring_up.recover(saved, interrupted)
             self._backend.keep_spares(self._spares, self._client.token)
             try:
@@ -191,21 +178,6 @@ class Manager:
             self.events.add("up", f"{self.specification.name} is up{without}: {many}{degraded}")
             outcome: Literal["done", "incomplete"] = "incomplete" if missing else "done"
             return UpReport(outcome, sorted(self.configuration.instances), lowered, missing)
-
-    def _bring_up(self) -> BringUp:
-        return BringUp(
-            self.system,
-            self._client,
-            self._launcher,
-            self._reconciler,
-            self._session,
-            self._restorer,
-            self._store,
-            self.events,
-            self._options,
-            backend=self._backend.name,
-            workspace=self._workspace.name,
-        )
 
     async def close(self) -> None:
         """Disconnect; the components keep running."""

@@ -351,9 +351,10 @@ class ActionDriver:
         self, swaps: Sequence[Swap], replaced: Collection[tuple[str, str]], turn: CutTurn | None = None
     ) -> None:
         """Hand over what is swapped, and the state of ``replaced``, pairs of old and new."""
-        states = StateTransfers(self.client, self.events, replaced, required=not self.rolling_back, lost=self.own_state)
         self._keeping.update(old for old, _ in replaced if keeps_state(self.client, old))
-        states.keeping = self._keeping
+        states = StateTransfers(
+            self.client, self.events, replaced, not self.rolling_back, keeping=self._keeping, lost=self.own_state
+        )
         lingering_readers = self.backend.lingering_readers
         handover = LiveHandover(
             self.client,

@@ -43,24 +43,16 @@ from midstride.runtime.change.reconciler import Reconciler
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.change.runtime_verification import StepVerifier, Verifier
 from midstride.runtime.change.stalled_first import with_stalled_first
-from midstride.runtime.command_queue import CommandQueue
 from midstride.runtime.handover.arbiter_choice import require_arbiters
 from midstride.runtime.handover.fences import DEFAULT_WAIT
-from midstride.runtime.manager_clock import Clock
-from midstride.runtime.process.component_client import ComponentClient
-from midstride.runtime.process.launcher import Launcher
 from midstride.runtime.records.change_report import ChangeTimeline
-from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.journal import Journal
 from midstride.runtime.records.journal_records import NewChange
 from midstride.runtime.records.measure import SwapReport
 from midstride.runtime.records.mode_recorder import ModeRecorder
 from midstride.runtime.records.reports import Outcome, StepTime
-from midstride.runtime.records.state_store import StateStore
-from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.watch.degradation_report import in_words, lowered_functionalities
 from midstride.runtime.watch.degradation_timer import DegradationTimer
-from midstride.runtime.watch.silence import SilenceMonitor
 from midstride.runtime.watch.subscriber_recording import Recording
 from midstride.verify.verdict import Verdict
 
@@ -89,21 +81,19 @@ class _Steps:
 
 @dataclass
 class ChangeSession:
-    """Carries out one change at a time, of the command in progress."""
+    """Carries out one change at a time, of the command in progress, with what ``reconciler`` works with as well."""
 
-    system: RunningSystem
-    client: ComponentClient
-    monitor: SilenceMonitor
-    clock: Clock
-    events: EventLog
-    store: StateStore
     reconciler: Reconciler
-    verifier: Verifier
-    launcher: Launcher
     backend: Backend
     journal: Journal
-    commands: CommandQueue
+    verifier: Verifier
     _measured_until: int = 0
+
+    def __post_init__(self) -> None:
+        shared = self.reconciler
+        self.system, self.client, self.launcher = shared.system, shared.client, shared.launcher
+        self.events, self.store, self.commands = shared.events, shared.store, shared.commands
+        self.monitor, self.clock = shared.monitor, self.backend.clock
 
     async def plan(self, request: PlanRequest) -> tuple[Plan, Specification]:
         """The plan for ``request`` from the current configuration, and its target. Raises PlanRefused."""

@@ -17,33 +17,27 @@ from midstride.plan.strategies.registry import planner
 from midstride.plan.strategies.restore import restore
 from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.change_session import ChangeSession
-from midstride.runtime.change.reconciler import Reconciler
 from midstride.runtime.options import SystemOptions
-from midstride.runtime.process.component_client import ComponentClient
-from midstride.runtime.process.launcher import Launcher
-from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.journal_records import Interrupted
-from midstride.runtime.records.state_store import SavedState, StateStore
+from midstride.runtime.records.state_store import SavedState
 from midstride.runtime.restore.recovery import recover
 from midstride.runtime.restore.restoring import Restorer
-from midstride.runtime.running_system import RunningSystem
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass
 class BringUp:
-    """One ``up`` of the system ``workspace`` on the platform ``backend``."""
+    """One ``up`` of the system ``workspace``, with what ``session`` works with as well."""
 
-    system: RunningSystem
-    client: ComponentClient
-    launcher: Launcher
-    reconciler: Reconciler
     session: ChangeSession
     restorer: Restorer
-    store: StateStore
-    events: EventLog
     options: SystemOptions
-    backend: str
     workspace: str
+
+    def __post_init__(self) -> None:
+        shared = self.session
+        self.system, self.client, self.launcher = shared.system, shared.client, shared.launcher
+        self.events, self.store, self.reconciler = shared.events, shared.store, shared.reconciler
+        self.backend = shared.backend.name
 
     async def restore_missing(self, absent: set[str], *, is_new: bool) -> dict[str, str]:
         """Bring up what does not run, without the roles ``absent``; returns why each of the others could not be.
