@@ -36,49 +36,18 @@ DoneActions = list[tuple[Action, Configuration]]
 
 
 @dataclass(slots=True)
-class _Run:
-    """The steps of ``change``, in words as soon as they begin, those that are done, and how long they took."""
-
-    change: RunningChange
-    overlap: Overlap
-    began: float  # steady s
-    words: dict[int, str] = field(default_factory=dict)
-    done: DoneActions = field(default_factory=list)
-    times: dict[int, StepTime] = field(default_factory=dict)
-    looked: int = 0  # how many numbers of steps have been looked up in ``overlap.starts``
-
-    @property
-    def actions(self) -> Sequence[Action]:
-        return self.change.actions
-
-    def name(self, index: int) -> str:
-        return self.words.get(index) or self.actions[index].describe()
-
-    def position(self, index: int) -> dict[str, Any]:
-        return {"index": index, "total": len(self.actions), "step": self.change.preview.steps[index]}
-
-    def numbered(self, index: int, words: str) -> str:
-        return f"{index + 1}/{len(self.actions)} {words}"
-
-    def may_start(self, begun: int) -> list[Create]:
-        """The later creations whose processes may start from now on, where the steps before ``begun`` are done."""
-        numbers = range(self.looked, begun + 1)
-        self.looked = numbers.stop
-        indices = [index for number in numbers for index in self.overlap.starts.get(number, ()) if index > begun]
-        return [action for index in indices if isinstance(action := self.actions[index], Create)]
-
-
-@dataclass(slots=True)
 class Executor:
     """Carries out the change of ``driver`` on the running system."""
 
     driver: ActionDriver
     store: StateStore
-    # The steps of the plan that were done, as measured.
-    times: list[StepTime] = field(default_factory=list)
     # Whether ``run`` was cancelled between two rounds, while it rolled back, or when every step was done.
     interrupted: bool = False
     _starts: EarlyStarts = field(init=False)
+    _began: float = 0.0  # steady s
+    _described: dict[int, str] = field(default_factory=dict)  # those of each step that has begun
+    _done: DoneActions = field(default_factory=list)
+    _times: dict[int, StepTime] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._starts = EarlyStarts(self.driver, self.store)
@@ -91,6 +60,11 @@ class Executor:
     def system(self) -> RunningSystem:
         return self.driver.system
 
+    @property
+    def times(self) -> list[StepTime]:
+        """How long each step took that is done, in their order."""
+        return [self._times[index] for index in sorted(self._times)]
+
     async def run(self, overlap: Overlap | None = None) -> None:
         """Carry out the plan's actions in order; ``overlap``: which at once, and which processes start ahead.
 
@@ -99,61 +73,72 @@ class Executor:
         done, nothing is rolled back any more: ``interrupted`` says then that it was cancelled.
         """
         self.change.happened(ChangeEvent.BEGUN)
-        actions = self.change.actions
-        run = _Run(self.change, overlap or one_by_one(actions), self.driver.backend.clock.steady())
-        for indices in run.overlap.rounds:
+        self._began = self.driver.backend.clock.steady()
+        actions, looked_up = self.change.actions, 0
+        overlap = overlap or one_by_one(actions)
+        for indices in overlap.rounds:
             for index in indices:
-                run.words[index] = actions[index].describe(self.system.configuration)
-                words = run.numbered(index, run.words[index])
-                self.driver.events.add("step", words, **run.position(index))
+                self._described[index] = actions[index].describe(self.system.configuration)
+                self.driver.events.add("step", self._numbered(index, self._described[index]), **self._position(index))
             failures: dict[int, BaseException]
             try:
                 if self.interrupted:  # since the round before has ended
                     raise asyncio.CancelledError
-                await self.change.entry.step(*(run.words[index] for index in indices))
+                await self.change.entry.step(*(self._described[index] for index in indices))
                 self._starts.check()
                 if isinstance(action := actions[indices[0]], Create):
                     await self._starts.start(action)
-                self._starts.begin(run.may_start(indices[0]))
-                failures = await self._round(indices, run)
+                # The later creations whose processes may start from now on, where the steps before are done.
+                numbers, looked_up = range(looked_up, indices[0] + 1), indices[0] + 1
+                ahead = [index for number in numbers for index in overlap.starts.get(number, ()) if index > indices[0]]
+                self._starts.begin(action for index in ahead if isinstance(action := actions[index], Create))
+                failures = await self._round(indices)
             except StartFailedEarly as early:  # not this step has failed, but a later one
                 failures = {actions.index(early.action): early.error}
             except (Exception, asyncio.CancelledError) as error:
                 failures = {indices[0]: error}
             await run_to_completion(self._starts.at_rest(), self._interrupt)
-            for index in sorted(run.times.keys() & indices):  # of a round when all of it has ended
-                self.driver.events.add("step_done", run.numbered(index, "done"), **run.position(index))
-                self.times.append(run.times[index])
+            for index in sorted(self._times.keys() & indices):  # of a round when all of it has ended
+                self.driver.events.add("step_done", self._numbered(index, "done"), **self._position(index))
             if failures:
-                await run_to_completion(self._fail(indices, failures, run), self._interrupt)
+                await run_to_completion(self._fail(indices, failures), self._interrupt)
         await run_to_completion(self._starts.stop(), self._interrupt)
         self.change.happened(ChangeEvent.ALL_DONE)
 
     def _interrupt(self) -> None:
         self.interrupted = True
 
-    async def _round(self, indices: Sequence[int], run: _Run) -> dict[int, BaseException]:
+    def _name(self, index: int) -> str:
+        return self._described.get(index) or self.change.actions[index].describe()
+
+    def _position(self, index: int) -> dict[str, Any]:
+        return {"index": index, "total": len(self.change.actions), "step": self.change.preview.steps[index]}
+
+    def _numbered(self, index: int, words: str) -> str:
+        return f"{index + 1}/{len(self.change.actions)} {words}"
+
+    async def _round(self, indices: Sequence[int]) -> dict[int, BaseException]:
         """Take the steps of one round. Returns which of several have failed; raises what a single one raises.
 
         If cancelled, or if one fails, it waits for the others to end, in bounded time, so that none is left incomplete.
         """
-        if isinstance(run.actions[indices[0]], Handover):
-            return await self._hand_over(indices, run)
+        if isinstance(self.change.actions[indices[0]], Handover):
+            return await self._hand_over(indices)
         if len(indices) == 1:
-            await self._take(indices[0], run)
+            await self._take(indices[0])
             return {}
-        held = self._commanding(run.actions[indices[0]])
+        held = self._commanding(self.change.actions[indices[0]])
         async with held or contextlib.nullcontext():
-            taking = [asyncio.ensure_future(self._take(index, run, place)) for place, index in enumerate(indices)]
+            taking = [asyncio.ensure_future(self._take(index, place)) for place, index in enumerate(indices)]
             try:
                 await asyncio.wait(taking)
             finally:
                 errors = await asyncio.gather(*map(asyncio.shield, taking), return_exceptions=True)
         for index in indices if held else ():
-            await self.change.performed(run.actions[index])
+            await self.change.performed(self.change.actions[index])
         return {index: error for index, error in zip(indices, errors, strict=True) if error is not None}
 
-    async def _hand_over(self, indices: Sequence[int], run: _Run) -> dict[int, BaseException]:
+    async def _hand_over(self, indices: Sequence[int]) -> dict[int, BaseException]:
         """Take hand-overs: prepare all of them at once, cut one after another, and watch all. Returns which failed.
 
         If cancelled, or as soon as one fails, no further cut begins, and those that are only waited for are given up.
@@ -162,7 +147,7 @@ class Executor:
 
         async def take(index: int, place: int | None, turn: CutTurn) -> None:
             try:
-                await self._take(index, run, place, turn)
+                await self._take(index, place, turn)
             except BaseException:
                 turns.give_up()
                 raise
@@ -178,23 +163,23 @@ class Executor:
             errors = await asyncio.gather(*map(asyncio.shield, taking), return_exceptions=True)
         return {index: error for index, error in zip(indices, errors, strict=True) if error is not None}
 
-    async def _take(self, index: int, run: _Run, place: int | None = None, turn: CutTurn | None = None) -> None:
+    async def _take(self, index: int, place: int | None = None, turn: CutTurn | None = None) -> None:
         """Carry out one step until everything is done that belongs to it; ``place``: in its round, unless alone."""
-        action, clock = run.actions[index], self.driver.backend.clock
-        key = _estimates(action, self.system.configuration, run.actions) if place is None else None
+        action, clock = self.change.actions[index], self.driver.backend.clock
+        key = _estimates(action, self.system.configuration, self.change.actions) if place is None else None
         begun = clock.steady()
-        await self._step(action, run.done, held=place is not None and self._commanding(action) is not None, turn=turn)
+        await self._step(action, held=place is not None and self._commanding(action) is not None, turn=turn)
         self.change.entry.took(clock.steady() - begun, key, place or 0)
         if turn is not None:
             turn.ended = True
             await turn.turns.waiting(self.driver.watch(action))
-        if index == len(run.actions) - 1:
+        if index == len(self.change.actions) - 1:
             await self.driver.settle()
         await self.change.step_done(self.system.configuration)
-        run.times[index] = StepTime(index + 1, round(begun - run.began, 6), round(clock.steady() - begun, 6))
+        self._times[index] = StepTime(index + 1, round(begun - self._began, 6), round(clock.steady() - begun, 6))
 
-    async def _step(self, action: Action, done: DoneActions, *, held: bool, turn: CutTurn | None) -> None:
-        """Perform ``action`` and append it to ``done``; ``held``: its round holds the lock for commands.
+    async def _step(self, action: Action, *, held: bool, turn: CutTurn | None) -> None:
+        """Perform ``action`` and note that it is done; ``held``: its round holds the lock for commands.
 
         If cancelled, it first waits for the action to end, in bounded time, so that no step is left incomplete. Only a
         creation is interrupted: it cleans up after itself. So it is as soon as a process started ahead has failed: this
@@ -210,19 +195,19 @@ class Executor:
                 performing.cancel()
             await asyncio.wait({performing})
             if not performing.cancelled() and performing.exception() is None:
-                done.append((action, performing.result()))
+                self._done.append((action, performing.result()))
             raise
-        done.append((action, before))
+        self._done.append((action, before))
         if not held:
             await self.change.performed(action)
 
-    async def _fail(self, indices: Sequence[int], failures: Mapping[int, BaseException], run: _Run) -> None:
+    async def _fail(self, indices: Sequence[int], failures: Mapping[int, BaseException]) -> None:
         """Roll back, and raise StepFailed: the steps ``failures`` have failed while those at ``indices`` were taken."""
         reasons = {index: _words(error) for index, error in failures.items() if not isinstance(error, GivenUp)}
         for index in failures:
-            words = f"{run.name(index)} failed: {reasons[index]}" if index in reasons else f"{run.name(index)} given up"
-            self.driver.events.add("step_failed", words, **run.position(index))
-        because = "; ".join(f"{run.name(index)}: {why}" for index, why in reasons.items())
+            how = f"failed: {reasons[index]}" if index in reasons else "given up"
+            self.driver.events.add("step_failed", f"{self._name(index)} {how}", **self._position(index))
+        because = "; ".join(f"{self._name(index)}: {why}" for index, why in reasons.items())
         errors = [failures[index] for index in reasons]
         error = next((each for each in errors if isinstance(each, asyncio.CancelledError | Superseded)), errors[0])
         failed = [place for place, index in enumerate(indices) if index in failures]
@@ -234,7 +219,7 @@ class Executor:
             raise StepFailed(because, "failed") from error
         self.change.happened(ChangeEvent.STEP_FAILED, because)
         await self._starts.stop()
-        problems = [*await self._abandon(run.actions[indices[0] :]), *await self._roll_back(run.done)]
+        problems = [*await self._abandon(self.change.actions[indices[0] :]), *await self._roll_back(self._done)]
         if problems:
             because += f"; and the roll-back failed: {'; '.join(problems)}"
         self.change.happened(ChangeEvent.NOT_UNDONE if problems else ChangeEvent.UNDONE, because)
