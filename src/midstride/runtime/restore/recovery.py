@@ -70,7 +70,7 @@ async def recover(
         raise Unreachable("; ".join(hanging))
     for name in await launcher.end_orphans(found):
         events.add("ended", f"stopped {name}, which an earlier manager had just started")
-    found = await _settled(found, launcher, client, events)
+    found = await _resolved(found, launcher, client, events)
     redundant = _redundant(found)
     for name in redundant:
         events.add("ended", f"stopped {name}, which an earlier manager had left half done")
@@ -94,7 +94,7 @@ async def recover(
     return await _configuration(specification, targets, found, client)
 
 
-async def _settled(
+async def _resolved(
     found: Mapping[str, tuple[Instance, ComponentState]], launcher: Launcher, client: ComponentClient, events: EventLog
 ) -> dict[str, tuple[Instance, ComponentState]]:
     """``found`` once no cut of the earlier manager is under way, without those that have exited meanwhile.
@@ -103,13 +103,13 @@ async def _settled(
     sides are first, so that they do not write when the old ones do again.
     """
 
-    async def settle(name: str, *, new: bool) -> None:
+    async def resolve(name: str, *, new: bool) -> None:
         with suppress(CommandRefused):  # a node without Midstride's API, whose agent has done so by itself
             await client.read(name, ResolveCutsCommand(new=new))
 
-    settled = dict(found)
-    for ask in (partial(settle, new=True), partial(settle, new=False), client.observe):
-        for name, (instance, state) in list(settled.items()):
+    resolved = dict(found)
+    for ask in (partial(resolve, new=True), partial(resolve, new=False), client.observe):
+        for name, (instance, state) in list(resolved.items()):
             try:
                 answer = await ask(name)
             except Unreachable:  # the earlier manager had just told it to exit, or it has crashed
@@ -117,11 +117,11 @@ async def _settled(
                 if await launcher.adopt(handle or Handle(name), owned=handle is not None) is None:
                     events.add("gone", f"{name} is no longer running")
                     await launcher.abandon(name)
-                    del settled[name]
+                    del resolved[name]
                     continue
                 answer = await ask(name)
-            settled[name] = (instance, answer or state)
-    return settled
+            resolved[name] = (instance, answer or state)
+    return resolved
 
 
 def _redundant(found: dict[str, tuple[Instance, ComponentState]]) -> list[str]:
