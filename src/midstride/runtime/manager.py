@@ -50,7 +50,7 @@ from midstride.runtime.view.instance_status import parameters
 from midstride.runtime.view.program_files import Programs
 from midstride.runtime.view.watched_system import WatchedSystem
 from midstride.runtime.view.why import Explainer
-from midstride.runtime.watch.degradation_report import in_words, lowered_functionalities
+from midstride.runtime.watch.degradation_report import degradations_in_words, remaining_degradations
 from midstride.runtime.watch.discovery_watch import DiscoveryWatch
 from midstride.runtime.watch.observed_configuration import observe
 from midstride.runtime.watch.silence import SilenceMonitor
@@ -172,12 +172,12 @@ class Manager:
                 await self._journal.end_interrupted(change, None if saved is None else self.specification)
             many = counted(len(self.configuration.instances), "component")
             intended = initial(self.specification)
-            lowered = lowered_functionalities(self.system, Configuration(), intended)
-            degraded = f"; degraded: {in_words(lowered)}" if lowered else ""
+            remaining = remaining_degradations(self.system, Configuration(), intended)
+            degraded = f"; degraded: {degradations_in_words(remaining)}" if remaining else ""
             without = f" without {', '.join(missing)}" if missing else ""
             self.events.add("up", f"{self.specification.name} is up{without}: {many}{degraded}")
             outcome: Literal["done", "incomplete"] = "incomplete" if missing else "done"
-            return UpReport(outcome, sorted(self.configuration.instances), lowered, missing)
+            return UpReport(outcome, sorted(self.configuration.instances), remaining, missing)
 
     async def close(self) -> None:
         """Disconnect; the components keep running."""

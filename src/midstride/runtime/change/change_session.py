@@ -51,7 +51,7 @@ from midstride.runtime.records.journal_records import NewChange
 from midstride.runtime.records.measure import SwapReport
 from midstride.runtime.records.mode_recorder import ModeRecorder
 from midstride.runtime.records.reports import Outcome, StepTime
-from midstride.runtime.watch.degradation_report import in_words, lowered_functionalities
+from midstride.runtime.watch.degradation_report import degradations_in_words, remaining_degradations
 from midstride.runtime.watch.degradation_timer import DegradationTimer
 from midstride.runtime.watch.subscriber_recording import Recording
 from midstride.verify.verdict import Verdict
@@ -256,9 +256,9 @@ class ChangeSession:
         if swaps:
             self.events.add("measured", f"measured at {counted(len(swaps), 'subscriber')}", swaps=swaps)
         planned = plan.change.in_target_context(plan.change.final) if change.outcome == "done" else change.before
-        lowered = lowered_functionalities(system, change.before, planned)
+        remaining = remaining_degradations(system, change.before, planned)
         said = f"{change.outcome}: {change.because}" if change.because else change.outcome
-        words = f"{said}; afterwards {in_words(lowered)}" if lowered else said
+        words = f"{said}; afterwards {degradations_in_words(remaining)}" if remaining else said
         self.events.add("outcome", words, outcome=change.outcome)
         before = change.missing_before
         missing = {name for name, event in system.life.missing.items() if before.get(name) is not event}
@@ -280,7 +280,7 @@ class ChangeSession:
             unexpected_exits=sorted(exited | missing),
             unexpected_degradations=sorted(map(str, self.reconciler.degraded)),
             silences=[fault for words, fault in silences.items() if words not in silent_before],
-            remaining_degradations=lowered,
+            remaining_degradations=remaining,
             verdict=change.verdict,
         )
 

@@ -12,7 +12,7 @@ from midstride.runtime.records.reports import DegradedFunctionality
 from midstride.runtime.running_system import RunningSystem
 
 
-def lowered_functionalities(
+def remaining_degradations(
     system: RunningSystem, start: Configuration, planned: Configuration
 ) -> list[DegradedFunctionality]:
     """The functionalities that are in a worse mode now than in ``start``, and new ones below their normal mode.
@@ -69,6 +69,6 @@ def _because(system: RunningSystem, role: str, ref: FunctionalityRef | None) -> 
     return None if latest is None else latest.state.functionalities[ref.functionality].because.strip()
 
 
-def in_words(lowered: Iterable[DegradedFunctionality]) -> str:
+def degradations_in_words(degradations: Iterable[DegradedFunctionality]) -> str:
     """The same in words, for an event."""
-    return ", ".join(wording.lowered(each.functionality, each.after, each.before) for each in lowered)
+    return ", ".join(wording.lowered(each.functionality, each.after, each.before) for each in degradations)
