@@ -31,7 +31,7 @@ from midstride.plan.plan import Plan
 from midstride.plan.step import Step
 from midstride.runtime.backend_protocol import Endpoints, Exited, Handle, Launch
 from midstride.runtime.change.action_driver import ActionDriver
-from midstride.runtime.change.change_states import ChangeEvent
+from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.executor import Executor
 from midstride.runtime.change.parameter_transfer import ParameterTransfer
 from midstride.runtime.change.reconciler import Reconciler

@@ -9,7 +9,7 @@ from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import Any
 
-from midstride.runtime.change.change_states import ChangeState
+from midstride.runtime.change.change_phases import ChangePhase
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.records.events import EventLog
@@ -42,7 +42,7 @@ class CommandQueue:
     @property
     def is_measuring(self) -> bool:
         """Whether all that the command in progress is to change is done, and only the measurement is left."""
-        return self.change is not None and self.change.state is ChangeState.MEASURING
+        return self.change is not None and self.change.phase is ChangePhase.MEASURING
 
     @property
     def running(self) -> RunningCommand | None:

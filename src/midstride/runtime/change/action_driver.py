@@ -31,7 +31,7 @@ from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import handover_seconds
 from midstride.plan.state_continuity import left_behind, without_outputs
 from midstride.runtime.backend_protocol import Backend
-from midstride.runtime.change.change_states import ChangeState
+from midstride.runtime.change.change_phases import ChangePhase
 from midstride.runtime.change.mode_changes import ModeChanges
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.handover.cut_turns import CutTurn, only_turn
@@ -94,7 +94,7 @@ class ActionDriver:
 
     @property
     def rolling_back(self) -> bool:
-        return self.change.state is ChangeState.ROLLING_BACK
+        return self.change.phase is ChangePhase.ROLLING_BACK
 
     @property
     def configuration(self) -> Configuration:

@@ -35,7 +35,7 @@ from midstride.plan.strategies.restore import restore
 from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.cancellation import run_to_completion
 from midstride.runtime.change.action_driver import ActionDriver
-from midstride.runtime.change.change_states import ChangeEvent
+from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.crash_during_change import CrashResponse
 from midstride.runtime.change.executor import Executor
 from midstride.runtime.change.parameter_transfer import ParameterTransfer

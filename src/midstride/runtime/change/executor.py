@@ -21,7 +21,7 @@ from midstride.model.wording import counted
 from midstride.plan.overlap import Overlap, one_by_one
 from midstride.runtime.cancellation import run_to_completion
 from midstride.runtime.change.action_driver import ActionDriver
-from midstride.runtime.change.change_states import ChangeEvent
+from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.early_starts import EarlyStarts, StartFailedEarly
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.handover.cut_turns import CutTurn, CutTurns, GivenUp

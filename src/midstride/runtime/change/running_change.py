@@ -15,7 +15,7 @@ from midstride.model.specification import Specification
 from midstride.plan.forms.plan_forms import PlanPreview
 from midstride.plan.plan import Plan
 from midstride.runtime.backend_protocol import Exited
-from midstride.runtime.change.change_states import CHANGE_STATES, OUTCOMES, ChangeEvent, ChangeState
+from midstride.runtime.change.change_phases import CHANGE_PHASES, OUTCOMES, ChangeEvent, ChangePhase
 from midstride.runtime.change.parameter_transfer import ParameterTransfer
 from midstride.runtime.change_observer import ChangeObserver
 from midstride.runtime.records.journal import JournalEntry
@@ -47,7 +47,7 @@ class RunningChange:
     before: Configuration
     missing_before: dict[str, Exited] = field(default_factory=dict)
     verdict: Verdict | UnsetType = UNSET
-    state: ChangeState = ChangeState.PLANNED
+    phase: ChangePhase = ChangePhase.PLANNED
     outcome: OutcomeKind | None = None  # until its steps have ended
     because: str | None = None  # why it is not done
     observers: list[ChangeObserver] = field(default_factory=list)
@@ -63,7 +63,7 @@ class RunningChange:
 
     def happened(self, event: ChangeEvent, because: str | None = None) -> None:
         """Enter the next state. ``because``: why it is not done, if that is known now."""
-        self.state = CHANGE_STATES.after(self.state, event, "the change")
+        self.phase = CHANGE_PHASES.after(self.phase, event, "the change")
         self.outcome, self.because = OUTCOMES.get(event, self.outcome), because or self.because
 
     async def take(self, steps: Coroutine[Any, Any, None]) -> None:
@@ -74,7 +74,7 @@ class RunningChange:
         try:
             await self._steps
         except asyncio.CancelledError:
-            if self.state is ChangeState.PLANNED:
+            if self.phase is ChangePhase.PLANNED:
                 self.happened(ChangeEvent.CALLED_OFF)
             raise
         finally:

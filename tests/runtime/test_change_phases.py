@@ -1,4 +1,4 @@
-"""The states of a change: what may follow what, and what the change is reported as."""
+"""The phases of a change: what may follow what, and what the change is reported as."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from midstride.model.action import Remove
 from midstride.runtime import transitions
-from midstride.runtime.change.change_states import CHANGE_STATES, OUTCOMES, ChangeEvent, ChangeState
+from midstride.runtime.change.change_phases import CHANGE_PHASES, OUTCOMES, ChangeEvent, ChangePhase
 from midstride.runtime.records.reports import OutcomeKind
 from midstride.runtime.transitions import POLICY, ForbiddenTransition
 from tests.runtime.scripted import Bench, bench, talking
@@ -17,9 +17,9 @@ from tests.runtime.scripted import Bench, bench, talking
 def test_each_event_that_ends_the_steps_has_an_outcome_and_no_other_has() -> None:
     ending = {
         event
-        for following in CHANGE_STATES.table.values()
+        for following in CHANGE_PHASES.table.values()
         for event, state in following.items()
-        if state is ChangeState.ENDED
+        if state is ChangePhase.ENDED
     }
     assert ending == OUTCOMES.keys()
 
@@ -41,10 +41,10 @@ def test_a_change_is_measured_whatever_its_steps_have_ended_with(
         for event in events:
             assert b.change.outcome is None
             b.change.happened(event, "the reason")
-        assert (b.change.state, b.change.outcome, b.change.because) == (ChangeState.ENDED, outcome, "the reason")
+        assert (b.change.phase, b.change.outcome, b.change.because) == (ChangePhase.ENDED, outcome, "the reason")
         b.change.happened(ChangeEvent.WATCHING)
         b.change.happened(ChangeEvent.WATCHED)
-        assert (b.change.state, b.change.outcome, b.change.because) == (ChangeState.MEASURED, outcome, "the reason")
+        assert (b.change.phase, b.change.outcome, b.change.because) == (ChangePhase.MEASURED, outcome, "the reason")
 
     bench(talking(), tmp_path, body)
 

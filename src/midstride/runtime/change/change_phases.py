@@ -1,8 +1,7 @@
-"""The states of a change, and what leads from one to the next.
+"""The phases of a change, and what leads from one to the next.
 
-``rolling back`` is entered by the first step that fails, and also where the manager is to end. A change that has ended
-has its outcome; what is left is its measurement, during which the next command may begin to plan and the reconciler
-follows what happens.
+It is rolled back from the first step that fails, and also where the manager is to end. Once its steps have ended it has
+an outcome, and what is left is to measure it, while the reconciler follows what happens as if no command ran.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from midstride.runtime.records.reports import OutcomeKind
 from midstride.runtime.transitions import Transitions
 
 
-class ChangeState(Enum):
+class ChangePhase(Enum):
     PLANNED = "its plan is in the journal, and no step has begun"
     EXECUTING = "its steps are being taken"
     ROLLING_BACK = "what has been done is being undone"
@@ -35,24 +34,24 @@ class ChangeEvent(Enum):
     WATCHED = "they have been watched for long enough"
 
 
-CHANGE_STATES: Final = Transitions(
+CHANGE_PHASES: Final = Transitions(
     {
-        ChangeState.PLANNED: {
-            ChangeEvent.BEGUN: ChangeState.EXECUTING,
-            ChangeEvent.CALLED_OFF: ChangeState.ENDED,
+        ChangePhase.PLANNED: {
+            ChangeEvent.BEGUN: ChangePhase.EXECUTING,
+            ChangeEvent.CALLED_OFF: ChangePhase.ENDED,
         },
-        ChangeState.EXECUTING: {
-            ChangeEvent.ALL_DONE: ChangeState.ENDED,
-            ChangeEvent.STEP_FAILED: ChangeState.ROLLING_BACK,
-            ChangeEvent.SUPERSEDED: ChangeState.ENDED,
+        ChangePhase.EXECUTING: {
+            ChangeEvent.ALL_DONE: ChangePhase.ENDED,
+            ChangeEvent.STEP_FAILED: ChangePhase.ROLLING_BACK,
+            ChangeEvent.SUPERSEDED: ChangePhase.ENDED,
         },
-        ChangeState.ROLLING_BACK: {
-            ChangeEvent.UNDONE: ChangeState.ENDED,
-            ChangeEvent.NOT_UNDONE: ChangeState.ENDED,
+        ChangePhase.ROLLING_BACK: {
+            ChangeEvent.UNDONE: ChangePhase.ENDED,
+            ChangeEvent.NOT_UNDONE: ChangePhase.ENDED,
         },
-        ChangeState.ENDED: {ChangeEvent.WATCHING: ChangeState.MEASURING},
-        ChangeState.MEASURING: {ChangeEvent.WATCHED: ChangeState.MEASURED},
-        ChangeState.MEASURED: {},
+        ChangePhase.ENDED: {ChangeEvent.WATCHING: ChangePhase.MEASURING},
+        ChangePhase.MEASURING: {ChangeEvent.WATCHED: ChangePhase.MEASURED},
+        ChangePhase.MEASURED: {},
     }
 )
 
