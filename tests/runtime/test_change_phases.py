@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from midstride import transitions
 from midstride.model.action import Remove
-from midstride.runtime import transitions
 from midstride.runtime.change.change_phases import CHANGE_PHASES, OUTCOMES, ChangeEvent, ChangePhase
 from midstride.runtime.records.reports import OutcomeKind
-from midstride.runtime.transitions import POLICY, ForbiddenTransition
+from midstride.transitions import POLICY, ForbiddenTransition
 from tests.runtime.scripted import Bench, bench, talking
 
 

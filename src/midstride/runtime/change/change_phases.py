@@ -10,7 +10,7 @@ from enum import Enum
 from typing import Final
 
 from midstride.runtime.records.reports import OutcomeKind
-from midstride.runtime.transitions import Transitions
+from midstride.transitions import Transitions
 
 
 class ChangePhase(Enum):
