@@ -77,7 +77,7 @@ def of_midstride(each: int, folder: Path) -> dict[str, Times]:
     midstride("up", str(file), "--detach")
     try:
         client = Client(Workspace.of("status_benchmark").socket)
-        by_api = asked(lambda: state(json.dumps(client.get("/view"))), each)
+        by_api = asked(lambda: state(client.text("/view")), each)
         by_command = asked(lambda: state(midstride("status", "--json").stdout), max(2, each // 10))
     finally:
         midstride("down")

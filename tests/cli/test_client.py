@@ -72,7 +72,7 @@ def test_an_answer_of_another_form_is_an_error_that_says_where(body: bytes, word
 
 def test_the_form_has_all_that_the_manager_sends(talker: Midstride) -> None:
     """So `--json`, which prints the form, leaves nothing out, and writes numbers as the manager does."""
-    found = Client(Workspace(talker.runtime / "midstride" / "talker").socket).get("/view")
+    found = json.loads(Client(Workspace(talker.runtime / "midstride" / "talker").socket).text("/view"))
     view = {"version", "manager", "n", "at", "phase", "change"}
     status = {name: value for name, value in found.items() if name not in view}
     assert json.dumps(msgspec.to_builtins(msgspec.convert(found, Status))) == json.dumps(status)
@@ -83,7 +83,7 @@ def test_a_manager_that_accepts_no_connection_does_not_answer_in_time(tmp_path: 
     """It has not exited: it may be stopped."""
     path = tmp_path / "manager.sock"
     with full_socket(path), pytest.raises(ManagerError, match=r"^the manager did not answer within 0\.2 s$"):
-        Client(path).get("/view", timeout=0.2)
+        Client(path).text("/view", timeout=0.2)
 
 
 def test_a_manager_that_is_busy_for_a_moment_is_connected(tmp_path: Path) -> None:
@@ -98,13 +98,13 @@ def test_a_manager_that_is_busy_for_a_moment_is_connected(tmp_path: Path) -> Non
         accepting = threading.Thread(target=accept)
         accepting.start()
         with pytest.raises(ManagerError, match="the manager exited before it answered"):
-            Client(path).get("/view", timeout=20.0)
+            Client(path).text("/view", timeout=20.0)
         accepting.join()
 
 
 def test_without_a_descriptor_left_the_manager_is_not_said_to_have_exited(tmp_path: Path) -> None:
     words = "^the manager cannot be reached: Too many open files$"
     with descriptors_left(0), pytest.raises(ManagerError, match=words):
-        Client(tmp_path / "manager.sock").get("/view")
+        Client(tmp_path / "manager.sock").text("/view")
     with pytest.raises(NoManager):
-        Client(tmp_path / "manager.sock").get("/view")
+        Client(tmp_path / "manager.sock").text("/view")

@@ -6,13 +6,14 @@ import json
 import tempfile
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from midstride.cli import main
 from midstride.cli.client import Client
 from midstride.cli.commands import up
 from midstride.cli.input_files import load
-from midstride.codec.specification_form import encode_specification
+from midstride.runtime.records.reports import UpReport
 from tests.cli.conftest import EXAMPLES, Midstride
 from tests.planting import plant
 from tests.runtime.systems import rewritten
@@ -77,8 +78,8 @@ def test_up_that_cannot_restore_a_node_says_which_why_and_what_to_do(
     missing = {"talker": "create talker (Talker): talker exited with status 1 before it registered:\nno device"}
     report = {"outcome": "incomplete", "instances": ["listener"], "degraded": [], "missing": missing}
     file = EXAMPLES / "talker" / "talker.stride"
-    plant(monkeypatch, up, "bring_up", lambda *_, **__: report)
-    plant(monkeypatch, Client, "get", lambda *_, **__: encode_specification(load(file)))
+    plant(monkeypatch, up, "bring_up", lambda *_, **__: msgspec.convert(report, UpReport))
+    plant(monkeypatch, Client, "specification", lambda *_, **__: load(file))
     plant(monkeypatch, Client, "service", lambda *_, **__: None)
     with tempfile.TemporaryDirectory(prefix="ms") as folder:  # a short name: sockets are in it
         monkeypatch.setenv("XDG_RUNTIME_DIR", folder)

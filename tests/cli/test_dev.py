@@ -19,6 +19,8 @@ from midstride.cli.dev.watched_specification import WatchedSpecification
 from midstride.codec.form import Document
 from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import SpecificationError
+from midstride.model.specification import Specification
+from midstride.runtime.records.reports import Outcome
 from midstride.runtime.records.status_forms import ProgramStatus
 from tests.cli.conftest import EXAMPLES, Midstride, alive
 from tests.cli.terminal import Terminal
@@ -60,9 +62,8 @@ class Robot:
     def _texts(self, role: str) -> dict[str, str]:
         return {path: Path(path).read_text() for path in self._files(role) if Path(path).exists()}
 
-    def get(self, path: str) -> Any:
-        assert path == "/specification"
-        return encode_specification(self.runs)
+    def specification(self) -> Specification:
+        return self.runs
 
     def programs(self) -> list[ProgramStatus]:
         programs = [
@@ -80,7 +81,7 @@ class Robot:
             programs.append(structs.replace(programs[0], name="talker_2", changed=[]))
         return programs
 
-    def carry_out(self, request: Document, finished: Callable[[Document], None]) -> str | None:
+    def carry_out(self, request: Document, finished: Callable[[Outcome], None]) -> str | None:
         self.requests.append({**request, "to": "to" in request})
         texts = [text for role in request["restart"] for text in self._texts(role).values()]
         if "to" in request:
@@ -90,7 +91,7 @@ class Robot:
         self.code |= {role: self._texts(role) for role in request["restart"]}
         if "to" in request:
             self.runs = decode_specification(request["to"])
-        finished({"outcome": "done"})
+        finished(Outcome(outcome="done"))
         return None
 
     def asked(self) -> list[Document]:
@@ -100,7 +101,7 @@ class Robot:
 
     # -- the screen ------------------------------------------------------------------------------------
 
-    def swapped(self, what: str, outcome: Document) -> None:
+    def swapped(self, what: str, outcome: Outcome) -> None:
         self.shown.append(f"swapped {what}")
 
     def refused(self, what: str, because: str) -> None:
@@ -231,7 +232,7 @@ def test_a_swap_after_which_code_still_counts_as_changed_is_not_repeated(robot: 
     """A program may write a module when it starts: the manager cannot know what it has read."""
     finished: list[Document] = []
 
-    def carry_out(request: Document, done: Callable[[Document], None]) -> str | None:
+    def carry_out(request: Document, done: Callable[[Outcome], None]) -> str | None:
         finished.append(request)
         return None  # and what runs differs from the file as before
 

@@ -7,15 +7,17 @@ import time
 from collections.abc import Iterator
 from typing import cast
 
-from midstride.cli.client import Client, EventDocument
+from msgspec import UNSET
+
+from midstride.cli.client import Client
 from midstride.cli.follow import LAST_EVENTS, FollowedRequest
-from midstride.codec.form import Document
+from midstride.runtime.records.reports import Event, Outcome
 
 
-def numbered(*events: tuple[str, str | None, str]) -> list[EventDocument]:
+def numbered(*events: tuple[str, str | None, str]) -> list[Event]:
     """Events as a manager numbers them, from kind, id and text."""
     return [
-        {"n": n, "at": 0.0, "kind": kind, "words": words, **({"id": id} if kind in {"command", "waiting"} else {})}
+        Event(n=n, at=0.0, kind=kind, words=words, id=id if kind in {"command", "waiting"} else UNSET)
         for n, (kind, id, words) in enumerate(events, 1)
     ]
 
@@ -23,20 +25,20 @@ def numbered(*events: tuple[str, str | None, str]) -> list[EventDocument]:
 class ScriptedClient:
     """A client whose manager sends ``events``, and then the answer to the request."""
 
-    def __init__(self, events: list[EventDocument]) -> None:
+    def __init__(self, events: list[Event]) -> None:
         self._events = events
         self._sent = threading.Event()
 
-    def events(self, since: int) -> Iterator[EventDocument]:
+    def events(self, since: int) -> Iterator[Event]:
         yield from self._events[since:]
         self._sent.set()
 
-    def ask(self) -> Document:
+    def ask(self) -> Outcome:
         assert self._sent.wait(30)
         return ANSWER
 
 
-ANSWER = {"outcome": "done"}
+ANSWER = Outcome(outcome="done")
 TWO_AT_ONCE = numbered(
     ("command", "first", "replace talker with NewTalker"),
     ("waiting", "second", "`remove listener` waits for `replace talker with NewTalker`"),
@@ -51,7 +53,7 @@ TWO_AT_ONCE = numbered(
 def shown(id: str | None) -> list[str]:
     client = ScriptedClient(TWO_AT_ONCE)
     followed = FollowedRequest(cast(Client, client), client.ask, since=0, until="outcome", id=id)
-    words = [str(event["words"]) for event in followed]
+    words = [event.words for event in followed]
     assert followed.answer() == ANSWER
     return words
 
@@ -82,14 +84,14 @@ def test_events_after_the_answer_are_shown() -> None:
     client = ScriptedClient(TWO_AT_ONCE)
     answered = threading.Event()
 
-    def late_events(since: int) -> Iterator[EventDocument]:
+    def late_events(since: int) -> Iterator[Event]:
         assert answered.wait(30)
         yield from TWO_AT_ONCE
 
-    def request() -> Document:
+    def request() -> Outcome:
         answered.set()
         return ANSWER
 
     client.events = late_events  # type: ignore[method-assign]
     followed = FollowedRequest(cast(Client, client), request, since=0, until="outcome", id="first")
-    assert [event["words"] for event in followed] == ["replace talker with NewTalker", "1/1 done", "done"]
+    assert [event.words for event in followed] == ["replace talker with NewTalker", "1/1 done", "done"]

@@ -1,4 +1,4 @@
-"""What people are shown, from the documents that programs get."""
+"""What people are shown, from the forms that the API has."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ import io
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from rich.console import Console, RenderableType
 
 from midstride.cli import render, render_status
 from midstride.cli.input_files import as_typed_here
+from midstride.plan.forms.plan_forms import PlanPreview
+from midstride.runtime.records.reports import Outcome
 from midstride.runtime.records.status_forms import Status
 from tests.cli.statuses import component, crash, functionality, status
 
@@ -22,26 +25,29 @@ def shown(rendered: RenderableType) -> list[str]:
     return [line.rstrip() for line in console.file.getvalue().splitlines()]
 
 
-def plan(**changed: Any) -> dict[str, Any]:
+def plan_document(**changed: Any) -> dict[str, Any]:
     figures = {"disruption": 0.0, "proved_minimal": True, "seconds": 1.38, "makespan": 1.38, "strategy": "minimal"}
-    return {"steps": [], "degradations": [], "level_shifts": [], **figures, **changed}
+    none = {"steps": [], "degraded": [], "degradations": [], "level_shifts": [], "lower_bound": 0.0}
+    steps = [{"seconds": 0.1, **step} for step in changed.pop("steps", ())]
+    return {**none, **figures, "steps": steps, **changed}
 
 
-def done(outcome: str = "done", **changed: Any) -> dict[str, Any]:
-    document = {
-        "outcome": outcome,
-        "plan": plan(),
-        "seconds": 0.27,
-        "below_baseline_seconds": {},
-        "swaps": [],
-        "because": None,
-    }
-    return {**document, "remaining_degradations": [], **changed}
+def plan(**changed: Any) -> PlanPreview:
+    return msgspec.convert(plan_document(**changed), PlanPreview)
+
+
+def done(outcome: str = "done", plan: dict[str, Any] | None = None, **changed: Any) -> Outcome:
+    system = {"system": "s"}
+    whole = {**(plan or plan_document()), "start": system, "target": system}
+    return msgspec.convert({"outcome": outcome, "plan": whole, "seconds": 0.27, **changed}, Outcome)
+
+
+HOLDS = {"verdict": "holds", "subject": "the plan", "scope": "s", "by": "Alloy"}
 
 
 def swap(missed: int | None = 0, lost: int | None = 0, duplicates: int | None = 0) -> dict[str, Any]:
     counts = {"missed": missed, "lost": lost, "duplicates": duplicates}
-    return {"topic": "/chatter", "subscriber": "listener.in", "gap": 0.1, "gap_periods": 1.0, **counts}
+    return {"topic": "/chatter", "subscriber": "listener.in", "period": 0.1, "gap": 0.1, "gap_periods": 1.0, **counts}
 
 
 def lowered(**changed: Any) -> dict[str, Any]:
@@ -67,13 +73,26 @@ def test_a_plan_shows_the_spread_of_what_was_measured_where_it_is_wide() -> None
 def test_the_report_sets_what_was_measured_beside_the_plan() -> None:
     steps = [{"step": 1, "began": 0.0, "seconds": 1.0}, {"step": 2, "began": 1.0, "seconds": 0.5}]
     steps.append({"step": 3, "began": 1.0, "seconds": 0.25})
-    assert shown(render.outcome(done(plan=plan(duration=1.12, between=(1.0, 1.6)), steps=steps)))[1] == (
+    assert shown(render.outcome(done(plan=plan_document(duration=1.12, between=(1.0, 1.6)), steps=steps)))[1] == (
         "Planned: 1.12 s (1.00 s to 1.60 s; 1.38 s one step after another). "
         "Measured: 1.50 s, for steps of 1.75 s in all."
     )
-    assert shown(render.outcome(done(plan=plan(), steps=steps[:2])))[1] == "Planned: 1.38 s. Measured: 1.50 s."
-    assert len(shown(render.outcome(done(plan=plan(), steps=steps, verdict={"outcome": "HOLDS"})))) == 2
-    assert len(shown(render.outcome(done("rolled_back", plan=plan(), steps=steps)))) == 2
+    assert shown(render.outcome(done(plan=plan_document(), steps=steps[:2])))[1] == "Planned: 1.38 s. Measured: 1.50 s."
+    assert (
+        len(
+            shown(
+                render.outcome(
+                    done(
+                        plan=plan_document(),
+                        steps=steps,
+                        verdict=HOLDS,
+                    )
+                )
+            )
+        )
+        == 2
+    )
+    assert len(shown(render.outcome(done("rolled_back", plan=plan_document(), steps=steps)))) == 2
 
 
 def test_how_far_apart_the_members_of_a_group_changed_their_modes_is_reported() -> None:
@@ -95,7 +114,9 @@ def test_what_stays_lower_is_reported() -> None:
     )
     assert render.fallen_line(done()) == "nothing"
     lower = [{"functionality": "brake.watch", "from": "normal", "to": "cautious", "levels": 1}]
-    rolled_back = done("rolled_back", plan=plan(afterwards=lower), because="create filter_2 (Median): it ended")
+    rolled_back = done(
+        "rolled_back", plan=plan_document(level_shifts=lower), because="create filter_2 (Median): it ended"
+    )
     assert shown(render.outcome(rolled_back)) == [
         "Rolled back in 270 ms, every step undone: create filter_2 (Median): it ended",
         "Nothing fell below its level.",
@@ -168,7 +189,7 @@ def test_nothing_fell_is_not_claimed_where_a_figure_is_unknown() -> None:
         "Nothing is known to have fallen below its level. Not known: missed and duplicates at listener.in on /chatter."
     )
     assert report(swaps=[swap(missed=None, duplicates=None)]) == [said]
-    silence = {"kind": "not_answering", "words": "listener does not answer", "seconds": None}
+    silence = {"kind": "not_answering", "instance": "listener", "words": "listener does not answer", "seconds": None}
     assert report(swaps=[swap(None, None, None)], silences=[silence]) == ["listener does not answer"]
 
 

@@ -13,6 +13,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 import midstride as package
@@ -24,6 +25,7 @@ from midstride.cli.input_files import read_json, write
 from midstride.cli.output import console
 from midstride.errors import MidstrideError
 from midstride.model.specification import Specification
+from midstride.plan.forms.plan_forms import PlanPreview
 from midstride.runtime.records.state_store import StateStore
 from tests.cli import statuses
 from tests.cli.conftest import EXAMPLES, Midstride
@@ -110,8 +112,11 @@ def test_a_fall_is_not_confused_with_that_of_a_node_with_a_longer_name() -> None
     """`cam_left` is no instance of `cam`, as `cam_2` is: a group degrades together, each to its own mode."""
     modes = {name: {"from": "on", "to": to} for name, to in (("cam_left.see", "slow"), ("cam_2.see", "off"))}
     fall = {"functionality": "cam.see", "from_step": 1, "to_step": None, "seconds": 1.0, "because": "…"}
-    document = {"steps": [{"action": "degrade", "modes": modes}], "degradations": [fall], "level_shifts": []}
-    assert "cam.see to off for" in render.falls(document)
+    step = {"action": "degrade", "modes": modes, "seconds": 1.0}
+    costs = {"strategy": "paper", "proved_minimal": False, "disruption": 1.0, "lower_bound": 0.0, "makespan": 1.0}
+    fallen = {"degraded": ["cam.see"], "degradations": [{**fall, "unserved_from_step": None}], "level_shifts": []}
+    plan = msgspec.convert({**costs, **fallen, "seconds": 1.0, "steps": [step]}, PlanPreview)
+    assert "cam.see to off for" in render.falls(plan)
 
 
 def test_a_plan_without_steps_reports_nothing_to_do(capsys: pytest.CaptureFixture[str]) -> None:
@@ -460,8 +465,9 @@ def test_a_plan_shows_that_a_replaced_role_stays_lower(tmp_path: Path, capsys: p
 
 
 def test_a_topic_that_the_environment_satisfies_has_a_publisher(capsys: pytest.CaptureFixture[str]) -> None:
+    contract = {"type": "nav_msgs/msg/Odometry", "rate": None, "publishers": [], "outside": []}
     topics = [
-        {"name": name, "satisfied": satisfied, "publishers": [], "subscribers": ["amcl.odom"]}
+        {**contract, "name": name, "topic": name, "satisfied": satisfied, "subscribers": ["amcl.odom"]}
         for name, satisfied in (("/odom", True), ("/map", False))
     ]
     console().print(render_status.status(statuses.status(topics=topics)))

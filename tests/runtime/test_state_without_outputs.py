@@ -11,14 +11,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
 from rich.console import Console, RenderableType
 
 from midstride.backends.simulator import Simulator
 from midstride.cli import render
 from midstride.errors import Unreachable
-from midstride.plan.forms.plan_forms import encode_plan
+from midstride.plan.forms.plan_forms import plan_form
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Outcome
@@ -119,7 +118,7 @@ def printed(part: RenderableType) -> str:
 
 
 def shown(outcome: Outcome) -> str:
-    return printed(render.outcome(msgspec.json.decode(msgspec.json.encode(outcome))))
+    return printed(render.outcome(outcome))
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -271,9 +270,9 @@ def test_where_no_topic_is_handed_over_the_plan_and_the_outcome_say_so(tmp_path:
         request = PlanRequest(to=replace(manager.specification, connectors=other), restart=("counter",))
         plan, _target = await manager._session.plan(request)
         because = "it takes over no topic of counter, so there is no cut at which the state of counter could move"
-        document = encode_plan(plan)
-        assert document["own_state"] == {"counter_2": because}
-        assert f"counter_2 starts with its own state: {because}." in printed(render.plan(document, "title"))
+        form = plan_form(plan)
+        assert form.own_state == {"counter_2": because}
+        assert f"counter_2 starts with its own state: {because}." in printed(render.plan(form, "title"))
         outcome = await manager.change(request)
         assert outcome.outcome == "done"
         assert because in outcome.own_state["counter_2"] and because in shown(outcome)

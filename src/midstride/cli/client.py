@@ -1,7 +1,7 @@
 """The client of a manager's HTTP API over its Unix socket.
 
-It uses the standard library alone: importing an HTTP library takes longer than most commands do. What the manager says
-of the running system comes as forms, whose classes are imported when they are needed; the rest as plain documents.
+It uses the standard library alone: importing an HTTP library takes longer than most commands do. Answers come as the
+API's forms, whose classes are imported when they are needed; what is sent, as documents.
 """
 
 from __future__ import annotations
@@ -19,6 +19,10 @@ from midstride import errors
 from midstride.codec.form import Document
 
 if TYPE_CHECKING:
+    from midstride.model.specification import Specification
+    from midstride.runtime.records.change_history import History, SpecificationVersion
+    from midstride.runtime.records.change_report import ChangeReport
+    from midstride.runtime.records.reports import Event, LiveConfiguration, Outcome, PlannedChange, UpReport
     from midstride.runtime.records.status_forms import ParametersReport, ProgramStatus, Service, Status, Why
 
 F = TypeVar("F")
@@ -60,22 +64,15 @@ class Client:
     def __init__(self, path: Path) -> None:
         self._socket = path
 
-    def get(self, path: str, timeout: float | None = READ_TIMEOUT, **query: Any) -> Any:
-        return self._request("GET", _with_query(path, query), None, timeout)
-
     def text(self, path: str, timeout: float | None = READ_TIMEOUT, **query: Any) -> str:
         """The answer to a request for a text."""
         found = self._answer("GET", _with_query(path, query), None, timeout)
         return found.decode()
 
-    def post(self, path: str, document: Document | None = None) -> Any:
-        """The answer, however long it takes: to a change, until it has been measured."""
-        return self._request("POST", path, document, None)
-
     def answers(self, timeout: float = 2.0) -> bool:
         """Whether a manager answers in time."""
         try:
-            self.get("", timeout=timeout)
+            self._answer("GET", "", None, timeout)
         except errors.ManagerError:
             return False
         return True
@@ -115,24 +112,83 @@ class Client:
             ParametersReport, "POST", "/parameters", {"node": node, "parameters": dict(values)}, timeout=None
         )
 
-    def events(self, since: int = 0) -> Iterator[EventDocument]:
+    def specification(self) -> Specification:
+        """The specification that the system runs."""
+        from midstride.codec.specification_form import SpecificationForm
+
+        return self._form(SpecificationForm, "GET", "/specification").specification()
+
+    def earlier_specification(self, version: int | None) -> SpecificationVersion:
+        """A version of the specification; None: the one before the latest change of it."""
+        from midstride.runtime.records.change_history import SpecificationVersion
+
+        query = {} if version is None else {"version": version}
+        return self._form(SpecificationVersion, "GET", _with_query("/specification/earlier", query))
+
+    def history(self, latest: int) -> History:
+        """The latest changes, and the incidents since the first of them."""
+        from midstride.runtime.records.change_history import History
+
+        return self._form(History, "GET", _with_query("/history", {"latest": latest}))
+
+    def change_report(self, query: Mapping[str, int]) -> ChangeReport:
+        """A change of the history with all that was recorded of it: its ``number``, or else the latest."""
+        from midstride.runtime.records.change_report import ChangeReport
+
+        return self._form(ChangeReport, "GET", _with_query("/change", query))
+
+    def configuration(self) -> LiveConfiguration:
+        """The configuration as its components report it."""
+        from midstride.runtime.records.reports import LiveConfiguration
+
+        return self._form(LiveConfiguration, "GET", "/configuration")
+
+    def up(self) -> UpReport:
+        """The result of bringing the system up; waits until it is known."""
+        from midstride.runtime.records.reports import UpReport
+
+        return self._form(UpReport, "GET", "/up", timeout=None)
+
+    def plan(self, request: Document) -> PlannedChange:
+        """The plan for a request, however long it takes."""
+        from midstride.runtime.records.reports import PlannedChange
+
+        return self._form(PlannedChange, "POST", "/plan", request, timeout=None)
+
+    def change(self, change: Document) -> Outcome:
+        """Carry out a change, and wait until it has been measured."""
+        from midstride.runtime.records.reports import Outcome
+
+        return self._form(Outcome, "POST", "/change", change, timeout=None)
+
+    def down(self) -> None:
+        """End every component, and then the manager."""
+        self._answer("POST", "/down", None, None)
+
+    def log(self) -> list[Event]:
+        """The events so far that the manager has kept."""
+        from midstride.runtime.records.reports import Event
+
+        return self._form(list[Event], "GET", "/log")
+
+    def events(self, since: int = 0) -> Iterator[Event]:
         """The events after number ``since`` and each new one, until the manager closes the stream or exits."""
+        import msgspec
+
+        from midstride.runtime.records.reports import Event
+
         connection = _UnixConnection(self._socket, None)
         try:
             response = self._send(connection, "GET", f"/view/stream?only=event&since={since}", None)
             while line := response.readline():
                 if line.startswith(b"data: "):
-                    yield json.loads(line[len(b"data: ") :])
+                    yield msgspec.json.decode(line[len(b"data: ") :], type=Event)
         except (OSError, http.client.HTTPException):  # the manager was killed
             return
+        except msgspec.ValidationError as error:
+            raise _of_another_version(error) from None
         finally:
             connection.close()
-
-    def _request(self, method: str, path: str, document: Document | None, timeout: float | None) -> Any:
-        try:
-            return json.loads(self._answer(method, path, document, timeout))
-        except ValueError as error:
-            raise self._unanswered(error) from None
 
     def _form(
         self,
@@ -149,9 +205,7 @@ class Client:
         try:
             return msgspec.json.decode(answer, type=form)
         except msgspec.ValidationError as error:
-            raise errors.ManagerError(
-                f"cannot read the manager's answer: {error}; if another version of Midstride started it, use that one"
-            ) from None
+            raise _of_another_version(error) from None
         except msgspec.DecodeError as error:
             raise self._unanswered(error) from None
 
@@ -194,6 +248,12 @@ class Client:
         if response.status >= 400:
             raise _error(response.read())
         return response
+
+
+def _of_another_version(error: Exception) -> errors.ManagerError:
+    return errors.ManagerError(
+        f"cannot read the manager's answer: {error}; if another version of Midstride started it, use that one"
+    )
 
 
 def _with_query(path: str, query: Mapping[str, Any]) -> str:

@@ -21,7 +21,8 @@ from midstride.cli.log_excerpt import LogFollower, excerpt
 from midstride.cli.progress import Progress
 from midstride.codec.form import Document, encode
 from midstride.model.instance_names import log_file_name
-from midstride.plan.forms.plan_forms import encode_plan
+from midstride.plan.forms.plan_forms import plan_form
+from midstride.runtime.records.reports import Outcome
 
 # How often the latest log line of the subscriber is shown (s).
 LOG_INTERVAL: Final = 0.1
@@ -41,24 +42,24 @@ async def run_demo(example: Demo, backend: str, out: Console) -> list[Document]:
             async with _progress(environment, example, out):
                 await environment.manager.up()
                 await environment.backend.clock.sleep(RUN_IN)
-            outcomes: list[Document] = []
+            outcomes: list[Outcome] = []
             for step in example.steps:
                 outcomes.append(await _run_step(environment, example, step, out))
                 if interrupted.is_set():  # while it measured, which completes a change
                     raise asyncio.CancelledError
-                if outcomes[-1]["outcome"] != "done":
+                if outcomes[-1].outcome != "done":
                     break
             out.print("\n[bold]Side by side[/bold]")
             out.print(_comparison(example, outcomes))
-            return outcomes
+            return [encode(outcome) for outcome in outcomes]
 
 
-async def _run_step(environment: DemoEnvironment, example: Demo, step: DemoStep, out: Console) -> Document:
+async def _run_step(environment: DemoEnvironment, example: Demo, step: DemoStep, out: Console) -> Outcome:
     out.print(f"\n[bold]{escape(step.name)}[/bold]  {escape(step.summary)}")
     plan = await environment.manager.plan(step.request)
-    out.print(render.plan(encode_plan(plan), "Plan"))
+    out.print(render.plan(plan_form(plan), "Plan"))
     async with _progress(environment, example, out) as log:
-        outcome = encode(await environment.manager.change(step.request))
+        outcome = await environment.manager.change(step.request)
     out.print(render.outcome(outcome))
     if lines := excerpt(log.new_lines()):
         out.print(Text(f"Log of {example.subscriber} during the change:", style="dim"))
@@ -67,7 +68,7 @@ async def _run_step(environment: DemoEnvironment, example: Demo, step: DemoStep,
     for component in (await environment.manager.status()).instances:
         for row in component.functionalities:
             if not row.normal:
-                out.print(Text(f"{row.name} is now in mode {row.mode}.", style="yellow"))
+                out.print(Text(f"{component.name}.{row.name} is now in mode {row.mode}.", style="yellow"))
     return outcome
 
 
@@ -82,7 +83,7 @@ async def _progress(environment: DemoEnvironment, example: Demo, out: Console) -
 
         async def show_events() -> None:
             async for event in stream:
-                progress.show(encode(event))
+                progress.show(event)
 
         async def show_log() -> None:
             while True:
@@ -109,10 +110,10 @@ def _reader(environment: DemoEnvironment, instance: str) -> Callable[[], str]:
     return lambda: file.read_text(encoding="utf-8", errors="replace") if file.exists() else ""
 
 
-def _comparison(example: Demo, outcomes: list[Document]) -> Table:
+def _comparison(example: Demo, outcomes: list[Outcome]) -> Table:
     table = render.table(["", "degraded for"], render.MEASUREMENTS)
     for step, outcome in zip(example.steps, outcomes, strict=False):
-        for swap in outcome["swaps"] or [None]:
+        for swap in (*outcome.swaps,) or (None,):
             measured = ["–"] * len(render.MEASUREMENTS) if swap is None else render.measurements(swap)
             table.add_row(step.name, render.fallen_line(outcome), *measured)
     return table

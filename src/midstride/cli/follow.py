@@ -6,34 +6,38 @@ import queue
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Generic, TypeVar
 
-from midstride.cli.client import Client, EventDocument
-from midstride.codec.form import Document
+from midstride.cli.client import Client
 from midstride.errors import MidstrideError
+
+if TYPE_CHECKING:
+    from midstride.runtime.records.reports import Event
+
+A = TypeVar("A")
 
 # How long to wait, after the answer, for events still under way (s).
 LAST_EVENTS = 0.5
 
 
 @dataclass
-class FollowedRequest:
+class FollowedRequest(Generic[A]):
     """Runs ``request`` in one thread and the event stream in another; iterate over it for the events.
 
     ``id`` limits the events to those of one command: while it waits, and from its start to the start of the next.
     """
 
     client: Client
-    request: Callable[[], Document]
+    request: Callable[[], A]
     since: int
     until: str
     id: str | None = None
-    _queue: queue.Queue[EventDocument | None] = field(default_factory=queue.Queue)
-    _answer: Document | None = None
+    _queue: queue.Queue[Event | None] = field(default_factory=queue.Queue)
+    _answer: A | None = None
     _error: MidstrideError | None = None
     _in_command: bool = False
 
-    def __iter__(self) -> Iterator[EventDocument]:
+    def __iter__(self) -> Iterator[Event]:
         """Each event, until the answer and the event of kind ``until`` have come or no more events follow."""
         for target in (self._read_events, self._send):
             threading.Thread(target=target, daemon=True).start()
@@ -47,20 +51,20 @@ class FollowedRequest:
                 answered = True
             elif self._belongs(event):
                 yield event
-                complete = complete or event["kind"] == self.until
+                complete = complete or event.kind == self.until
 
-    def _belongs(self, event: EventDocument) -> bool:
+    def _belongs(self, event: Event) -> bool:
         """Whether an event is about this command. The manager runs one at a time, and each starts with an event."""
         if self.id is None:
             return True
-        if event["kind"] not in {"command", "waiting"}:
+        if event.kind not in {"command", "waiting"}:
             return self._in_command
-        matches = bool(event.get("id") == self.id)
-        if event["kind"] == "command":
+        matches = event.id == self.id
+        if event.kind == "command":
             self._in_command = matches
         return matches
 
-    def answer(self) -> Document:
+    def answer(self) -> A:
         """The manager's answer, once the iteration is over. Raises the manager's error."""
         if self._error is not None:
             raise self._error
@@ -84,5 +88,5 @@ class FollowedRequest:
 
 def last_event_number(client: Client) -> int:
     """The number of the latest event; later ones are new."""
-    log: list[dict[str, Any]] = client.get("/log")
-    return int(log[-1]["n"]) if log else 0
+    log = client.log()
+    return log[-1].n if log else 0

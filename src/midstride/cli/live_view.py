@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from typing import TYPE_CHECKING
 
 import click
 from rich.console import Console, Group
@@ -11,10 +12,13 @@ from rich.live import Live
 from rich.text import Text
 
 from midstride.cli import render, render_status
-from midstride.cli.client import Client, EventDocument
+from midstride.cli.client import Client
 from midstride.cli.follow import last_event_number
 from midstride.cli.output import console
 from midstride.errors import MidstrideError
+
+if TYPE_CHECKING:
+    from midstride.runtime.records.reports import Event
 
 # How often the status is refreshed (s), and how many events are shown below it.
 REFRESH = 0.5
@@ -29,7 +33,7 @@ def watch(client: Client, system: str, since: int | None = None) -> int:
     Of the events, those after number ``since``, by default those that come.
     """
     out = console()
-    shown: deque[EventDocument] = deque(maxlen=EVENTS_SHOWN)
+    shown: deque[Event] = deque(maxlen=EVENTS_SHOWN)
     try:
         since = last_event_number(client) if since is None else since
         if out.is_terminal:
@@ -44,20 +48,20 @@ def watch(client: Client, system: str, since: int | None = None) -> int:
             "`midstride down` stops it."
         )
         return 0
-    if shown and shown[-1]["kind"] == "down":
+    if shown and shown[-1].kind == "down":
         click.echo(f"{system} is down.")
         return 0
     click.echo(f"The manager of {system} has exited; its components keep running.", err=True)
     return 1
 
 
-def _live(client: Client, out: Console, shown: deque[EventDocument], since: int) -> None:
+def _live(client: Client, out: Console, shown: deque[Event], since: int) -> None:
     changed, over = threading.Event(), threading.Event()
 
     def read_events() -> None:
         try:
             for event in client.events(since):
-                if event["kind"] not in HIDDEN:
+                if event.kind not in HIDDEN:
                     shown.append(event)
                 changed.set()
         except MidstrideError:  # the manager has exited

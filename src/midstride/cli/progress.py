@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
 
 from midstride.cli.render import event as event_line
 from midstride.cli.render import seconds, step_text
+
+if TYPE_CHECKING:
+    from midstride.runtime.records.reports import Event
 
 # Shown at the end of the command, or not worth a line while it runs.
 _HIDDEN = frozenset({"plan", "outcome", "measured", "command", "up_failed"})
@@ -32,22 +35,22 @@ class Progress:
         if self._status is not None:
             self._status.stop()
 
-    def show(self, event: dict[str, Any]) -> None:
-        kind = event["kind"]
+    def show(self, event: Event) -> None:
+        kind, index = event.kind, event.index or 0
+        number = f"{index + 1}/{event.total}"
         if kind == "step":
-            self._started[event["index"]] = event["at"]
-            self._set_current(f"{event['index'] + 1}/{event['total']} {_step(event)}")
+            self._started[index] = event.at
+            self._set_current(f"{number} {_step(event)}")
         elif kind == "step_done":
-            took = event["at"] - self._started.get(event["index"], event["at"])
-            done = f"  [green]✓[/green] [dim]{event['index'] + 1}/{event['total']}[/dim]"
+            took = event.at - self._started.get(index, event.at)
+            done = f"  [green]✓[/green] [dim]{number}[/dim]"
             self._console.print(f"{done} {escape(_step(event))} [dim]{seconds(took)}[/dim]")
         elif kind == "step_failed":
-            number = f"[dim]{event['index'] + 1}/{event['total']}[/dim]"
-            self._console.print(f"  [red]✗[/red] {number} {escape(_step(event))}")
+            self._console.print(f"  [red]✗[/red] [dim]{number}[/dim] {escape(_step(event))}")
         elif kind in {"measuring", "verifying", "waiting"}:
-            self._set_current(event["words"])
+            self._set_current(event.words)
             if self._status is None:
-                self._console.print(f"  {escape(event['words'])}")
+                self._console.print(f"  {escape(event.words)}")
         elif kind not in _HIDDEN:
             self._console.print("  ", event_line(event), sep="")
 
@@ -66,6 +69,5 @@ class Progress:
             self._status.update(escape(self._current) + note)
 
 
-def _step(event: dict[str, Any]) -> str:
-    step = event.get("step")
-    return step_text(step) if step else str(event["words"]).partition(" ")[2]
+def _step(event: Event) -> str:
+    return step_text(event.step) if event.step else event.words.partition(" ")[2]

@@ -3,38 +3,41 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 import click
 
 from midstride.cli.client import READ_TIMEOUT, Client
 from midstride.cli.running_systems import answering, find_records
-from midstride.codec.form import Document, encode
 from midstride.errors import NoManager
 from midstride.runtime.workspace import Workspace
 
+if TYPE_CHECKING:
+    from midstride.runtime.records.change_history import History
+    from midstride.runtime.records.change_report import ChangeReport
 
-def history(system: str | None, latest: int) -> tuple[Document, bool]:
+
+def history(system: str | None, latest: int) -> tuple[History, bool]:
     """The ``latest`` changes and incidents, and whether a manager goes on with them. Raises as :func:`change` does."""
     workspace = find_records(system)
     if (manager := _manager(workspace)) is not None:
-        return manager.get("/history", latest=latest), True
+        return manager.history(latest), True
     from midstride.runtime.records.closed_journal import closed_history
 
-    return encode(closed_history(workspace.journal, latest)), False
+    return closed_history(workspace.journal, latest), False
 
 
-def change(system: str | None, number: int | None) -> Document:
+def change(system: str | None, number: int | None) -> ChangeReport:
     """Change ``number`` of the history, by default the latest, with all that was recorded of it.
 
     Raises NoManager where no system is or was there, ManagerError where there is no such change or it cannot be read.
     """
     workspace = find_records(system)
     if (manager := _manager(workspace)) is not None:
-        document: Document = manager.get("/change", **_which(number))
-        return document
+        return manager.change_report(_which(number))
     from midstride.runtime.records.closed_journal import closed_report
 
-    return encode(closed_report(workspace.journal, number))
+    return closed_report(workspace.journal, number)
 
 
 def report(system: str | None, number: int | None) -> str:

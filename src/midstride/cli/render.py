@@ -1,10 +1,10 @@
-"""Plans, outcomes, history and events for people: Rich tables and text, from the JSON documents."""
+"""Plans, outcomes, history and events for people: Rich tables and text, from the forms of the API."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
-from typing import Final
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from rich.console import Group, RenderableType
 from rich.markup import escape
@@ -12,9 +12,21 @@ from rich.table import Table
 from rich.text import Text
 
 from midstride.cli.console import PrintableTable
-from midstride.codec.form import Document
 from midstride.model import wording
 from midstride.model.instance_names import is_named_after
+
+if TYPE_CHECKING:  # most commands show none of them
+    from msgspec import UnsetType
+
+    from midstride.plan.alternatives import Alternative
+    from midstride.plan.explain import Degradation, LevelShift
+    from midstride.plan.forms.plan_forms import PlanForm, PlanPreview
+    from midstride.plan.forms.step_forms import AnyStep
+    from midstride.runtime.records.change_history import ChangeRecord, History
+    from midstride.runtime.records.measure import SwapReport
+    from midstride.runtime.records.reports import DegradedFunctionality, Event, Outcome
+
+    AnyPlan: TypeAlias = PlanForm | PlanPreview
 
 UNKNOWN: Final = "unknown"
 _COUNTS: Final = ("missed", "lost", "duplicates")
@@ -67,46 +79,48 @@ def silence(words: str, since: float | None) -> str:
     return words if since is None else f"{words} (for {seconds(since)})"
 
 
-def step_text(step: Document) -> str:
+def step_text(step: AnyStep) -> str:
     """One step of a plan in a few words."""
-    match step["action"]:
-        case "create" | "remove" as kind:
-            return wording.existence(kind, step["instance"], step.get("component", ""))
-        case "attach" | "detach" as kind:
-            return wording.attachment(kind, step["port"], step["topic"])
-        case "degrade" | "upgrade" as kind:
-            return wording.mode_changes(kind, ((name, m["from"], m["to"]) for name, m in step["modes"].items()))
-        case "handover":
-            return wording.handover((swap["topic"], swap["old"], swap["new"]) for swap in step["swaps"])
-        case "set":
-            return wording.parameters(step["instance"], step.get("parameters", {}))
-        case other:
-            return str(other)
+    from midstride.plan.forms import step_forms as forms
+
+    match step:
+        case forms.CreateStep():
+            return wording.existence("create", step.instance, step.component)
+        case forms.RemoveStep():
+            return wording.existence("remove", step.instance, "")
+        case forms.AttachStep() | forms.DetachStep():
+            return wording.attachment(step.action, step.port, step.topic)
+        case forms.DegradeStep() | forms.UpgradeStep():
+            return wording.mode_changes(step.action, ((name, m.before, m.after) for name, m in step.modes.items()))
+        case forms.HandoverStep():
+            return wording.handover((swap.topic, swap.old, swap.new) for swap in step.swaps)
+        case forms.SetStep():
+            return wording.parameters(step.instance, step.parameters)
 
 
-def plan(document: Document, title: str) -> RenderableType:
+def plan(plan: AnyPlan, title: str) -> RenderableType:
     """The steps, the functionalities that degrade, how far and for how long, and the cost."""
-    if not document["steps"]:
+    if not plan.steps:
         return Group(Text(title, style="bold"), Text("Nothing to do: the system already matches the target."))
     steps = table(["#", "step"], ["takes about"])
     steps.columns[0].justify = "right"
-    for number, step in enumerate(document["steps"], 1):
+    for number, step in enumerate(plan.steps, 1):
         steps.add_row(Text(str(number), style="dim"), Text(step_text(step)), _about(step))
-    remarks = [Text(remark, style="yellow") for remark in document.get("remarks") or ()]
-    parts = [*remarks, Text.from_markup(falls(document)), *_runtime_values(document)]
-    for name, because in (document.get("own_state") or {}).items():
+    remarks = [Text(remark, style="yellow") for remark in plan.remarks or ()]
+    parts = [*remarks, Text.from_markup(falls(plan)), *_runtime_values(plan)]
+    for name, because in (plan.own_state or {}).items():
         parts.append(Text(f"{name} starts with its own state: {because}.", style="yellow"))
-    parts.append(Text(cost(document), style="dim"))
+    parts.append(Text(cost(plan), style="dim"))
     return Group(Text(title, style="bold"), steps, *parts)
 
 
-def _about(document: Document) -> str:
+def _about(step: AnyStep) -> str:
     """How long a step takes, and the shortest and the longest that was measured where they differ much."""
-    return _with_remarks(document.get("seconds"), _spread(document))
+    return _with_remarks(step.seconds, _spread(step.between))
 
 
-def _spread(document: Document) -> list[str]:
-    shortest, longest = document.get("between") or (0.0, 0.0)
+def _spread(between: tuple[float, float] | UnsetType) -> list[str]:
+    shortest, longest = between or (0.0, 0.0)
     return [] if longest - shortest < SPREAD else [f"{seconds(shortest)} to {seconds(longest)}"]
 
 
@@ -114,30 +128,29 @@ def _with_remarks(taken: float | None, remarks: list[str]) -> str:
     return seconds(taken) + (f" ({'; '.join(remarks)})" if remarks else "")
 
 
-def planned_seconds(document: Document) -> float:
-    """How long a plan takes as it is carried out (s). Reports of earlier versions only have the sum of its steps."""
-    found = document.get("duration")
-    return float(document["seconds"] if found is None else found)
+def planned_seconds(plan: AnyPlan) -> float:
+    """How long a plan takes as it is carried out (s)."""
+    return plan.duration or plan.seconds
 
 
-def _about_plan(document: Document) -> str:
+def _about_plan(plan: AnyPlan) -> str:
     """How long a plan takes as it is carried out, with its range; beside it the sum of its steps where they overlap."""
-    taken, total = planned_seconds(document), document["seconds"]
+    taken, total = planned_seconds(plan), plan.seconds
     in_turn = [] if seconds(taken) == seconds(total) else [f"{seconds(total)} one step after another"]
-    return _with_remarks(taken, [*_spread(document), *in_turn])
+    return _with_remarks(taken, [*_spread(plan.between), *in_turn])
 
 
-def _runtime_values(document: Document) -> Iterable[Text]:
+def _runtime_values(found: AnyPlan | Outcome) -> Iterable[Text]:
     """What becomes of parameter values that were set at run time."""
-    for value in document.get("parameters") or ():
-        yield Text(value["words"], style="default" if value["fate"] == "kept" else "yellow")
+    for value in found.parameters or ():
+        yield Text(value.words, style="default" if value.fate == "kept" else "yellow")
 
 
-def falls(document: Document) -> str:
+def falls(plan: AnyPlan) -> str:
     """What degrades on the way, how far, for how long and why; and what is lower or higher afterwards."""
-    lines = [_marked_fall(document, fall) for fall in document["degradations"]]
-    lower = _lower_afterwards(document)
-    higher = [shift for shift in document["level_shifts"] if shift["levels"] <= 0]
+    lines = [_marked_fall(plan, fall) for fall in plan.degradations]
+    lower = _lower_afterwards(plan)
+    higher = [shift for shift in plan.level_shifts if shift.levels <= 0]
     if not lines and not lower:
         lines = ["[green]Nothing degrades:[/green] every functionality that remains keeps its level throughout."]
     lines += [f"[yellow]Afterwards:[/yellow] {escape(_lowered(shift))}." for shift in lower]
@@ -145,94 +158,90 @@ def falls(document: Document) -> str:
     return "\n".join(lines)
 
 
-def _marked_fall(document: Document, fall: Document) -> str:
-    if fall["from_step"] == 0:
-        return f"[yellow]Degraded already:[/yellow] {escape(_already(document, fall))}"
-    return f"[yellow]Degrades:[/yellow] {escape(_fall(document, fall))}"
+def _marked_fall(plan: AnyPlan, fall: Degradation) -> str:
+    if fall.since == 0:
+        return f"[yellow]Degraded already:[/yellow] {escape(_already(plan, fall))}"
+    return f"[yellow]Degrades:[/yellow] {escape(_fall(plan, fall))}"
 
 
-def _fall(document: Document, fall: Document) -> str:
-    steps: list[Document] = document["steps"]
-    name = fall["functionality"]
-    since, until = fall["from_step"], fall["to_step"]
+def _fall(plan: AnyPlan, fall: Degradation) -> str:
+    name, since, until = fall.functionality, fall.since, fall.until
     where = f"steps {since} to {until}" if until is not None else f"from step {since} on"
-    mode = _mode_entered(steps[since - 1], name)
+    mode = _mode_entered(plan.steps[since - 1], name)
     depth = f" to {mode}" if mode else ""
-    unserved = fall.get("unserved_from_step")
-    if mode and unserved is not None:
-        depth += f", unserved from step {unserved} on,"
-    head = f"{name}{depth} for about {seconds(fall['seconds'])} ({where})"
-    return "\n  ".join([head, fall["because"], *fall.get("forced_by", ()), *_alternatives(document, name)])
+    if mode and fall.unserved is not None:
+        depth += f", unserved from step {fall.unserved} on,"
+    head = f"{name}{depth} for about {seconds(fall.seconds)} ({where})"
+    return "\n  ".join([head, fall.because, *fall.forced_by, *_alternatives(plan, name)])
 
 
-def _already(document: Document, fall: Document) -> str:
+def _already(plan: AnyPlan, fall: Degradation) -> str:
     """How long a functionality remains below that is below before the first step."""
-    until, unserved = fall["to_step"], fall.get("unserved_from_step")
+    until, unserved = fall.until, fall.unserved
     where = "throughout" if until is None else f"until step {until}"
     where += f", unserved from step {unserved} on" if unserved else ""
-    name = fall["functionality"]
-    head = f"{name} for about {seconds(fall['seconds'])} more ({where})"
-    return "\n  ".join([head, *fall.get("forced_by", ()), *_alternatives(document, name)])
+    name = fall.functionality
+    head = f"{name} for about {seconds(fall.seconds)} more ({where})"
+    return "\n  ".join([head, *fall.forced_by, *_alternatives(plan, name)])
 
 
-def _alternatives(document: Document, functionality: str) -> Iterable[str]:
-    found = document.get("alternatives") or ()
-    return (_alternative(each) for each in found if each["functionality"] == functionality)
+def _alternatives(plan: AnyPlan, functionality: str) -> Iterable[str]:
+    found: Sequence[Alternative] = getattr(plan, "alternatives", None) or ()
+    return (_alternative(each) for each in found if each.functionality == functionality)
 
 
-def _alternative(alternative: Document) -> str:
+def _alternative(alternative: Alternative) -> str:
     """What it would cost to keep a functionality."""
-    mode = alternative["kept_at"]
-    if alternative["impossible"] is not None:
-        return f"It cannot be kept at {mode}: {alternative['impossible']}"
-    instead = _listed(alternative["degraded"]) if alternative["degraded"] else "nothing"
-    cost = f"the disruption would be {alternative['disruption']:.3g}"
+    mode = alternative.kept_at
+    if alternative.impossible is not None:
+        return f"It cannot be kept at {mode}: {alternative.impossible}"
+    instead = _listed(alternative.degraded) if alternative.degraded else "nothing"
+    cost = f"the disruption would be {alternative.disruption:.3g}"
     return f"To keep it at {mode}, {cost}: {instead} would degrade instead"
 
 
-def _mode_entered(step: Document, functionality: str) -> str | None:
+def _mode_entered(step: AnyStep, functionality: str) -> str | None:
     """The mode that a role's functionality enters in a step; None if the step does not change it."""
     role, _, name = functionality.rpartition(".")
-    for ref, modes in step.get("modes", {}).items():
+    for ref, modes in getattr(step, "modes", {}).items():
         instance, _, functionality_name = ref.rpartition(".")
         if functionality_name == name and is_named_after(instance, role):
-            return str(modes["to"])
+            return str(modes.after)
     return None
 
 
-def _lower_afterwards(document: Document) -> list[Document]:
+def _lower_afterwards(plan: AnyPlan) -> list[LevelShift]:
     """What the plan lowers for good."""
-    return [shift for shift in document["level_shifts"] if shift["levels"] > 0]
+    return [shift for shift in plan.level_shifts if shift.levels > 0]
 
 
-def _lowered(shift: Document) -> str:
-    return wording.lowered(shift["functionality"], shift["to"], shift["from"])
+def _lowered(shift: LevelShift | DegradedFunctionality) -> str:
+    return wording.lowered(shift.functionality, shift.after, shift.before)
 
 
-def _shift(shift: Document) -> str:
-    before, after = (shift[end] or "unserved" for end in ("from", "to"))
-    return f"{shift['functionality']}, from {before} to {after}"
+def _shift(shift: LevelShift) -> str:
+    return f"{shift.functionality}, from {shift.before or 'unserved'} to {shift.after or 'unserved'}"
 
 
-def cost(document: Document) -> str:
+def cost(plan: AnyPlan) -> str:
     """The cost of a plan, and whether its disruption is proved minimal."""
-    bound = "proved minimal" if document.get("proved_minimal") else f"at least {document.get('lower_bound', 0):.3g}"
-    if document.get("proof_space") == "detours":
+    bound = "proved minimal" if plan.proved_minimal else f"at least {plan.lower_bound:.3g}"
+    if plan.proof_space == "detours":
         bound += ", with detours"
-    disruption = f"Disruption {document['disruption']:.3g} weighted functionality-seconds"
+    disruption = f"Disruption {plan.disruption:.3g} weighted functionality-seconds"
     # It counts what happens on the way: what is lost for good does not show in it.
-    if lower := _lower_afterwards(document):
+    if lower := _lower_afterwards(plan):
         disruption += f" on the way ({bound}), and afterwards {', '.join(map(_lowered, lower))}"
     else:
         disruption += f" ({bound})"
-    return f"{disruption}; takes about {_about_plan(document)}; strategy {document['strategy']}."
+    return f"{disruption}; takes about {_about_plan(plan)}; strategy {plan.strategy}."
 
 
-def measurements(swap: Document) -> list[RenderableType]:
+def measurements(swap: SwapReport) -> list[RenderableType]:
     """What was measured at one subscriber, in the order of ``MEASUREMENTS``; unknown values are marked."""
-    periods = swap.get("gap_periods")
-    counts = [_count(swap.get(name)) for name in _COUNTS]
-    return [seconds(swap.get("gap")), UNKNOWN if periods is None else f"{periods:.2f}", *counts]
+    periods = swap.gap_periods
+    counts = [_count(getattr(swap, name)) for name in _COUNTS]
+    return [seconds(swap.gap), UNKNOWN if periods is None else f"{periods:.2f}", *counts]
 
 
 def _count(count: int | None) -> Text:
@@ -241,103 +250,97 @@ def _count(count: int | None) -> Text:
     return Text(str(count), style="green" if count == 0 else "yellow")
 
 
-def outcome(document: Document) -> RenderableType:
+def outcome(outcome: Outcome) -> RenderableType:
     """How a change ended, what degraded and what was measured."""
-    kind, because = document["outcome"], document.get("because")
+    kind, because = outcome.outcome, outcome.because
     headline = {
-        "done": f"[green]Done[/green] in {seconds(document['seconds'])}",
+        "done": f"[green]Done[/green] in {seconds(outcome.seconds)}",
         "refused": "[red]Refused[/red], nothing was changed",
-        "rolled_back": f"[red]Rolled back[/red] in {seconds(document['seconds'])}, every step undone",
-        "failed": f"[red bold]Failed[/red bold] in {seconds(document['seconds'])}",
+        "rolled_back": f"[red]Rolled back[/red] in {seconds(outcome.seconds)}, every step undone",
+        "failed": f"[red bold]Failed[/red bold] in {seconds(outcome.seconds)}",
     }[kind]
     lines: list[RenderableType] = [Text.from_markup(headline + (f": {escape(str(because))}" if because else "."))]
     if kind != "refused":
-        lines += map(Text, [*_times(document), *_skews(document), *_fallen_lines(document)])
-    lines += _runtime_values(document)
-    if document.get("swaps"):
+        lines += map(Text, [*_times(outcome), *_skews(outcome), *_fallen_lines(outcome)])
+    lines += _runtime_values(outcome)
+    if outcome.swaps:
         swaps = table(["topic", "subscriber"], MEASUREMENTS)
-        for swap in document["swaps"]:
-            swaps.add_row(swap["topic"], swap["subscriber"], *measurements(swap))
+        for swap in outcome.swaps:
+            swaps.add_row(swap.topic, swap.subscriber, *measurements(swap))
         lines.append(swaps)
-    lines += [Text(f"{words}.", style="yellow") for words in (document.get("own_state") or {}).values()]
-    late = sorted((document.get("late") or {}).items())
+    lines += [Text(f"{words}.", style="yellow") for words in outcome.own_state.values()]
+    late = sorted(outcome.late.items())
     lines += [
         Text(f"The first slot of {name} was {seconds(spent)} late; its state moved before.") for name, spent in late
     ]
     return Group(*lines)
 
 
-def _times(document: Document) -> list[str]:
+def _times(outcome: Outcome) -> list[str]:
     """The planned duration beside the measured one. A plan that is verified is carried out without overlap."""
-    plan, steps = document.get("plan"), document.get("steps")
-    if document["outcome"] != "done" or not (plan and steps) or document.get("verdict"):
+    plan, steps = outcome.plan, outcome.steps
+    if outcome.outcome != "done" or plan is None or not steps or outcome.verdict:
         return []
-    ended = max(step["began"] + step["seconds"] for step in steps)
-    together = sum(step["seconds"] for step in steps)
+    ended = max(step.began + step.seconds for step in steps)
+    together = sum(step.seconds for step in steps)
     in_all = "" if seconds(ended) == seconds(together) else f", for steps of {seconds(together)} in all"
     return [f"Planned: {_about_plan(plan)}. Measured: {seconds(ended)}{in_all}."]
 
 
-def _skews(document: Document) -> list[str]:
+def _skews(outcome: Outcome) -> list[str]:
     return [
-        f"{skew['kind'].capitalize()} of {_listed(skew['functionalities'])}: within {skew['seconds'] * 1000:.1f} ms."
-        for skew in document.get("skews") or ()
+        f"{skew.kind.capitalize()} of {_listed(skew.functionalities)}: within {skew.seconds * 1000:.1f} ms."
+        for skew in outcome.skews
     ]
 
 
-def _fallen_lines(document: Document) -> list[str]:
+def _fallen_lines(outcome: Outcome) -> list[str]:
     """What was degraded and for how long, what is lower now, and what else went wrong, as measured."""
-    fallen = sorted((document.get("below_baseline_seconds") or {}).items())
+    fallen = sorted(outcome.below_baseline_seconds.items())
     lines = [f"{name} was below its level for {seconds(spent)}." for name, spent in fallen]
-    lines += [f"Afterwards: {lowered_line(each)}" for each in document.get("remaining_degradations") or ()]
-    if exits := document.get("unexpected_exits"):
+    lines += [f"Afterwards: {degraded_line(each)}" for each in outcome.remaining_degradations]
+    if exits := outcome.unexpected_exits:
         lines.append(f"Exited unexpectedly meanwhile: {', '.join(exits)}; see `midstride log`.")
-    if degraded := document.get("unexpected_degradations"):
+    if degraded := outcome.unexpected_degradations:
         lines.append(f"Degraded unexpectedly meanwhile: {', '.join(degraded)}; see `midstride why {degraded[0]}`.")
-    lines += [f"Fenced: {each['words']}." for each in document.get("fenced") or ()]
-    lines += [silence(each["words"], each["seconds"]) for each in document.get("silences") or ()]
-    swaps = document.get("swaps") or ()
+    lines += [f"Fenced: {each.words}." for each in outcome.fenced]
+    lines += [silence(each.words, each.seconds or None) for each in outcome.silences]
+    swaps = outcome.swaps
     lines += [line for swap in swaps if (line := _faults(swap))]
     if lines:
         return lines
-    unknown = [
-        f"{_listed(names)} at {swap['subscriber']} on {swap['topic']}" for swap in swaps if (names := _unknown(swap))
-    ]
+    unknown = [f"{_listed(names)} at {swap.subscriber} on {swap.topic}" for swap in swaps if (names := _unknown(swap))]
     if unknown:
         return [f"Nothing is known to have fallen below its level. Not known: {'; '.join(unknown)}."]
     return ["Nothing fell below its level."]
 
 
-def lowered_line(lowered: Document) -> str:
+def degraded_line(degraded: DegradedFunctionality) -> str:
     """A functionality that is in a worse mode than before or than normal, and why, on one line."""
-    because = f": {str(lowered['because']).splitlines()[0]}" if lowered["because"] else ""
-    return f"{_lowered(lowered)}{because}."
+    because = f": {degraded.because.splitlines()[0]}" if degraded.because else ""
+    return f"{_lowered(degraded)}{because}."
 
 
-def _faults(swap: Document) -> str:
+def _faults(swap: SwapReport) -> str:
     """What was missed, lost or received twice at one subscriber; empty if nothing is known to have been."""
-    counts = [
-        f"{swap[name]} {name.removesuffix('s') if swap[name] == 1 else name}" for name in _COUNTS if swap.get(name)
-    ]
-    return f"Messages on {swap['topic']} at {swap['subscriber']}: {_listed(counts)}." if counts else ""
+    found = {name: getattr(swap, name) for name in _COUNTS}
+    counts = [f"{count} {name.removesuffix('s') if count == 1 else name}" for name, count in found.items() if count]
+    return f"Messages on {swap.topic} at {swap.subscriber}: {_listed(counts)}." if counts else ""
 
 
-def _unknown(swap: Document) -> list[str]:
-    return [name for name in _COUNTS if swap.get(name) is None]
+def _unknown(swap: SwapReport) -> list[str]:
+    return [name for name in _COUNTS if getattr(swap, name) is None]
 
 
 def _listed(words: list[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
-def fallen_line(document: Document) -> str:
+def fallen_line(outcome: Outcome) -> str:
     """What was degraded and what is lower now, on one line, for a table."""
-    fallen = [
-        f"{name} {seconds(spent)}"
-        for name, spent in sorted((document.get("below_baseline_seconds") or {}).items())
-        if spent
-    ]
-    fallen += [f"{each['functionality']} permanently" for each in document.get("remaining_degradations") or ()]
+    below = sorted(outcome.below_baseline_seconds.items())
+    fallen = [f"{name} {seconds(spent)}" for name, spent in below if spent]
+    fallen += [f"{each.functionality} permanently" for each in outcome.remaining_degradations]
     return ", ".join(fallen) or "nothing"
 
 
@@ -347,33 +350,32 @@ def time_of_day(at: float) -> str:
     return f"{time.strftime('%H:%M:%S', time.localtime(whole))}.{millis:03d}"
 
 
-def history(document: Document, *, in_progress: bool = True) -> RenderableType:
+def history(history: History, *, in_progress: bool = True) -> RenderableType:
     """The changes and the incidents, oldest first. ``in_progress``: a manager goes on with what has no outcome yet."""
+    from midstride.runtime.records.change_history import Incident
+
     left, right = ("", "when", "what", "outcome", "version"), ("steps", "missed", "gap", "took")
     rows = table(left, right)
-    entries = [*document["changes"], *document["incidents"]]
-    for each in sorted(entries, key=lambda entry: float(entry["at"])):
-        when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(each["at"]))
-        if "number" not in each:
-            rows.add_row("", when, Text(each["words"].splitlines()[0], style="dim"), *[""] * 6)
+    entries: list[ChangeRecord | Incident] = [*history.changes, *history.incidents]
+    for each in sorted(entries, key=lambda entry: entry.at):
+        when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(each.at))
+        if isinstance(each, Incident):
+            rows.add_row("", when, Text(each.words.splitlines()[0], style="dim"), *[""] * 6)
             continue
-        done = sum(step["outcome"] == "done" for step in each["steps"])
-        outcome = (each["outcome"] or ("in progress" if in_progress else "interrupted")).replace("_", " ")
-        figures: list[RenderableType] = [_count(each["missed"]), seconds(each["gap"]), seconds(each["seconds"])]
-        what = each["by"] or each["command"]
-        style = "green" if each["outcome"] == "done" else "yellow"
-        version = f"v{each['version']}"
-        rows.add_row(
-            str(each["number"]), when, what, Text(outcome, style=style), version, f"{done}/{each['total']}", *figures
-        )
-        if each["because"]:
-            rows.add_row("", "", Text(each["because"].splitlines()[0], style="dim"), *[""] * 6)
-    damaged = [Text(document["damaged"], style="red")] if document["damaged"] else []
+        done = sum(step.outcome == "done" for step in each.steps)
+        outcome = (each.outcome or ("in progress" if in_progress else "interrupted")).replace("_", " ")
+        figures: list[RenderableType] = [_count(each.missed), seconds(each.gap), seconds(each.seconds)]
+        style = "green" if each.outcome == "done" else "yellow"
+        number, what, version = str(each.number), each.by or each.command, f"v{each.version}"
+        rows.add_row(number, when, what, Text(outcome, style=style), version, f"{done}/{each.total}", *figures)
+        if each.because:
+            rows.add_row("", "", Text(each.because.splitlines()[0], style="dim"), *[""] * 6)
+    damaged = [Text(history.damaged, style="red")] if history.damaged else []
     return Group(rows, *damaged)
 
 
-def event(document: Document) -> Text:
+def event(event: Event) -> Text:
     """One event on one line."""
-    words = f"outcome: {document['words']}" if document.get("outcome") else document["words"]
-    line = Text(f"{time_of_day(document['at'])} ", style="dim")
-    return line.append(words, style=_STYLES.get(document["kind"], "default"))
+    words = f"outcome: {event.words}" if event.outcome else event.words
+    line = Text(f"{time_of_day(event.at)} ", style="dim")
+    return line.append(words, style=_STYLES.get(event.kind, "default"))

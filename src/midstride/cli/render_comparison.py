@@ -11,7 +11,7 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from midstride.cli.render import planned_seconds, seconds, table
-from midstride.codec.form import Document
+from midstride.plan.forms.plan_forms import PlanForm
 
 # How many characters the longest plan takes.
 WIDTH: Final = 60
@@ -31,64 +31,63 @@ class Stretch:
     unserved: float | None
 
 
-def comparison(documents: Mapping[str, Document], title: str) -> RenderableType:
-    """A row for each strategy and, for each functionality that degrades in any of them, its time axes."""
+def comparison(found: Mapping[str, PlanForm | str], title: str) -> RenderableType:
+    """A row for each strategy and, for each functionality that degrades in any of them, its time axes.
+
+    ``found``: the plan of each strategy, or why it is refused.
+    """
     rows = table(["strategy"], ["disruption", "degrade", "takes about", "critical path", "steps"])
-    for strategy, document in documents.items():
-        if "refused" in document:
+    for strategy, plan in found.items():
+        if isinstance(plan, str):
             rows.add_row(strategy, Text("refused", style="red"), *[""] * 4)
         else:
-            rows.add_row(strategy, *_figures(document))
-    refused = [
-        Text(f"{strategy}: {document['refused']}", style="red")
-        for strategy, document in documents.items()
-        if "refused" in document
-    ]
-    plans = {strategy: document for strategy, document in documents.items() if document.get("steps")}
+            rows.add_row(strategy, *_figures(plan))
+    refused = [Text(f"{strategy}: {why}", style="red") for strategy, why in found.items() if isinstance(why, str)]
+    plans = {strategy: plan for strategy, plan in found.items() if not isinstance(plan, str) and plan.steps}
     return Group(Text(title, style="bold"), rows, *refused, *_axes(plans))
 
 
-def _figures(document: Document) -> Iterable[str]:
-    bound = " (minimal)" if document["proved_minimal"] else ""
-    yield f"{document['disruption']:.3g}{bound}"
-    yield str(len(document["degraded"]))
-    yield seconds(planned_seconds(document))
-    yield seconds(document["makespan"])
-    yield str(len(document["steps"]))
+def _figures(plan: PlanForm) -> Iterable[str]:
+    bound = " (minimal)" if plan.proved_minimal else ""
+    yield f"{plan.disruption:.3g}{bound}"
+    yield str(len(plan.degraded))
+    yield seconds(planned_seconds(plan))
+    yield seconds(plan.makespan)
+    yield str(len(plan.steps))
 
 
-def _axes(plans: Mapping[str, Document]) -> Iterable[RenderableType]:
-    names = sorted({fall["functionality"] for document in plans.values() for fall in document["degradations"]})
+def _axes(plans: Mapping[str, PlanForm]) -> Iterable[RenderableType]:
+    names = sorted({fall.functionality for plan in plans.values() for fall in plan.degradations})
     if not names:
         yield Text("Nothing degrades with any of them.", style="green")
         return
-    longest = max(document["seconds"] for document in plans.values())
+    longest = max(plan.seconds for plan in plans.values())
     scale = WIDTH / longest if longest else 0.0
     width = max(map(len, plans))
     yield Text()
     yield Text(f"{'':{width + 2}}0 s{seconds(longest):>{WIDTH - 3}}", style="dim")
     for name in names:
         yield Text(name)
-        for strategy, document in plans.items():
-            yield Text(f"  {strategy:{width}}").append(_bar(stretches(document, name), document["seconds"], scale))
+        for strategy, plan in plans.items():
+            yield Text(f"  {strategy:{width}}").append(_bar(stretches(plan, name), plan.seconds, scale))
     yield Text(LEGEND, style="dim")
 
 
-def stretches(document: Document, functionality: str) -> list[Stretch]:
+def stretches(plan: PlanForm, functionality: str) -> list[Stretch]:
     """When a functionality is below its level, if the steps run one after another."""
-    begins: list[float] = [0.0, *accumulate(step["seconds"] for step in document["steps"])]
+    begins: list[float] = [0.0, *accumulate(step.seconds for step in plan.steps)]
 
     def begin(step: int) -> float:
         return begins[max(step - 1, 0)]
 
     return [
         Stretch(
-            begin(fall["from_step"]),
-            begins[-1] if fall["to_step"] is None else begins[fall["to_step"]],
-            None if fall["unserved_from_step"] is None else begin(fall["unserved_from_step"]),
+            begin(fall.since),
+            begins[-1] if fall.until is None else begins[fall.until],
+            None if fall.unserved is None else begin(fall.unserved),
         )
-        for fall in document["degradations"]
-        if fall["functionality"] == functionality
+        for fall in plan.degradations
+        if fall.functionality == functionality
     ]
 
 

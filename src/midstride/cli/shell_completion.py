@@ -214,6 +214,8 @@ def _running(context: click.Context) -> Document:
 
 def _ask(context: click.Context, path: str) -> Document:
     """What the manager of that system answers."""
+    import json
+
     from midstride.cli.client import Client
     from midstride.runtime.workspace import Workspace
 
@@ -222,6 +224,6 @@ def _ask(context: click.Context, path: str) -> Document:
     for workspace in Workspace.all():
         if system in (None, workspace.name):
             with suppress(MidstrideError):
-                found.append(Client(workspace.socket).get(path, timeout=TIMEOUT))
+                found.append(json.loads(Client(workspace.socket).text(path, timeout=TIMEOUT)))
     (only,) = found
     return only

@@ -34,7 +34,7 @@ def shut_down(system: str | None) -> str:
         return left[0].name
     if (running := client.status().running) is not None:
         click.echo(f"{workspace.name} is carrying out `{running.command}` and will stop afterwards …", err=True)
-    client.post("/down")
+    client.down()
     wait_for_manager_exit(workspace)
     return workspace.name
 

@@ -22,6 +22,7 @@ from midstride.errors import PlanRefused
 
 if TYPE_CHECKING:  # completion must not wait for it
     from midstride.model.component import ComponentSpec
+    from midstride.runtime.records.reports import Outcome
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,9 +129,7 @@ def add_command(
 
     def request(client: Client) -> Document:
         if parameters:
-            from midstride.codec.specification_form import decode_specification
-
-            known = declared or decode_specification(client.get("/specification")).components.get(component)
+            known = declared or client.specification().components.get(component)
             _check_values(parameters, known)
         return {"add": [new], "components": _encoded(declared)}
 
@@ -170,14 +169,14 @@ def apply_command(
     """Change the running system to the specification NEW, and to the code that its programs have now."""
     from midstride.cli.changed_programs import changed_code, code_words
     from midstride.cli.input_files import load
-    from midstride.codec.specification_form import decode_specification, encode_specification
+    from midstride.codec.specification_form import encode_specification
     from midstride.plan.specification_diff import renamed_components
 
     target = load(new)
 
     def request(client: Client) -> Document:
         changed = {} if keep_code else changed_code(client, target.nodes)
-        running = decode_specification(client.get("/specification"))
+        running = client.specification()
         if target.name != running.name:
             raise PlanRefused(
                 f"{new} is the specification of another system, {target.name}, and {running.name} is running: "
@@ -233,17 +232,17 @@ def change(
     if dry_run or not options.yes:
         from midstride.cli import render
 
-        preview = client.post("/plan", request)
+        preview = client.plan(request)
         if dry_run and wants_json():
             print_json(preview)
             return 0
         console(stderr=wants_json()).print(render.plan(preview, title))
         if dry_run:
             return 0
-        if preview["steps"] and not click.confirm("Proceed?", err=True):
+        if preview.steps and not click.confirm("Proceed?", err=True):
             click.echo("Nothing was changed.", err=True)
             return 1
-        expected = preview["revision"]
+        expected = preview.revision
     document = {"request": request, "expected": expected, "verify": options.verify, "wait": options.wait, "file": file}
     document["by"] = asked_by(title)
     try:
@@ -253,8 +252,8 @@ def change(
         raise
     if wants_json():
         print_json(outcome)
-    unexpected = outcome["silences"] or any(not each["planned"] for each in outcome["remaining_degradations"])
-    return 0 if outcome["outcome"] == "done" and not unexpected else 1
+    unexpected = outcome.silences or any(not each.planned for each in outcome.remaining_degradations)
+    return 0 if outcome.outcome == "done" and not unexpected else 1
 
 
 def asked_by(title: str) -> str:
@@ -266,19 +265,19 @@ def asked_by(title: str) -> str:
     return f"{user}: {title}"[:200]
 
 
-def _carry_out(client: Client, change: Document, title: str, *, show_plan: bool) -> Document:
+def _carry_out(client: Client, change: Document, title: str, *, show_plan: bool) -> Outcome:
     """Ask the manager for the change and show its progress. The outcome."""
     from midstride.cli.follow import FollowedRequest, last_event_number
 
     if wants_json():
-        return dict(client.post("/change", change))
+        return client.change(change)
     from midstride.cli import render
     from midstride.cli.progress import Progress
 
     id = uuid.uuid4().hex
     followed = FollowedRequest(
         client,
-        lambda: dict(client.post("/change", {**change, "id": id})),
+        lambda: client.change({**change, "id": id}),
         since=last_event_number(client),
         until="outcome",
         id=id,
@@ -286,8 +285,8 @@ def _carry_out(client: Client, change: Document, title: str, *, show_plan: bool)
     out = console()
     with Progress(out) as progress:
         for event in followed:
-            if event["kind"] == "plan" and show_plan:
-                out.print(render.plan(event["plan"], title))
+            if event.plan and show_plan:
+                out.print(render.plan(event.plan, title))
             progress.show(event)
     outcome = followed.answer()
     out.print(render.outcome(outcome))

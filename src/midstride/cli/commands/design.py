@@ -12,7 +12,7 @@ from midstride.cli.input_files import load, read
 from midstride.cli.output import json_option, print_json, wants_json
 from midstride.cli.running_systems import find, system_option
 from midstride.codec.schema import specification_schema
-from midstride.codec.specification_form import decode_specification, encode_specification
+from midstride.codec.specification_form import encode_specification
 from midstride.generate.drawing import to_dot, to_mermaid
 from midstride.generate.drawn_system import view
 from midstride.model.wording import counted
@@ -96,7 +96,7 @@ def diff_command(old: Path, new: Path | None, keep_code: bool, system: str | Non
         target, (client, _) = load(old), find(system)
         changed = {} if keep_code else changed_code(client, target.nodes)
         renewed = {role: code_words(files) for role, files in changed.items()}
-        found = differences(decode_specification(client.get("/specification")), target, renewed)
+        found = differences(client.specification(), target, renewed)
     if wants_json():
         print_json({"same": not found, "differences": found})
     elif found:
@@ -122,5 +122,5 @@ def export_command(file: Path | None, schema: bool, system: str | None) -> int:
     elif file is not None:
         print_json(encode_specification(read(file)))
     else:
-        print_json(find(system)[0].get("/specification"))
+        print_json(encode_specification(find(system)[0].specification()))
     return 0

@@ -21,8 +21,9 @@ from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.render import UNKNOWN, seconds, time_of_day
 from midstride.cli.shutdown import shut_down
 from midstride.cli.staying import ended_by_signals
-from midstride.codec.form import Document
+from midstride.codec.form import encode
 from midstride.errors import SpecificationError
+from midstride.runtime.records.reports import Outcome
 from midstride.runtime.workspace import Workspace
 
 
@@ -81,9 +82,9 @@ class _Screen:
     def say(self, words: str, style: str = "default") -> None:
         self._out.print(Text(f"{time_of_day(time.time())} ", style="dim").append(words, style=style))
 
-    def swapped(self, what: str, outcome: Document) -> None:
+    def swapped(self, what: str, outcome: Outcome) -> None:
         if self._json:
-            print_json({"changed": what, **outcome}, lines=True)
+            print_json({"changed": what, **encode(outcome)}, lines=True)
         else:
             self.say(f"{what}: {_swapped(outcome)}")
 
@@ -99,14 +100,14 @@ class _Screen:
         report(error, [])
 
 
-def _swapped(outcome: Document) -> str:
+def _swapped(outcome: Outcome) -> str:
     """``swapped in 410 ms, longest gap 101 ms (1.01 periods), missed 0``"""
-    parts = [f"swapped in {seconds(outcome['seconds'])}"]
-    if swaps := outcome["swaps"]:
+    parts = [f"swapped in {seconds(outcome.seconds)}"]
+    if swaps := outcome.swaps:
         gap, periods, missed = (worst(swaps, figure) for figure in ("gap", "gap_periods", "missed"))
         parts.append(f"longest gap {seconds(gap)}" + (f" ({periods:.2f} periods)" if periods is not None else ""))
         parts.append(f"missed {UNKNOWN if missed is None else missed}")
-    for what, names in (("ended", outcome["unexpected_exits"]), ("degraded", outcome["unexpected_degradations"])):
+    for what, names in (("ended", outcome.unexpected_exits), ("degraded", outcome.unexpected_degradations)):
         if names:
             parts.append(f"{what} unexpectedly: {', '.join(names)}")
-    return ", ".join([*parts, *(fault["words"] for fault in outcome["silences"])])
+    return ", ".join([*parts, *(fault.words for fault in outcome.silences)])

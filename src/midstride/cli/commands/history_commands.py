@@ -8,6 +8,7 @@ from midstride.cli import change_options, records
 from midstride.cli.commands.change_commands import RequestOptions, change, request_options
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.running_systems import find, system_option
+from midstride.codec.form import encode
 
 # How many changes `history` shows.
 LATEST = 20
@@ -30,13 +31,13 @@ def history_command(latest: int, system: str | None) -> int:
 
     Also the changes of earlier managers, and before the last `down`. A system that is down shows what it has left.
     """
-    document, in_progress = records.history(system, latest)
+    found, in_progress = records.history(system, latest)
     if wants_json():
-        print_json(document)
+        print_json(found)
     else:
         from midstride.cli import render
 
-        console().print(render.history(document, in_progress=in_progress))
+        console().print(render.history(found, in_progress=in_progress))
     return 0
 
 
@@ -57,6 +58,6 @@ def rollback_command(
     are kept, as by `apply`, and programs start with the code that they have now.
     """
     client, _ = find(options.system)
-    found = client.get("/specification/earlier", **({} if version is None else {"version": version}))
-    request = {"to": found["specification"], "declared_parameters": declared_parameters}
-    return change(options, request, f"rollback to version {found['version']}", dry_run)
+    found = client.earlier_specification(version)
+    request = {"to": encode(found.specification), "declared_parameters": declared_parameters}
+    return change(options, request, f"rollback to version {found.version}", dry_run)

@@ -20,12 +20,12 @@ from midstride.cli.input_files import load, write
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.planned_change import planned_change, planned_change_options
 from midstride.cli.running_systems import find, system_option
-from midstride.codec.form import Document
+from midstride.codec.form import Document, encode
 from midstride.codec.specification_form import encode_specification
 from midstride.errors import MidstrideError
 from midstride.model.specification import Specification, initial
 from midstride.plan.change_builder import change_between
-from midstride.plan.forms.plan_forms import encode_plan
+from midstride.plan.forms.plan_forms import PlanForm, plan_form
 from midstride.plan.forms.request_form import decode_request
 from midstride.plan.request import PlanRequest
 from midstride.plan.strategies.registry import planner
@@ -100,14 +100,15 @@ def plan_command(
         name, planned = file.name, partial(_for_file, load(file), request, within)
     title = f"from {name} to {to.name}" if to else f"{name}: {request.describe()}"
     if compare:
-        documents = {strategy: _or_refused(planned, strategy) for strategy in STRATEGIES}
-        if all("refused" in document for document in documents.values()):
+        plans = {strategy: _or_refused(planned, strategy) for strategy in STRATEGIES}
+        if all(isinstance(plan, str) for plan in plans.values()):
             planned(request.strategy)  # raises what it raised before
-        shown: RenderableType = render_comparison.comparison(documents, title)
+        shown: RenderableType = render_comparison.comparison(plans, title)
+        documents = {name: {"refused": plan} if isinstance(plan, str) else encode(plan) for name, plan in plans.items()}
         document: Document = {"strategies": documents}
     else:
-        document = planned(request.strategy)
-        shown = render.plan(document, title)
+        plan = planned(request.strategy)
+        document, shown = encode(plan), render.plan(plan, title)
     if page is not None:
         from midstride.server.report.documents import plan_file
 
@@ -119,24 +120,23 @@ def plan_command(
     return 0
 
 
-def _for_running(client: Client, to: Specification | None, asked: Document, strategy: str) -> Document:
+def _for_running(client: Client, to: Specification | None, asked: Document, strategy: str) -> PlanForm:
     new = {} if to is None else {"to": encode_specification(to)}
     more = {"strategy": strategy, "detours": asked["detours"] and strategy == "minimal"}
-    document: Document = client.post("/plan", {**asked, **new, **more})
-    return document
+    return client.plan({**asked, **new, **more})
 
 
-def _for_file(specification: Specification, request: PlanRequest, within: float | None, strategy: str) -> Document:
+def _for_file(specification: Specification, request: PlanRequest, within: float | None, strategy: str) -> PlanForm:
     request = replace(request, strategy=strategy)
     target = request.target(specification)
     change = change_between(initial(specification), specification, target, renewed=request.renewed(target))
     detours = request.detours and strategy == "minimal"
-    return encode_plan(planner(strategy, within, detours=detours)(change), explain=request.explain)
+    return plan_form(planner(strategy, within, detours=detours)(change), explain=request.explain)
 
 
-def _or_refused(planned: Callable[[str], Document], strategy: str) -> Document:
+def _or_refused(planned: Callable[[str], PlanForm], strategy: str) -> PlanForm | str:
     """The plan of a strategy, or why it has none: one that refuses does not hide the others."""
     try:
         return planned(strategy)
     except MidstrideError as error:
-        return {"refused": str(error)}
+        return str(error)

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from midstride.cli import shell_completion
-from midstride.cli.client import Client, EventDocument
+from midstride.cli.client import Client
 from midstride.cli.follow import last_event_number
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.running_systems import find, not_running, system_option
 
 if TYPE_CHECKING:
+    from midstride.runtime.records.reports import Event
     from midstride.runtime.records.status_forms import Status
 
 
@@ -109,11 +110,11 @@ def _since_option(function: Any) -> Any:
     return click.option("--since", type=Since(), metavar="N|TIME", help=summary)(function)
 
 
-def _after(since: float, events: Sequence[EventDocument]) -> int:
+def _after(since: float, events: Sequence[Event]) -> int:
     """The number of the last event that ``since`` leaves out."""
     if since >= 0:
         return int(since)
-    return max((event["n"] for event in events if event["at"] < -since), default=0)
+    return max((event.n for event in events if event.at < -since), default=0)
 
 
 @click.command("log")
@@ -130,12 +131,12 @@ def log_command(since: float | None, all_: bool, follow: bool, system: str | Non
     `midstride logs NODE` shows what a component has written.
     """
     client, _ = find(system)
-    known: list[EventDocument] = client.get("/log")
-    last = known[-1]["n"] if known else 0
-    events = known if since is None else [event for event in known if event["n"] > _after(since, known)]
+    known = client.log()
+    last = known[-1].n if known else 0
+    events = known if since is None else [event for event in known if event.n > _after(since, known)]
     if follow:
         begin = events if all_ or since is not None or wants_json() else events[-LATEST:]
-        return _follow(client, begin[0]["n"] - 1 if begin else last)
+        return _follow(client, begin[0].n - 1 if begin else last)
     if wants_json():
         print_json(events)
         return 0
@@ -161,7 +162,7 @@ def watch_command(since: float | None, all_: bool, system: str | None) -> int:
     """
     client, workspace = find(system)
     if all_ or since is not None:
-        begin = 0 if all_ or since is None else _after(since, client.get("/log"))
+        begin = 0 if all_ or since is None else _after(since, client.log())
     else:
         begin = last_event_number(client)
     if wants_json():

@@ -20,13 +20,13 @@ from midstride.cli.input_files import load
 from midstride.cli.live_view import watch
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.progress import Progress
-from midstride.cli.render import lowered_line
+from midstride.cli.render import degraded_line
 from midstride.cli.shutdown import wait_for_manager_exit
 from midstride.cli.staying import ended_by_signals, stay
-from midstride.codec.form import Document
 from midstride.codec.specification_form import encode_specification
 from midstride.errors import ManagerBusy, ManagerError
 from midstride.model.specification import Specification
+from midstride.runtime.records.reports import UpReport
 from midstride.runtime.workspace import Workspace
 
 # How long a manager may take to answer for the first time (s): a cold start on a busy machine.
@@ -171,20 +171,20 @@ def _up(
 ) -> int:
     """Bring the system up, and print how that went; 1 if not all is as specified."""
     answer = bring_up(client, workspace, arguments)
-    if client.get("/specification") != encode_specification(specification):
+    if encode_specification(client.specification()) != encode_specification(specification):
         click.echo(
             f"{workspace.name} was already running and differs from {file}; it was reattached unchanged. "
             f"Run `midstride apply {file}` to change it.",
             err=True,
         )
-    status = int(answer["outcome"] != "done" or any(not each["planned"] for each in answer["degraded"]))
+    status = int(answer.outcome != "done" or any(not each.planned for each in answer.degraded))
     if wants_json():
         print_json(answer)
         return status
-    without = f" without {', '.join(answer['missing'])}" if answer["missing"] else ""
-    click.echo(f"{workspace.name} is up{without} ({', '.join(answer['instances'])}).")
-    for each in answer["degraded"]:
-        click.echo(f"Degraded: {lowered_line(each)}")
+    without = f" without {', '.join(answer.missing)}" if answer.missing else ""
+    click.echo(f"{workspace.name} is up{without} ({', '.join(answer.instances)}).")
+    for each in answer.degraded:
+        click.echo(f"Degraded: {degraded_line(each)}")
     for line in missing_lines(answer):
         click.echo(line)
     if http is not None:
@@ -192,15 +192,15 @@ def _up(
     return status
 
 
-def missing_lines(report: Document) -> Iterator[str]:
+def missing_lines(report: UpReport) -> Iterator[str]:
     """What could not be restored beside what runs, and what to do."""
-    for node, because in report["missing"].items():
+    for node, because in report.missing.items():
         yield f"Missing: {node} could not be restored: {because}"
-    if report["missing"]:
-        yield f"Fix the cause, then `midstride restart {' '.join(report['missing'])}`. The others go on meanwhile."
+    if report.missing:
+        yield f"Fix the cause, then `midstride restart {' '.join(report.missing)}`. The others go on meanwhile."
 
 
-def bring_up(client: Client, workspace: Workspace, arguments: list[str]) -> Document:
+def bring_up(client: Client, workspace: Workspace, arguments: list[str]) -> UpReport:
     """Start a manager, show its progress until its system is up, and return its report. Raises the manager's error."""
     log = workspace.manager_log
     try:
@@ -258,12 +258,12 @@ def _wait_for_manager(client: Client, manager: subprocess.Popen[bytes], log: Pat
     raise ManagerError(f"the manager did not answer within {START_TIMEOUT:g} s; see {log}")
 
 
-def _wait_until_up(client: Client) -> Document:
+def _wait_until_up(client: Client) -> UpReport:
     """Show progress until the system is up. Raises the manager's error if it does not come up."""
-    followed = FollowedRequest(client, lambda: dict(client.get("/up", timeout=None)), since=0, until="up")
+    followed = FollowedRequest(client, client.up, since=0, until="up")
     with Progress(console(stderr=wants_json())) as progress:
         for event in followed:
-            if not wants_json() and event["kind"] != "up":  # the answer says so
+            if not wants_json() and event.kind != "up":  # the answer says so
                 progress.show(event)
     return followed.answer()
 
@@ -274,5 +274,5 @@ def _undo(client: Client, workspace: Workspace, manager: subprocess.Popen[bytes]
         _wait_for_manager(client, manager, log)
     except ManagerError:  # it has exited
         return
-    client.post("/down")
+    client.down()
     wait_for_manager_exit(workspace)

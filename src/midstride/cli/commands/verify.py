@@ -13,7 +13,6 @@ from midstride.cli import graphviz
 from midstride.cli.input_files import in_file, load, read_json, write
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.running_systems import find, system_option
-from midstride.codec.configuration_form import decode_configuration
 from midstride.errors import PlanRefused, SpecificationError
 from midstride.verify.checking import AlloyOptions, verify_configuration, verify_plan, verify_specification
 from midstride.verify.diagram import chain_lines, to_dot, to_mermaid
@@ -114,10 +113,10 @@ def _plan(path: Path) -> dict[str, Any]:
 
 def _verify_live(system: str | None, options: AlloyOptions) -> Verdict:
     client, workspace = find(system)
-    document = client.get("/configuration")
-    configuration = decode_configuration(document["configuration"])
+    live = client.configuration()
+    configuration = live.configuration.configuration()
     verdict = verify_configuration(configuration, workspace.name, f"{workspace.name} as it is running", options=options)
-    if (silent := ", ".join(document["silent"])) and verdict.answer is Answer.HOLDS:
+    if (silent := ", ".join(live.silent)) and verdict.answer is Answer.HOLDS:
         because = f"no answer from {silent}; it holds only if the last known state is still correct"
         return replace(verdict, answer=Answer.UNKNOWN, because=because)
     return verdict

@@ -12,6 +12,8 @@ from midstride.cli.client import Client
 from midstride.cli.follow import last_event_number
 from midstride.codec.form import Document
 from midstride.errors import MidstrideError
+from midstride.runtime.records.measure import SwapReport
+from midstride.runtime.records.reports import Event, Outcome
 
 
 class Changes:
@@ -23,7 +25,7 @@ class Changes:
     def __init__(self, client: Client, file: str) -> None:
         self._client = client
         self._file = file
-        self._events: queue.Queue[Document] = queue.Queue()
+        self._events: queue.Queue[Event | str] = queue.Queue()  # also the id of a request that was answered
         since = last_event_number(client)
         threading.Thread(target=self._follow, args=(since,), daemon=True).start()
 
@@ -34,43 +36,45 @@ class Changes:
         except MidstrideError:  # the next request reports it
             pass
 
-    def carry_out(self, request: Document, finished: Callable[[Document], None]) -> str | None:
+    def carry_out(self, request: Document, finished: Callable[[Outcome], None]) -> str | None:
         """Request a change, and wait until it is carried out or has failed; the reason where it has.
 
         Once a change that was carried out has been measured, ``finished`` is called with the outcome, in another
         thread. Raises the manager's error.
         """
         id = uuid.uuid4().hex
-        answer: list[Document | MidstrideError] = []
+        answer: list[Outcome | MidstrideError] = []
 
         def send() -> None:
             try:
                 change = {"request": request, "brief": True, "id": id, "file": self._file, "by": "midstride dev"}
-                outcome = dict(self._client.post("/change", change))
+                outcome = self._client.change(change)
                 answer.append(outcome)
-                if outcome["outcome"] == "done":
+                if outcome.outcome == "done":
                     finished(outcome)
             except MidstrideError as error:
                 answer.append(error)
-            self._events.put({"kind": "answered", "id": id})
+            self._events.put(id)
 
         threading.Thread(target=send, daemon=True).start()
         ours = False
         while True:
-            match self._events.get():
-                case {"kind": "command", **event}:
-                    ours = event.get("id") == id
-                case {"kind": "step_failed", "words": words} if ours:
-                    return str(words)
-                case {"kind": "measuring"} if ours:
-                    return None
-                case {"kind": "answered", "id": answered} if answered == id:
-                    if isinstance(answer[0], MidstrideError):
-                        raise answer[0]
-                    return None if answer[0]["outcome"] == "done" else str(answer[0]["because"])
+            event = self._events.get()
+            if isinstance(event, str):
+                if event != id:
+                    continue
+                if isinstance(answer[0], MidstrideError):
+                    raise answer[0]
+                return None if answer[0].outcome == "done" else str(answer[0].because)
+            if event.kind == "command":
+                ours = event.id == id
+            elif event.kind == "step_failed" and ours:
+                return event.words
+            elif event.kind == "measuring" and ours:
+                return None
 
 
-def worst(swaps: list[Any], figure: str) -> Any:
+def worst(swaps: list[SwapReport], figure: str) -> Any:
     """The largest of the figures of all subscribers, None where one of them is unknown."""
-    values = [swap[figure] for swap in swaps]
+    values = [getattr(swap, figure) for swap in swaps]
     return None if None in values else max(values, default=None)

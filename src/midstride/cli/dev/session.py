@@ -15,15 +15,17 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
 from msgspec import structs
 
 from midstride.cli.dev.contents import Contents, FileContents, remove_compiled
 from midstride.cli.dev.watched_specification import WatchedSpecification
 from midstride.codec.form import Document
-from midstride.codec.specification_form import decode_specification, encode_specification
+from midstride.codec.specification_form import encode_specification
 from midstride.errors import SpecificationError
+from midstride.model.specification import Specification
+from midstride.runtime.records.reports import Outcome
 from midstride.runtime.records.status_forms import ProgramStatus
 
 # For `_refused`: the specification as a whole. No node has this name.
@@ -33,7 +35,7 @@ _SPECIFICATION: Final = ""
 class ManagerQueries(Protocol):
     """The part of a client of the manager that is needed here."""
 
-    def get(self, path: str) -> Any: ...
+    def specification(self) -> Specification: ...
 
     def programs(self) -> list[ProgramStatus]: ...
 
@@ -41,7 +43,7 @@ class ManagerQueries(Protocol):
 class Screen(Protocol):
     """What the user sees."""
 
-    def swapped(self, what: str, outcome: Document) -> None:
+    def swapped(self, what: str, outcome: Outcome) -> None:
         """A change was carried out, and has been measured."""
 
     def refused(self, what: str, because: str) -> None:
@@ -61,7 +63,7 @@ class DevSession:
 
     specification: WatchedSpecification
     manager: ManagerQueries
-    carry_out: Callable[[Document, Callable[[Document], None]], str | None]
+    carry_out: Callable[[Document, Callable[[Outcome], None]], str | None]
     screen: Screen
     interval: float = 1.0
     _contents: FileContents = field(default_factory=FileContents)
@@ -109,7 +111,7 @@ class DevSession:
         lost = [program for program in known if program.role not in running]
         if not lost:
             return
-        nodes = decode_specification(self.manager.get("/specification")).nodes  # what was removed is not missing
+        nodes = self.manager.specification().nodes  # what was removed is not missing
         self._programs += [structs.replace(program, changed=program.files) for program in lost if program.role in nodes]
         for role in (program.role for program in lost):
             if role not in self._refused:
@@ -135,7 +137,7 @@ class DevSession:
     def _changes(self) -> Iterator[tuple[str, list[str]]]:
         """What differs from the files, but for what was refused: nodes, or the specification, each with its files."""
         wanted = self.specification.wanted
-        if self._differs and decode_specification(self.manager.get("/specification")) == wanted:
+        if self._differs and self.manager.specification() == wanted:
             self._differs = False
             self._up_to_date(_SPECIFICATION)
         elif self._differs and self._is_new(_SPECIFICATION):

@@ -221,9 +221,14 @@ def _start_modes(configuration: Configuration) -> dict[str, str]:
     return {str(ref): configuration.mode(ref).name for ref in sorted(modes) if modes[ref] != highest[ref]}
 
 
+def plan_form(plan: Plan, *, explain: bool = False) -> PlanForm:
+    """The form of the whole plan, both specifications included; ``explain`` adds the alternatives."""
+    return PlanForm.of(plan, alternatives=alternatives(plan) if explain else UNSET)
+
+
 def encode_plan(plan: Plan, *, explain: bool = False) -> Document:
-    """The document of the whole plan, both specifications included; ``explain`` adds the alternatives."""
-    return encode(PlanForm.of(plan, alternatives=alternatives(plan) if explain else UNSET))
+    """The document of :func:`plan_form`."""
+    return encode(plan_form(plan, explain=explain))
 
 
 def decode_plan(document: object) -> Plan:
