@@ -465,7 +465,7 @@ def test_a_plan_shows_that_a_replaced_role_stays_lower(tmp_path: Path, capsys: p
 
 
 def test_a_topic_that_the_environment_satisfies_has_a_publisher(capsys: pytest.CaptureFixture[str]) -> None:
-    contract = {"type": "nav_msgs/msg/Odometry", "rate": None, "publishers": [], "outside": []}
+    contract: dict[str, Any] = {"type": "nav_msgs/msg/Odometry", "rate": None, "publishers": [], "outside": []}
     topics = [
         {**contract, "name": name, "topic": name, "satisfied": satisfied, "subscribers": ["amcl.odom"]}
         for name, satisfied in (("/odom", True), ("/map", False))
