@@ -41,3 +41,24 @@ def test_in_production_a_forbidden_transition_is_logged_and_changes_nothing(
     with caplog.at_level(logging.ERROR, logger=transitions.__name__):
         assert DOOR.after(Door.SHUT, Push.CLOSE, "the door") is Door.SHUT
     assert caplog.messages == ["the door: CLOSE must not happen in the state SHUT; the state is kept"]
+
+
+def test_a_table_is_read_as_it_is_shown() -> None:
+    assert (
+        Transitions.read(
+            Door,
+            Push,
+            """
+        event  open  shut
+        close  shut  .
+        open   .     open
+        """,
+        )
+        == DOOR
+    )
+
+
+@pytest.mark.parametrize("text", ["event open\nslam shut", "event open\nclose ajar", "event open\nclose shut open"])
+def test_a_table_with_another_name_or_a_cell_too_many_is_refused(text: str) -> None:
+    with pytest.raises((KeyError, ValueError)):
+        Transitions.read(Door, Push, text)

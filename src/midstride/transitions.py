@@ -52,6 +52,20 @@ class Transitions(Generic[S, E]):
 
     table: Mapping[S, Mapping[E, S]]
 
+    @classmethod
+    def read(cls, states: type[S], events: type[E], text: str) -> Transitions[S, E]:
+        """The table that ``text`` shows: a line of states, then one for each event, with the state that it leads to.
+
+        A dot is a transition that must not happen.
+        """
+        (_, *heads), *lines = (line.split() for line in text.strip().splitlines())
+        table: dict[S, dict[E, S]] = {state: {} for state in states}
+        for event, *cells in lines:
+            for head, cell in zip(heads, cells, strict=True):
+                if cell != ".":
+                    table[states[head.upper()]][events[event.upper()]] = states[cell.upper()]
+        return cls(table)
+
     def after(self, state: S, event: E, of: str) -> S:
         """The state after ``event``; where it must not happen, the same one, after :data:`POLICY` was applied.
 

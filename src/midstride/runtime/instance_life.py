@@ -91,97 +91,50 @@ class FenceEvent(Enum):
     CHANGE_BEGUN = "another change begins"
 
 
-def _processes() -> Transitions[ProcessState, ProcessEvent]:
-    state, event = ProcessState, ProcessEvent
-    ending = {event.END_BEGUN, event.END_FAILED, event.ENDED}
-    return Transitions(
-        {
-            state.ABSENT: {
-                event.STARTED: state.STARTING,
-                event.ADOPTED: state.RUNNING,
-                event.MISSED: state.MISSING,
-                **dict.fromkeys(ending, state.ABSENT),  # what an earlier manager left of it
-                event.RELEASED: state.ABSENT,
-            },
-            state.STARTING: {
-                event.REGISTERED: state.RUNNING,
-                event.END_BEGUN: state.STOPPING,
-                event.RELEASED: state.ABSENT,
-                event.EXITED: state.EXITED,
-            },
-            state.RUNNING: {
-                event.ADOPTED: state.RUNNING,
-                event.END_BEGUN: state.STOPPING,
-                event.RELEASED: state.ABSENT,
-                event.EXITED: state.EXITED,
-            },
-            state.STOPPING: {
-                event.END_FAILED: state.STUCK,
-                event.ENDED: state.ABSENT,
-                event.KILLED: state.EXITED,
-                event.EXITED: state.EXITED,  # the back end notices late
-            },
-            state.STUCK: {
-                event.STARTED: state.STARTING,  # another process; this one is left over
-                event.ADOPTED: state.RUNNING,
-                event.END_BEGUN: state.STOPPING,
-                event.EXITED: state.EXITED,
-                event.MISSED: state.MISSING,
-            },
-            # What is left of its process group is ended all the same.
-            state.EXITED: {
-                event.STARTED: state.STARTING,
-                event.REGISTERED: state.EXITED,  # the back end was quicker than the control connection
-                **dict.fromkeys(ending, state.EXITED),
-                event.KILLED: state.EXITED,
-                event.RELEASED: state.EXITED,
-                event.EXITED: state.EXITED,
-                event.MISSED: state.MISSING,
-                event.REPLACED: state.ABSENT,
-            },
-            state.MISSING: {
-                event.STARTED: state.STARTING,
-                **dict.fromkeys(ending, state.MISSING),
-                event.RELEASED: state.MISSING,
-                event.EXITED: state.MISSING,
-                event.REPLACED: state.ABSENT,
-            },
-        }
-    )
-
-
-def _connections() -> Transitions[ConnectionState, ConnectionEvent]:
-    state, event = ConnectionState, ConnectionEvent
-    anyway = {event.OPENED: state.OPEN, event.DISCONNECTED: state.NONE}
-    return Transitions(
-        {
-            state.NONE: anyway,
-            state.OPEN: {**anyway, event.BROKEN: state.CLOSED, event.REFUSED: state.LOST},  # to another process
-            state.CLOSED: {**anyway, event.REFUSED: state.LOST},
-            state.LOST: {**anyway, event.BROKEN: state.LOST, event.REFUSED: state.LOST},
-        }
-    )
-
-
-def _fences() -> Transitions[FenceState, FenceEvent]:
-    state, event = FenceState, FenceEvent
-    return Transitions(
-        {
-            state.NONE: {event.CLOSED: state.GATE, event.KILLED: state.KILLED},
-            state.GATE: {
-                event.CLOSED: state.GATE,  # other outputs of it, in another step
-                event.KILLED: state.KILLED,
-                event.LIFTED: state.NONE,
-                event.CHANGE_BEGUN: state.NONE,
-            },
-            state.KILLED: {event.CHANGE_BEGUN: state.NONE},
-        }
-    )
-
-
-PROCESSES: Final = _processes()
-CONNECTIONS: Final = _connections()
-FENCES: Final = _fences()
+# What has exited, or was left by an earlier manager, is ended all the same: children of a process may be left. `exited`
+# in stopping: the back end notices late. `registered` in exited: it was quicker than the control connection.
+PROCESSES: Final = Transitions.read(
+    ProcessState,
+    ProcessEvent,
+    """
+    event       absent   starting running  stopping stuck    exited   missing
+    started     starting .        .        .        starting starting starting
+    registered  .        running  .        .        .        exited   .
+    adopted     running  .        running  .        running  .        .
+    end_begun   absent   stopping stopping .        stopping exited   missing
+    end_failed  absent   .        .        stuck    .        exited   missing
+    ended       absent   .        .        absent   .        exited   missing
+    killed      .        .        .        exited   .        exited   .
+    released    absent   absent   absent   .        .        exited   missing
+    exited      .        exited   exited   exited   exited   exited   missing
+    missed      missing  .        .        .        missing  missing  .
+    replaced    .        .        .        .        .        absent   absent
+    """,
+)
+# `refused` in open: the connection has been reopened, and leads to another process.
+CONNECTIONS: Final = Transitions.read(
+    ConnectionState,
+    ConnectionEvent,
+    """
+    event         none   open   closed lost
+    opened        open   open   open   open
+    broken        .      closed .      lost
+    refused       .      lost   lost   lost
+    disconnected  none   none   none   none
+    """,
+)
+# `closed` in gate: other outputs of it, in another step.
+FENCES: Final = Transitions.read(
+    FenceState,
+    FenceEvent,
+    """
+    event         none   gate   killed
+    closed        gate   gate   .
+    killed        killed killed .
+    lifted        .      none   .
+    change_begun  .      none   none
+    """,
+)
 
 LifeEvent = ProcessEvent | ConnectionEvent | FenceEvent
 

@@ -8,6 +8,7 @@ from midstride.errors import ManagerError
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
 from midstride.plan.request import require
+from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.instance_life import LifeTable, ProcessEvent, why_exited
 from midstride.runtime.watch.reported_values import ReportedValues
 
@@ -56,10 +57,19 @@ class RunningSystem:
         by_hand = self.specification.component_of(role).run is None
         return f"{'start it, then ' if by_hand else ''}`midstride restart {role}` restores it"
 
+    @property
+    def crashes(self) -> dict[str, list[Exited]]:
+        """How the missing instances of each role of the specification have exited, the earliest first."""
+        found: dict[str, list[Exited]] = {}
+        for name, exited in self.life.missing.items():
+            if (role := self.role_of_missing(name)) is not None:
+                found.setdefault(role, []).append(exited)
+        return found
+
     def why_missing(self, role: str) -> str | None:
         """Why a role has no instance, if one has exited unexpectedly."""
-        names = [name for name in self.life.missing if self.life[name].role == role]
-        return why_exited(names[-1]) if names else None
+        crashes = self.crashes.get(role)
+        return why_exited(crashes[-1].instance) if crashes else None
 
     def forget_filled_roles(self) -> None:
         """Forget missing instances whose role has an instance again, or has been removed from the specification."""

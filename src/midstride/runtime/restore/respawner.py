@@ -75,7 +75,7 @@ class Respawner(ReconciliationObserver):
                 continue
             if self._policy(role) is None or (self._runs(role) and record.attempts.runs_since is None):
                 self._forget(role, record)
-        for role, crashes in self._crashes().items():
+        for role, crashes in self.system.crashes.items():
             policy, record = self._policy(role), self._records.get(role) or _Record()
             if policy is None or self._runs(role) or record.carrying_out:
                 continue
@@ -84,14 +84,6 @@ class Respawner(ReconciliationObserver):
             if new and record.task is None and record.left is None:
                 self._records[role] = record
                 self._on_crash(role, record, policy, why_exited(new[-1].instance))
-
-    def _crashes(self) -> dict[str, list[Exited]]:
-        """The crashed instances of each role of the specification."""
-        found: dict[str, list[Exited]] = {}
-        for name, exited in self.system.life.missing.items():
-            if (role := self.system.role_of_missing(name)) is not None:
-                found.setdefault(role, []).append(exited)
-        return found
 
     def status(self, role: str | None) -> RespawnStatus | None:
         """Whether and when the node of that role, which has crashed, is restarted; None without a policy."""

@@ -127,10 +127,10 @@ class Explainer:
 
     def _roles_missing_on(self, topic: str) -> list[str]:
         """The roles without an instance that publish on ``topic``."""
-        specification, roles = self.system.specification, map(self.system.role_of_missing, self.system.life.missing)
+        specification = self.system.specification
         return [
             role
-            for role in dict.fromkeys(filter(None, roles))
+            for role in self.system.crashes
             if any(
                 topic in topics and specification.component_of(role).has_output(port)
                 for port, topics in specification.nodes[role].attachments.items()
