@@ -99,7 +99,9 @@ def test_a_port_is_attached_once_it_is_matched_with_the_other_side(tmp_path: Pat
 
     async def body(b: Bench) -> None:
         await perform(b, Attach(IN, "/chatter"))
-        attach = AttachCommand(port="in", topic="/chatter", peers=2, timeout=ATTACH_TIMEOUT, rate=5.0, settle=False)
+        attach = AttachCommand(
+            port="in", topic="/chatter", peers=2, timeout=ATTACH_TIMEOUT, rate=5.0, await_ready=False
+        )
         assert b.client.commands() == [attach]
         await perform(b, Attach(build.port("second.out"), "/chatter"))
         [attach] = b.client.of(AttachCommand, "second")
@@ -108,13 +110,13 @@ def test_a_port_is_attached_once_it_is_matched_with_the_other_side(tmp_path: Pat
     bench(configuration, tmp_path, body)
 
 
-def test_inputs_settle_together_before_what_relies_on_them(tmp_path: Path) -> None:
+def test_inputs_become_ready_together_before_what_relies_on_them(tmp_path: Path) -> None:
     instances = {"talker": TALKER, "second": LISTENER, "listener": LISTENER}
 
     async def body(b: Bench) -> None:
         begun = b.clock.steady()
         for name in ("second", "listener"):
-            b.client.reply(name, AttachCommand, Attached(matched=1, settling=0.3))
+            b.client.reply(name, AttachCommand, Attached(matched=1, ready_in=0.3))
             await perform(b, Attach(build.port(f"{name}.in"), "/chatter"))
         assert b.clock.steady() == begun
         await perform(b, Upgrade(Map({work("talker"): 0})))

@@ -173,7 +173,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
             rate=50.0,
             tolerates=3,
             condition=True,
-            settle=False,
+            await_ready=False,
         ),
         Attached(matched=2),
     ),

@@ -17,7 +17,7 @@ from midstride.foreign.gates import Gates, share_baton
 from midstride.foreign.node import TICK, ForeignNode
 from midstride.foreign.page import OPEN, OUTPUT
 from midstride.foreign.ungated_outputs import UngatedOutputs
-from midstride.node.control.attachments import SETTLE, not_matched
+from midstride.node.control.attachments import READY_AFTER, not_matched
 from midstride.node.control.rate_watch import RateWatch
 from midstride.node.handover.baton import BatonStep
 from midstride.wire import commands, replies
@@ -71,7 +71,7 @@ class GatedOutputs(UngatedOutputs):
             raise not_matched(matched, command)
         matched = await self._node.matched(port, command.everyone, command.patience)
         if command.peers or command.everyone:
-            await asyncio.sleep(SETTLE)
+            await asyncio.sleep(READY_AFTER)
         self._node.change_record(links={**self._node.record.links, port: command.gate})
         if self._node.component.has_output(port):
             self._node.adjust(port)

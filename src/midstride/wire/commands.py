@@ -174,8 +174,8 @@ class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
 
     ``everyone`` is how many readers to wait for beyond that, and ``reader_ids`` which, at most ``patience`` seconds. An
     input relies on ``rate`` (Hz), and ``tolerates`` so many missed messages; None: what its code states.
-    ``condition``: its last message decides whether what it assumes holds. ``settle``: whether to wait until an input
-    has settled, too; if not, the manager does before what relies on it.
+    ``condition``: its last message decides whether what it assumes holds. ``await_ready``: whether to wait until an
+    input is ready, too; if not, the manager does before what relies on it.
     """
 
     port: str
@@ -189,7 +189,7 @@ class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
     rate: float | None = None
     tolerates: int | None = None
     condition: bool = False
-    settle: bool = True
+    await_ready: bool = True
 
 
 class DetachCommand(Command[Detached], frozen=True, kw_only=True, tag="detach"):

@@ -143,10 +143,10 @@ class CutResult(WireValue, frozen=True, kw_only=True):
 
 
 class Attached(WireValue, frozen=True, kw_only=True):
-    """``matched``: with how many compatible endpoints; ``settling``: how long it may yet lose messages (s)."""
+    """``matched``: with how many compatible endpoints; ``ready_in``: how long it may yet lose messages (s)."""
 
     matched: int
-    settling: float = 0.0
+    ready_in: float = 0.0
 
 
 class Detached(WireValue, frozen=True, kw_only=True):

@@ -1,7 +1,7 @@
 """Attaching and detaching ports at run time, and the gates of attachments. Control thread.
 
 The middleware loses messages of an endpoint that is not matched yet, and those of one that is destroyed right after
-publishing. So an output is created behind a closed gate, which opens once its endpoint is matched and has settled;
+publishing. So an output is created behind a closed gate, which opens once its endpoint is matched and ready;
 before an endpoint is destroyed, its gate is closed and its readers have acknowledged.
 """
 
@@ -24,7 +24,7 @@ from midstride.node.data.mode_switch import DataExecutor, within
 from midstride.wire import commands, replies
 
 # A best-effort message right after the match is often lost, one a moment later is not (s).
-SETTLE: Final = 0.05
+READY_AFTER: Final = 0.05
 # How often an endpoint is asked how many peers it has (s).
 TICK: Final = 0.005
 
@@ -93,17 +93,17 @@ class Attachments:
             if matched < command.peers:
                 raise not_matched(max(matched, 0), command)
             matched = await self._match(link, command.everyone, command.patience, command.reader_ids, handed_over)
-            settling = SETTLE if command.peers or command.everyone else 0.0
-            if settling and (command.settle or isinstance(link, OutputLink)):
-                await self.host.sleep(settling)
-                settling = 0.0
+            ready_in = READY_AFTER if command.peers or command.everyone else 0.0
+            if ready_in and (command.await_ready or isinstance(link, OutputLink)):
+                await self.host.sleep(ready_in)
+                ready_in = 0.0
             if isinstance(link, OutputLink) and command.gate == "open":
                 await self.data.run(partial(self._open, link), timeout)
         except CommandRefused:
             # Undone as soon as user code returns, however long that takes: a refused command must change nothing.
             await within(self.host, self.host.on_data(link.destroy), timeout)
             raise
-        return replies.Attached(matched=matched, settling=settling)
+        return replies.Attached(matched=matched, ready_in=ready_in)
 
     async def detach(self, command: commands.DetachCommand) -> replies.Detached:
         link, timeout = self._attached(command.port, command.topic), command.timeout

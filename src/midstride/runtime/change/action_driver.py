@@ -76,7 +76,7 @@ class ActionDriver:
     fences: Fences = field(init=False)
     modes: ModeChanges = field(init=False)
     _moves: StateMoves = field(init=False)
-    _settled: float = -math.inf  # when the inputs have settled that were attached (steady s)
+    _inputs_ready: float = -math.inf  # when those are that were attached (steady s)
     _keeping: set[str] = field(default_factory=set)  # instances that keep state, also where they have exited since
     _before_setting: dict[str, replies.PreviousParameters] = field(default_factory=dict)  # by instance
     _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
@@ -179,7 +179,7 @@ class ActionDriver:
 
     async def _perform(self, action: Action, because: str, budget: StepBudget, turn: CutTurn | None = None) -> None:
         if not isinstance(action, Attach):
-            await self.settle()
+            await self.await_inputs()
         match action:
             case Create(instance):
                 standby = self.system.has_instance(instance.role)
@@ -296,17 +296,17 @@ class ActionDriver:
         others = (configuration.subscribers_on if output else configuration.publishers_on)(action.connector)
         peers = sum(not self.system.life.is_gone(other.instance) for other in others)
         attach = commands.AttachCommand(
-            port=port.port, topic=topic, peers=peers, timeout=ATTACH_TIMEOUT, settle=False, **self._relied_on(port)
+            port=port.port, topic=topic, peers=peers, timeout=ATTACH_TIMEOUT, await_ready=False, **self._relied_on(port)
         )
         detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
         reply = await self._or_undo(port.instance, attach, detach)
-        self._settled = max(self._settled, self.backend.clock.steady() + reply.settling)
+        self._inputs_ready = max(self._inputs_ready, self.backend.clock.steady() + reply.ready_in)
 
-    async def settle(self) -> None:
-        """Wait until all inputs that were attached have settled: those of many attachments in a row do so together."""
+    async def await_inputs(self) -> None:
+        """Wait until all inputs that were attached are ready: those of many attachments in a row do so together."""
         clock = self.backend.clock
-        if self._settled > clock.steady():
-            await clock.sleep(self._settled - clock.steady())
+        if self._inputs_ready > clock.steady():
+            await clock.sleep(self._inputs_ready - clock.steady())
 
     async def _detach(self, action: Detach, budget: StepBudget) -> None:
         port, topic = action.port, self.configuration.topic(action.connector)

@@ -174,7 +174,7 @@ class Executor:
             turn.ended = True
             await turn.turns.waiting(self.driver.watch(action))
         if index == len(self.change.actions) - 1:
-            await self.driver.settle()
+            await self.driver.await_inputs()
         await self.change.step_done(self.system.configuration)
         self._times[index] = StepTime(index + 1, round(begun - self._began, 6), round(clock.steady() - begun, 6))
 
