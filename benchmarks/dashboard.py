@@ -124,7 +124,8 @@ class Reports:
         )
         self._states[index] = state
         self._watched.system.life.reported(state)
-        self._watched.on_report(state)
+        for listener in self._watched.client.listeners:
+            listener(state)
 
     async def run(self) -> None:
         """Reports evenly over time, in slices of 10 ms."""
@@ -203,7 +204,7 @@ def serving(nodes: int, changing: int, rate: float, modes: bool, view: bool) -> 
         server = asyncio.ensure_future(serve(cast(Any, manager), Workspace.of("ring"), backend="none"))
         await asyncio.sleep(0.5)
         if not view:
-            manager.watched.on_report = lambda _: None
+            manager.watched.client.listeners.clear()
             manager.events.listeners.clear()
         reports = asyncio.ensure_future(Reports(manager.watched, changing, rate, modes).run())
         await asyncio.wait({server, reports}, return_when=asyncio.FIRST_COMPLETED)

@@ -114,9 +114,7 @@ class Manager:
         events.listeners.append(journal.note)
         commands.listeners += [self._watch.look_soon, self._keep_spares]
         reconciler.observers += [self._respawner, self._restorer]
-        client.listeners += [
-            part.on_component_event for part in (launcher, self._programs, reconciler, self._restorer, self.watched)
-        ]
+        client.listeners += [part.on_component_event for part in (launcher, self._programs, reconciler, self._restorer)]
 
     def _keep_spares(self) -> None:
         """A command has ended. Where another one waits, spare processes would compete with it for the processor."""

@@ -35,7 +35,7 @@ _NO_MORE: Final = "the manager was told to end and begins nothing more; nothing 
 class Lifecycle:
     """Owns the tasks that outlive the request that began them. Used on the manager's loop alone.
 
-    ``on_phase`` is called when ``phase`` has changed. ``settled`` is set once it is known whether the system came up,
+    ``on_phase`` is called when ``phase`` has changed. ``up_ended`` is set once it is known whether the system came up,
     ``ended`` once the manager shall exit.
     """
 
@@ -43,7 +43,7 @@ class Lifecycle:
         self.manager = manager
         self.phase: Phase = "starting"
         self.on_phase: Callable[[], object] = lambda: None
-        self.settled = asyncio.Event()
+        self.up_ended = asyncio.Event()
         self.ended = asyncio.Event()
         self.failure: MidstrideError | None = None
         self._failure_read = asyncio.Event()
@@ -66,11 +66,11 @@ class Lifecycle:
         if self.failure is not None:
             self.manager.events.add("up_failed", str(self.failure))
         self.on_phase()
-        self.settled.set()
+        self.up_ended.set()
 
     async def outcome_of_up(self) -> UpReport:
         """The result of bringing up, once it is known. Raises the MidstrideError it failed with."""
-        await self.settled.wait()
+        await self.up_ended.wait()
         if self.failure is not None:
             self._failure_read.set()
             raise self.failure
@@ -123,9 +123,9 @@ class Lifecycle:
 
     async def until_over(self) -> None:
         """Wait until the system is down, the manager shall leave it, or a client has read why it did not come up."""
-        ended, settled = (asyncio.ensure_future(event.wait()) for event in (self.ended, self.settled))
-        await asyncio.wait({ended, settled}, return_when=asyncio.FIRST_COMPLETED)
-        settled.cancel()
+        ended, up_ended = (asyncio.ensure_future(event.wait()) for event in (self.ended, self.up_ended))
+        await asyncio.wait({ended, up_ended}, return_when=asyncio.FIRST_COMPLETED)
+        up_ended.cancel()
         if self.phase == "failed":
             with contextlib.suppress(asyncio.TimeoutError):
                 async with within(LINGER):

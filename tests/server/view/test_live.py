@@ -46,10 +46,10 @@ async def something_happens(v: Viewed, drawn: random.Random) -> None:
 def from_scratch(v: Viewed) -> LiveView:
     """Another view of the same manager, which knows nothing of what was before."""
     watched = v.manager.watched
-    on_report, listeners = watched.on_report, list(watched.events.listeners)
+    of_events, of_components = list(watched.events.listeners), list(watched.client.listeners)
     twin = live_view(v.manager, v.simulator)
     twin.refresh(figures=True)
-    watched.on_report, watched.events.listeners[:] = on_report, listeners
+    watched.events.listeners[:], watched.client.listeners[:] = of_events, of_components
     return twin
 
 
@@ -169,7 +169,7 @@ def test_a_mode_is_sent_at_once_and_values_of_parameters_seldom(
             assert latest is not None
             state = structs.replace(latest.state, **changes)
             life.reported(state)
-            v.manager.watched.on_report(state)
+            v.live.on_component_event(state)
 
         def shown() -> Any:
             return next(each for each in reader.view["instances"] if each["name"] == "talker")

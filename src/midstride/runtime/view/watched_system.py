@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from midstride.model.component import FunctionalityRef
@@ -11,7 +10,7 @@ from midstride.model.specification import Specification, initial
 from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.command_queue import CommandQueue
 from midstride.runtime.manager_clock import Clock
-from midstride.runtime.process.component_client import ComponentClient, ComponentEvent
+from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.process.launcher import Launcher
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.journal import Journal
@@ -38,8 +37,7 @@ class Baseline:
 class WatchedSystem:
     """The parts of a manager that know something of the running system; to be read only.
 
-    ``spares``: how many processes are to be kept ready. ``on_report`` is called after the manager has taken in what a
-    component has reported, or that it has disconnected.
+    ``spares``: how many processes are to be kept ready.
     """
 
     system: RunningSystem
@@ -54,12 +52,7 @@ class WatchedSystem:
     store: StateStore
     journal: Journal
     spares: int
-    on_report: Callable[[ComponentEvent], object] = lambda _: None
     _baseline: Baseline | None = field(default=None, init=False)
-
-    def on_component_event(self, event: ComponentEvent) -> None:
-        """The manager has taken in ``event``."""
-        self.on_report(event)
 
     @property
     def clock(self) -> Clock:

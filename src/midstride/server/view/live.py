@@ -80,7 +80,7 @@ class LiveView:
         self._figures_of: dict[str, float] = {}  # the same by component
         self._rated_at: dict[str, float] = {}  # when it was last looked whether it keeps its rates, by component
         self._started = False
-        watched.on_report = self._on_report
+        watched.client.listeners.append(self.on_component_event)
         watched.events.listeners.append(self._on_event)
         lifecycle.on_phase = self._soon
 
@@ -101,7 +101,7 @@ class LiveView:
             alarm.stop()
         self._wakers.wake()
 
-    def _on_report(self, event: ComponentEvent) -> None:
+    def on_component_event(self, event: ComponentEvent) -> None:
         name, now = event.instance, self._watched.clock.steady()
         if not isinstance(event, ComponentState) or not self._same(event):
             self._dirty.add(name)

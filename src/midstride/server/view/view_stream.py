@@ -58,7 +58,7 @@ async def stream(live: LiveView, since: Position | None, *, log_only: bool = Fal
         unknown = 0 if log_only else events.last
         last = since.event if since is not None and known and since.event is not None else unknown
         last = unknown if last > events.last else last  # the number of an earlier manager's event
-        ends = [asyncio.ensure_future(end.wait()) for end in (lifecycle.ended, lifecycle.settled)]
+        ends = [asyncio.ensure_future(end.wait()) for end in (lifecycle.ended, lifecycle.up_ended)]
         for end in ends:
             end.add_done_callback(lambda _: waker.set())
         loop = asyncio.get_running_loop()
