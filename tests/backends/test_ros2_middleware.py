@@ -171,7 +171,8 @@ def test_fast_dds_tells_processes_writers_and_numbers() -> None:
             await watching.until(lambda: len(heard) == 3)
             assert [each.number for each in heard] == [1, 2, 3]
             (end,) = watching.node.get_publishers_info_by_topic("/chatter")
-            assert {each.publisher[:32] for each in heard} == {bytes(end.endpoint_gid).hex()[:32]}
+            known = {each.publisher for each in heard} - {None}  # rclpy passes it on since kilted
+            assert {each[:32] for each in known} == ({bytes(end.endpoint_gid).hex()[:32]} if known else set())
             ends = watching.node.get_publishers_info_by_topic
             talker.node.create_publisher(String, "/more", 10)
             watching.node.create_publisher(String, "/more", 10)
