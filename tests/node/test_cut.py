@@ -288,6 +288,16 @@ def test_what_comes_after_the_new_side_has_waited_for_it_is_left_out() -> None:
     assert (published, link.gated) == (["in time"], 1)
 
 
+def test_a_call_that_hung_is_outdated_once_the_new_side_has_been_known_to_write_for_a_while() -> None:
+    owner, clocks = Owner(slots=(T - 20_000_000, T - 20_000_000)), Clocks(T + 1_000_000_000)
+    side, link = outgoing(owner, clocks)
+    assert side.passes(link)
+    side.taken_at = 1_000
+    for passed, passes in [(0, True), (49_999_999, True), (50_000_000, False)]:
+        clocks.real = side.taken_at + passed
+        assert side.passes(link) == passes
+
+
 @pytest.mark.parametrize(
     ("driven", "rate", "heard"),
     [("rate", Grid(), ["before", "3", "after"]), ("message", None, ["before", "1", "2", "3", "after"])],

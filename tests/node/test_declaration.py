@@ -54,6 +54,11 @@ def test_the_papers_listing_declares_what_it_says() -> None:
     assert functionality.weight == 1
 
 
+def test_an_alternative_is_shown_as_it_is_written() -> None:
+    comp = Component("fusion")
+    assert repr(any_of(comp.create_input("left", Image), comp.create_input("right", Image))) == "any_of(left, right)"
+
+
 def test_a_whole_declaration() -> None:
     comp = Component("fusion")
     best_effort = QoS(reliability="best_effort", depth=3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -604,6 +605,19 @@ comp.start()
         await bench.send("node", "stop")
         await bench.sleep(0.5)
         assert "parameter speed cannot be set any more: the component is ending" in bench.exits()[0].log_tail
+
+    simulate(tmp_path, main)
+
+
+def test_a_component_that_is_ending_changes_nothing_any_more(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        slow = "async def rest():\n    await comp.clock.sleep(2)\n\ncomp.on_stop(rest)\ncomp.start"
+        await bench.start("node", TALKER.replace("comp.start", slow))
+        await bench.send("node", "welcome", manager="me")
+        stopping = asyncio.ensure_future(bench.send("node", "stop"))
+        await bench.sleep(0.5)
+        assert await bench.refusal("node", "modes", modes={"talk": "normal"}) == "the component is ending"
+        await stopping
 
     simulate(tmp_path, main)
 

@@ -272,6 +272,15 @@ def test_slots_mean_nothing_where_the_clock_of_the_publishers_was_set(by: int) -
     assert seen.lost == 0
 
 
+@pytest.mark.parametrize(("spread", "set_"), [(80 * PERIOD, False), (80 * PERIOD + 1, True)])
+def test_a_clock_was_set_if_no_message_can_have_been_under_way_for_so_long(spread: int, set_: bool) -> None:
+    """Since the first was received: 80 periods, when the window ends."""
+    rows = [Receipt(SKEW + number * 40 * PERIOD, number * 40 * PERIOD, number, "a") for number in range(2)]
+    rows.append(Receipt(SKEW + 80 * PERIOD, 80 * PERIOD - spread, 2, "a"))
+    seen = report(Observation("/t", "sub.in", rows, SKEW, SKEW + 80 * PERIOD, PERIOD / 1e9, PERIOD / 1e9))
+    assert (seen.missed is None) == set_
+
+
 def test_without_a_rate_there_is_no_gap_to_speak_of() -> None:
     recorder = Recorder()
     swap(recorder)

@@ -38,12 +38,12 @@ def entry(live: Instance) -> SavedInstance:
     return SavedInstance(live, None if live.component.run is None else Handle(live.name, 4711, 12.5))
 
 
-async def recovered(b: Bench, *saved: Instance) -> Configuration:
+async def recovered(b: Bench, *saved: Instance, targets: Sequence[Specification] = ()) -> Configuration:
     known = saved or tuple(b.configuration.instances[name] for name in sorted(b.configuration.instances))
     for name in b.client.life.handles:  # this manager does not know yet that another one has started them
         b.client.life.adopted(name, None)
     entries: Sequence[SavedInstance] = [entry(instance) for instance in known]
-    return await recover(entries, SPECIFICATION, b.launcher, b.client, b.events)
+    return await recover(entries, SPECIFICATION, b.launcher, b.client, b.events, targets)
 
 
 def test_what_still_runs_is_in_the_model_as_it_reports_it(tmp_path: Path) -> None:
@@ -237,6 +237,18 @@ def test_topics_of_no_specification_are_left_out(tmp_path: Path) -> None:
         b.client.report(reported(talker, b.configuration, gates={"out /elsewhere": "closed"}))
         assert await recovered(b) == RUNNING
         assert b.client.of(GateCommand) == []
+
+    bench(RUNNING, tmp_path, body)
+
+
+def test_a_topic_whose_contract_was_being_changed_keeps_the_earlier_one(tmp_path: Path) -> None:
+    """The old and the new connector of a topic exist side by side during such a change."""
+    [chatter] = SPECIFICATION.connectors.values()
+    later = changed(chatter, name="/chatter (new)", max_publishers=3)
+    target = changed(SPECIFICATION, connectors=Map({later.name: later}))
+
+    async def body(b: Bench) -> None:
+        assert await recovered(b, targets=[target]) == RUNNING
 
     bench(RUNNING, tmp_path, body)
 

@@ -195,6 +195,11 @@ def test_on_the_wrong_clock_slots_seem_empty() -> None:
     assert report_on_ros_clock(seen, moments).missed == 0
 
 
+def test_two_moments_of_a_steady_clock_are_enough() -> None:
+    seen, moments = observation([1.0, 1.0])
+    assert report_on_ros_clock(seen, [moments[0], moments[-1]]).missed == 0
+
+
 def test_a_clock_that_jumps_back_leaves_what_numbers_say() -> None:
     seen, moments = observation([1.0, 1.0, 1.0])
     jumped = [(steady, ros - 9 * SECOND if steady > 4 * SECOND else ros) for steady, ros in moments]

@@ -53,6 +53,17 @@ def test_after_a_crash_what_comes_next_is_named(tmp_path: Path, policy: RespawnP
     managed("talker", tmp_path, body, specification=None if policy is None else respawning(policy))
 
 
+def test_of_two_that_have_crashed_each_is_explained(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        for name in ("talker", "listener"):
+            await crash(simulator, name)
+        for name in ("talker", "listener"):
+            with pytest.raises(PlanRefused, match=f"nothing serves {name} now: {name} exited unexpectedly"):
+                await manager.why(name)
+
+    managed("talker", tmp_path, body)
+
+
 def test_the_cause_at_the_end_of_a_chain_is_found(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:
         assert (await manager.why("sink.use")).remedies == []

@@ -226,6 +226,24 @@ def test_closing_it_fails_requests_and_reports_no_end() -> None:
     talk(component, client)
 
 
+def test_closing_it_leaves_nothing_that_reads() -> None:
+    """Not even where the connection goes on to wait."""
+
+    class Endless(BlockedConnection):
+        async def receive(self) -> bytes | None:
+            return await asyncio.Future()
+
+    async def main() -> None:
+        before = asyncio.all_tasks()
+        channel = Channel(Endless(), GREETING, lambda _: None, lambda: None)
+        await asyncio.sleep(0)
+        channel.close()
+        await asyncio.sleep(0)
+        assert asyncio.all_tasks() == before
+
+    run(main())
+
+
 def test_closing_it_within_a_report_ends_the_reports() -> None:
     """Frames that have been received by then are in the connection's buffer, and can be read after it is closed."""
 

@@ -142,7 +142,6 @@ class Channel:
         for waiting in self._waiting.values():
             if not waiting.done():
                 waiting.set_exception(Unreachable(f"{self.greeting.instance} is gone: {words}"))
-        self._waiting.clear()
 
 
 async def _greet(connection: Connection, address: str, token: str) -> frames.Greeting:
