@@ -25,6 +25,7 @@ import hashlib
 import json
 import os
 import random
+import re
 import resource
 import shutil
 import signal
@@ -50,8 +51,9 @@ TESTS: Final = (*PACKAGES, "foreign")
 MARKERS: Final = "not full and not long and not ros1 and not ros2 and not alloy and not browser"
 EQUIVALENT: Final = ROOT / "tools" / "equivalent_mutants.json"
 CACHE: Final = ROOT / ".mutation"
-# How much processor time the tests of a mutant may take together as they were recorded (s): the rest is not run.
-BUDGET: Final = 20.0
+# How much processor time the tests of a mutant may take together as they were recorded (s): the rest is not run, unless
+# the survivors of a run are tried again (--again), with so many times as much.
+BUDGET, PATIENTLY = 10.0, 10.0
 # A mutant has so many times the processor time that its tests took, and as much more (s): then it hangs.
 FACTOR, MORE = 4.0, 10.0
 # One that has used no processor time for so long waits for something that does not come (s).
@@ -255,8 +257,8 @@ class Recorded:
     tests: dict[str, float] = field(default_factory=dict)
     callers: dict[str, list[str]] = field(default_factory=dict)
 
-    def chosen(self, mutant: Mutant) -> list[str]:
-        """Those that call the function of ``mutant``, in the order in which they are asked."""
+    def chosen(self, mutant: Mutant, budget: float) -> list[str]:
+        """Those that call the function of ``mutant``, in the order in which they are asked, for ``budget`` seconds."""
         package = f"tests/{mutant.path.partition('/')[0]}/"
         module = Path(mutant.path).stem
         callers = self.callers.get(f"{mutant.path}:{mutant.first_line}", [])
@@ -265,7 +267,7 @@ class Recorded:
             close = 0 if f"test_{module}" in test else 1 if test.startswith(package) else 2
             return close, self.tests[test]
 
-        found, left = [], BUDGET
+        found, left = [], budget
         for test in sorted(callers, key=rank):
             if (left := left - self.tests[test]) > 0:
                 found.append(test)
@@ -334,7 +336,10 @@ class _Session:
             following = self.items[tests[index + 1]] if index + 1 < len(tests) else None
             reports.failed, begun = False, time.process_time()
             item = self.items[name]
-            item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+            try:
+                item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+            except BaseException:  # what ends pytest as well: an interrupt, or an exit that a task has called for
+                reports.failed = True
             yield name, not reports.failed, time.process_time() - begun
 
 
@@ -494,12 +499,14 @@ def _try(session: _Session, mutant: Mutant, tests: list[str], folder: Path) -> i
     return SURVIVED
 
 
-def judge(session: _Session, mutants: Iterable[Mutant], recorded: Recorded, jobs: int) -> Iterator[Result]:
+def judge(
+    session: _Session, mutants: Iterable[Mutant], recorded: Recorded, jobs: int, budget: float
+) -> Iterator[Result]:
     waiting, running = list(mutants)[::-1], dict[Fork, tuple[Mutant, list[str]]]()
     while waiting or running:
         while waiting and len(running) < jobs:
             mutant = waiting.pop()
-            tests = recorded.chosen(mutant)
+            tests = recorded.chosen(mutant, budget)
             if not tests:
                 yield Result(mutant, "uncalled")
                 continue
@@ -522,6 +529,11 @@ def equivalents() -> dict[str, str]:
     return found
 
 
+def _unnumbered(line: str) -> str:
+    """A line of the output without the number of the line in the file, which changes most easily."""
+    return re.sub(r"(\.py):\d+ ", r"\1 ", line, count=1)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--mutants", type=int, default=100, help="how many are drawn")
@@ -530,6 +542,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2, help="how many are tried at a time")
     parser.add_argument("--minutes", type=float, default=0.0, help="try no more after so long; 0: without limit")
     parser.add_argument("--only", default="", help="only those whose file and function contain this")
+    parser.add_argument("--again", type=Path, help="instead of drawing: those that survived in this output of a run")
     parser.add_argument("--at-least", type=float, default=0.0, help="the score (%%) below which the exit status is 1")
     arguments = parser.parse_args()
     paths = sorted(str(each.relative_to(SOURCE)) for name in PACKAGES for each in (SOURCE / name).rglob("*.py"))
@@ -538,6 +551,12 @@ def main() -> int:
     stale = sorted(set(known) - {mutant.key for mutant in everything})
     candidates = [mutant for mutant in everything if arguments.only in f"{mutant.path}::{mutant.function}"]
     drawn = random.Random(arguments.seed).sample(candidates, min(arguments.mutants, len(candidates)))[arguments.skip :]
+    if arguments.again is not None:
+        survived = {
+            _unnumbered(line) for line in arguments.again.read_text().splitlines() if line.startswith("survived")
+        }
+        drawn = [mutant for mutant in everything if _unnumbered(f"survived   {mutant}") in survived]
+    budget = BUDGET if arguments.again is None else BUDGET * PATIENTLY
     results: list[Result] = []
     begun = time.monotonic()
 
@@ -545,7 +564,7 @@ def main() -> int:
         recorded = record(session, arguments.jobs)
         tried = [mutant for mutant in drawn if mutant.key not in known]
         results.extend(Result(mutant, "equivalent") for mutant in drawn if mutant.key in known)
-        for result in judge(session, tried, recorded, arguments.jobs):
+        for result in judge(session, tried, recorded, arguments.jobs, budget):
             results.append(result)
             print(f"{result.verdict:<10} {result.mutant}{result.by and f'  [{result.by}]'}", flush=True)
             if arguments.minutes and time.monotonic() - begun > 60 * arguments.minutes:

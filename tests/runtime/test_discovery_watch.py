@@ -38,7 +38,7 @@ def test_a_standstill_is_noticed_although_data_flows(name: str, tmp_path: Path) 
         status = await manager.status()
         [fault] = status.silences
         assert not status.valid and fault.kind == "not_discovering"
-        assert fault.seconds is not None and 0 < fault.seconds < NOTICED
+        assert isinstance(fault.seconds, float) and 0 < fault.seconds < NOTICED
         words = f"{name} discovers no new endpoints, although its data flows: its middleware stands still"
         assert [event.words for event in manager.log() if event.kind == "silence"] == [words]
 
