@@ -9,8 +9,10 @@ from hypothesis import given
 from midstride.lang import load_text
 from midstride.model.configuration import Configuration
 from midstride.model.diagnosis import Diagnosis, reasons_against
+from midstride.model.rules import Evaluator
 from midstride.model.specification import Specification, initial
 from tests.large_systems import chain
+from tests.model import build
 from tests.strategies.systems import specifications
 
 
@@ -55,3 +57,12 @@ def test_all_chains_together_cost_no_more_than_the_system() -> None:
 
     small, large = min(seconds(200) for _ in range(3)), min(seconds(1600) for _ in range(3))
     assert large < 8 * 3 * small
+
+
+def test_an_input_on_a_topic_that_guarantees_too_little_is_explained() -> None:
+    """That is so while the topic's contract changes."""
+    topics = {"/chatter": build.at(1)}
+    found = build.system({"listener": build.sink("Listener")}, ["listener.in /chatter"], topics=topics)
+    assert Evaluator(found).why_input_unsatisfied(build.port("listener.in")) == (
+        "/chatter does not satisfy what input listener.in assumes (rate: 1 Hz is offered, at least 5 Hz is needed)"
+    )

@@ -12,6 +12,7 @@ import pytest
 from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.network import SimulatedWriter
 from midstride.backends.simulator.simulated_process import SimulatedProcess
+from midstride.errors import CommandRefused
 from midstride.wire.pipe import PipeClaim
 from tests.conformance import puppets
 from tests.conformance.lab import Lab
@@ -366,6 +367,17 @@ def test_an_old_side_leaves_the_gate_to_a_later_cut(tmp_path: Path) -> None:
         assert not await reopened(lab), "the new one writes, by its later cut, or the newest one does"
         words = sides(await lab.received("sink"))
         assert [word for word, _ in itertools.groupby(words)] == ["old", "new", "newest"]
+
+    in_lab(tmp_path, main)
+
+
+def test_an_attach_that_finds_too_few_says_how_many(tmp_path: Path) -> None:
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await lab.start("sink", puppets.sink())
+        await lab.attach("sink", "in", TOPIC)
+        await lab.start("node", puppets.talker())
+        with pytest.raises(CommandRefused, match="only 1 of 2 endpoints"):
+            await lab.change("node", "attach", port="out", topic=TOPIC, peers=2, timeout=0.5)
 
     in_lab(tmp_path, main)
 

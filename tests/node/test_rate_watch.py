@@ -68,3 +68,13 @@ def test_a_clock_that_is_set_back_begins_again() -> None:
 def test_without_a_rate_nothing_is_broken() -> None:
     watch = watched([], 4, rate=0.0)
     assert not watch.broken
+
+
+@pytest.mark.parametrize(("written", "kept"), [(17, True), (16, False)])
+def test_nine_tenths_of_the_messages_but_one_are_enough(written: int, kept: bool) -> None:
+    """That one may be late."""
+    watch = RateWatch(RATE, WINDOW, 0)
+    for number in range(1, written + 1):
+        watch.see(number, number * 115_000_000)
+    watch.see(written, int(WINDOW * 1e9))
+    assert watch.kept == kept

@@ -649,6 +649,16 @@ def test_a_replacement_that_answers_already_is_not_asked_to(tmp_path: Path) -> N
     bench(replacing(), tmp_path, body)
 
 
+def test_a_replacement_that_cannot_answer_yet_is_noted_and_has_the_topic(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        standing_by(b, "talker_2")
+        b.client.reply("talker_2", AnswerCommand, REFUSED)
+        await perform(b, HANDOVER)
+        assert b.words("note") == [f"talker_2 does not answer requests to talker yet: {REFUSED}"]
+
+    bench(replacing(), tmp_path, body)
+
+
 def test_a_replacement_without_outputs_answers_requests_before_the_old_one_ends(tmp_path: Path) -> None:
     new = instance("listener_2", LISTENER, role="listener")
     configuration = talking().with_instance(new).without_attachment(IN, "/chatter")

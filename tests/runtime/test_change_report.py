@@ -93,6 +93,16 @@ def state(instance: str, mode: str, since: float, because: str = "", functionali
     )
 
 
+def test_what_ended_before_is_left_out() -> None:
+    configuration, recorder, clock = running()
+    recorder.reported(state("listener", "normal", 50.0), 100.0)
+    clock.now = 120.0
+    recorder.on_component_event(Disconnected("listener", exited=True))
+    for since, ended in [(119.0, [120.0]), (120.0, [120.0]), (121.0, [])]:
+        found = recorder.intervals({"listener"}, since, configuration.instances.keys())
+        assert [each.ended for each in found] == ended, since
+
+
 def test_a_mode_is_an_interval_from_when_it_was_entered() -> None:
     configuration, recorder, clock = running()
     recorder.reported(state("listener", "normal", 50.0), 100.0)

@@ -10,9 +10,14 @@ import pytest
 from immutables import Map
 
 from midstride.backends.simulator import Simulator
+from midstride.runtime.handover.probation import SHORTEST_PERIODS, require_rate
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Outcome
+from midstride.wire.commands import AwaitRateCommand
+from midstride.wire.replies import RateVerdict
+from tests.model import build
 from tests.runtime.counting import Reader, at_rates, counting, exchanged, settle, system
+from tests.runtime.scripted import Bench, bench, talking
 
 # How the new component writes: put before its only write. It is called at 20 Hz.
 LATE = "calls.append(1)\n        if len(calls) < 60 and len(calls) % 2: return\n"
@@ -115,3 +120,13 @@ def test_the_old_one_stays_warm_while_the_new_one_is_watched(tmp_path: Path) -> 
 def test_without_a_stated_time_neither_takes_any(tmp_path: Path) -> None:
     outcome, _, _, _ = changed(tmp_path, program(), {})
     assert outcome.outcome == "done" and outcome.seconds < 1.5
+
+
+def test_the_window_of_a_slow_output_is_some_of_its_periods_long(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", AwaitRateCommand, RateVerdict(reached=True, rate=0.5, pause=2.0, failed=False))
+        await require_rate(b.client, build.port("talker.out"), "/chatter", 0.5, TIMING, stretch=1.0)
+        [asked] = b.client.of(AwaitRateCommand)
+        assert (asked.window, asked.timeout) == (SHORTEST_PERIODS / 0.5, SHORTEST_PERIODS / 0.5 + 4.0)
+
+    bench(talking(), tmp_path, body)

@@ -195,6 +195,12 @@ def test_on_the_wrong_clock_slots_seem_empty() -> None:
     assert report_on_ros_clock(seen, moments).missed == 0
 
 
+def test_a_message_whose_time_of_publication_is_unknown_is_measured_by_the_rest() -> None:
+    seen, moments = observation([1.0, 1.0])
+    rows = [row if number else structs.replace(row, source=None) for number, row in enumerate(seen.rows)]
+    assert report_on_ros_clock(replace_fields(seen, rows=rows), moments).lost == 0
+
+
 def test_two_moments_of_a_steady_clock_are_enough() -> None:
     seen, moments = observation([1.0, 1.0])
     assert report_on_ros_clock(seen, [moments[0], moments[-1]]).missed == 0
