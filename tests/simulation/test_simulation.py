@@ -32,10 +32,10 @@ def test_no_seed_violates_an_invariant(first: int) -> None:
 
 def test_a_run_repeats_exactly_also_in_another_process() -> None:
     """Alone, too, although the seeds before it change the same system."""
-    seeds = range(30, 50)
+    seeds = range(40, 50)
     here = [run.digest for run in simulate_many(seeds)]
     assert [run.digest for run in simulate_many(seeds, jobs=2)] == here
-    assert simulate(47).digest == here[17]
+    assert simulate(47).digest == here[7]
     assert len(set(here)) == len(here)
     code = f"""
 from midstride.simulation.campaign import simulate_many

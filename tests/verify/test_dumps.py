@@ -130,8 +130,10 @@ def broken(configuration: Configuration, how: str) -> Configuration:
             "assumption",
             "motor.drive in mode normal: assumes in: no publisher satisfies /cmd (planner.cmd in mode deg",
         ),
-        ("cap", "cap", "/cmd"),
-        ("capacity", "capacity", "planner, planner_2: together they exceed a resource"),
+        pytest.param("cap", "cap", "/cmd", marks=pytest.mark.full),
+        pytest.param(
+            *("capacity", "capacity", "planner, planner_2: together they exceed a resource"), marks=pytest.mark.full
+        ),
         ("attachment", "attachment", "left.out is attached to /nowhere, but there is no /nowhere in this system"),
     ],
 )

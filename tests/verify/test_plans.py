@@ -42,6 +42,7 @@ def test_the_seven_step_plan_of_the_talker_holds(alloy: Alloy) -> None:
     assert (verdict.findings, verdict.failed, verdict.because) == ((), None, None)
 
 
+@pytest.mark.full
 def test_a_long_plan_of_a_real_system_holds(alloy: Alloy) -> None:
     found = loop(("controller", "vehicle_cmd_gate"))
     assert len(found.steps) >= 30
@@ -255,8 +256,14 @@ def does_nothing(self: Action, configuration: Configuration) -> Configuration:
     ("of", "action", "effect", "step"),
     [
         pytest.param("camera", Create, born_normal, 1, id="a create that begins in the normal mode"),
-        pytest.param("camera", Handover, keeps_the_old, 3, id="a hand-over that leaves the old one attached"),
-        pytest.param("large planner", Degrade, does_nothing, 1, id="a degrade that changes nothing"),
+        pytest.param(
+            *("camera", Handover, keeps_the_old, 3),
+            id="a hand-over that leaves the old one attached",
+            marks=pytest.mark.full,
+        ),
+        pytest.param(
+            *("large planner", Degrade, does_nothing, 1), id="a degrade that changes nothing", marks=pytest.mark.full
+        ),
     ],
 )
 def test_a_fault_in_an_actions_effect_is_caught(
