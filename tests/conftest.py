@@ -16,6 +16,7 @@ import signal
 import socket
 import tempfile
 from functools import cache
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -110,3 +111,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                         item.add_marker(pytest.mark.filterwarnings(warning))
                 if reason := _unavailable(marker):
                     item.add_marker(pytest.mark.skip(reason=reason))
+
+
+@pytest.fixture(scope="session")
+def gate_library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The compiled library of the gates, of the sources as they are."""
+    from midstride.foreign import build
+
+    return build.library({**os.environ, "XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache"))})

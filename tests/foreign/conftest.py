@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,13 +11,6 @@ import pytest
 from midstride.foreign import build
 
 HERE = Path(__file__).parent
-
-
-@pytest.fixture(scope="session")
-def gate_library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The compiled library of the sources as they are."""
-    cache = tmp_path_factory.mktemp("cache")
-    return build.library({**os.environ, "XDG_CACHE_HOME": str(cache)})
 
 
 @pytest.fixture(scope="session")

@@ -1,23 +1,29 @@
-"""The agreed cut, explored: every order of the steps of both sides, of the manager and of the network, with deaths.
+"""A cut, explored: every order of the steps of both sides, of the manager and of the network, with deaths.
 
-The two sides are the shipped ones, `CutOutTask` and `CutInTask` with their gates. Here are only the threads that they
-run on: a step is what one of them does until it waits. A thread may wait for as long as it likes, so every stall and
-every lost or late message is among these orders. Coroutines have no copy, so a world is made again from its steps.
+The two sides are the shipped ones, `CutOutTask` and `CutInTask` with their gates, over either arbiter: with a claim
+they have agreed on a moment; with a baton each message decides, by the steps of the shipped library. Here are only the
+threads that they run on: a step is what one of them does until it waits. A thread may wait for as long as it likes, so
+every stall and every lost or late message is among these orders. Coroutines have no copy, so a world is made again from
+its steps.
 """
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Awaitable, Callable, Coroutine, Generator, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 import pytest
 
 from midstride.errors import CallTimeout, CommandRefused, Unreachable
+from midstride.foreign.page import PortFlag, load_library
 from midstride.node.component_host import Host
 from midstride.node.handover import cut_protocol
-from midstride.node.handover.arbiter import ClaimArbiter
-from midstride.node.handover.cut import IncomingCut, OutgoingCut
+from midstride.node.handover.arbiter import Arbiter, ClaimArbiter
+from midstride.node.handover.baton import BatonState, BatonStep, BatonWord, SharedSlot
+from midstride.node.handover.cut import IncomingCut, IncomingSide, OutgoingCut, OutgoingSide
 from midstride.node.handover.cut_life import CutEvent
 from midstride.node.handover.cut_protocol import CutInTask, CutOutTask
 from midstride.wire.pipe import PipeClaim
@@ -27,6 +33,10 @@ from tests.planting import plant
 SLOT = round(PERIOD * 1e9)
 # What the clock shows: before T, at T, long after T, and when the old side has waited long enough in any case.
 MOMENTS = (T - SLOT // 10, T, T + 10**10, T + 10**10)
+# The outputs of both sides have a rate, and the baton is offered after each message. Nodes are as in its word.
+FLAGS = int(PortFlag.RATED | PortFlag.OFFERS)
+NODES = {"o": 1, "n": 2}
+PASS, ASK = 0, 3
 # An actor, what it does, and to which of several things.
 Step: TypeAlias = tuple[str, str, int]
 
@@ -98,7 +108,6 @@ class Process:
     def __post_init__(self) -> None:
         self.owner = Owner(rate=Grid(slot=T - 2 * SLOT))
         self.link, self.published = link_of(self.owner)
-        self.claim = self.world.claim()
         host = cast(Any, Clocks())
         host.now = host.steady = lambda: MOMENTS[self.world.moment]
         host.sleep, host.on_data = lambda seconds: Waits("a time"), self.on_data
@@ -135,18 +144,116 @@ class Process:
                 write(self.link, str(slot))
             case "die":
                 self.alive = False
-                self.claim.give_back()
+                self.world.rights.free(self)
 
     def writes(self) -> bool:
         """Whether it can publish what belongs to T or later."""
-        claimed = self.link.cut is not None and self.claim in self.world.holders()
-        return self.alive and (self.link.open or claimed)
+        return self.alive and (self.link.open or (self.link.cut is not None and self.world.rights.may_write(self)))
 
     def state(self) -> object:
         jobs = tuple(waits.what for _, waits in self.queue)
         works = tuple(work.position() for work in self.works)
         gate = self.link.open, self.link.cut is None, self.link.set_by is None, bool(self.link.output.links)
-        return self.alive, len(self.slots), works, jobs, gate, self.claim._shared
+        return self.alive, len(self.slots), works, jobs, gate, self.world.rights.state(self)
+
+
+class Claims:
+    """The claims of both sides: one, or two that have nothing to do with each other where they are on two ``hosts``."""
+
+    def __init__(self, sides: dict[str, Process], hosts: int) -> None:
+        holders: list[dict[str, PipeClaim]] = [{} for _ in range(hosts)]
+        self.claims = {
+            process: PipeClaim(holders[number % hosts], "cut", f"host {number % hosts}")
+            for number, process in enumerate(sides.values())
+        }
+        self.holders = holders
+
+    def arbiter(self, process: Process) -> Arbiter:
+        return ClaimArbiter(self.claims[process])
+
+    def free(self, process: Process) -> None:
+        """The kernel does it."""
+        self.claims[process].give_back()
+
+    def may_write(self, process: Process) -> bool:
+        return any(self.claims[process] in each.values() for each in self.holders)
+
+    def place(self, process: Process) -> str:
+        return self.claims[process].place
+
+    def state(self, process: Process) -> object:
+        return self.claims[process]._shared, self.may_write(process)
+
+
+class Baton:
+    """The word of a baton, of which the old side is the holder, and the steps of the library."""
+
+    def __init__(self, sides: dict[str, Process], library: Any) -> None:
+        self.sides = {NODES[name]: process for name, process in sides.items()}
+        self.nodes = {process: node for node, process in self.sides.items()}
+        self.library, self.word = library, [int(library.midstride_step(0, BatonStep.GIVE, NODES["o"], 0, False))]
+        self.slots = {process: ModelSlot(self, node) for process, node in self.nodes.items()}
+
+    def entered(self, node: int) -> int | None:
+        """What the word becomes if this node begins to publish; None where it may not."""
+        holder = self.sides[BatonWord.of(self.word[0]).holder]
+        following = ctypes.c_uint64(0)
+        for dead in (-1, int(not holder.alive)):
+            verdict = self.library.midstride_enter(self.word[0], node, FLAGS, True, False, dead, following)
+            if verdict != ASK:
+                return following.value if verdict == PASS else None
+        raise AssertionError("it asks although it knows")
+
+    def arbiter(self, process: Process) -> Arbiter:
+        return self.slots[process]
+
+    def free(self, process: Process) -> None:
+        """That it is dead is asked for."""
+
+    def may_write(self, process: Process) -> bool:
+        """It has the baton, or gets it at its next message although the other side may publish without one."""
+        node, word = self.nodes[process], BatonWord.of(self.word[0])
+        if not self.slots[process].joined:
+            return False
+        alone = not self.sides[word.holder].alive or any(side.alive and side.link.open for side in self.nodes)
+        return (word.holder == node and word.state is not BatonState.FENCED) or (
+            alone and self.entered(node) is not None
+        )
+
+    def place(self, process: Process) -> str:
+        raise AssertionError("nothing is reported")
+
+    def state(self, process: Process) -> object:
+        return self.word[0] & 0xFFFFFFFFFFFF, self.slots[process].joined  # without the generation
+
+
+class ModelSlot(SharedSlot):
+    """The shared slot of one side, without shared memory: it is itself the library, but for the steps."""
+
+    def __init__(self, baton: Baton, node: int) -> None:
+        self._library, self._slot, self._word = cast(Any, self), 1, baton.word
+        self.me, self.other, self.timed = node, 3 - node, False
+        self._baton, self._entered, self._again = baton, 0, False
+
+    @property
+    def joined(self) -> bool:
+        return self._slot is not None
+
+    def midstride_begin(self, slot: int, output: int) -> bool:
+        word, entered = self.word(), self._baton.entered(self.me)
+        if entered is not None:
+            self._again = (word.state, word.holder) == (BatonState.OFFERED, self.me) and bool(word.successor)
+            self._word[0] = self._entered = entered
+        return entered is not None
+
+    def midstride_end(self, slot: int) -> None:
+        left = self._baton.library.midstride_leave(self._word[0], self._entered, FLAGS, self._again)
+        self._word[0] = int(left)
+
+    def midstride_take_step(self, word: list[int], step: BatonStep, node: int, successor: int, at_once: bool) -> None:
+        word[0] = int(self._baton.library.midstride_step(word[0], step, node, successor, at_once))
+
+    def midstride_leave_slot(self, slot: int) -> None: ...
 
 
 @dataclass
@@ -163,36 +270,37 @@ class World:
     `d` takes it off its topic.
 
     ``mortal``: the sides that may die. ``fails``: the code of the new side may raise. ``hosts``: one, with one claim
-    for both sides, or two.
+    for both sides, or two. With a ``library``, a baton decides.
     """
 
-    def __init__(self, manager: str = "", mortal: str = "", fails: bool = False, hosts: int = 1) -> None:
+    def __init__(
+        self, manager: str = "", mortal: str = "", fails: bool = False, hosts: int = 1, library: Any = None
+    ) -> None:
         self.moment = 0
-        self.claims: list[dict[str, PipeClaim]] = [{} for _ in range(hosts)]
-        self.claimed = 0
         self.manager, self.mortal, self.fails = manager, mortal, fails
         self.command: Work | None = None
         self.reports: list[Report] = []
         self.processes = {"o": Process(self, [T - SLOT, T]), "n": Process(self, [T])}
         old, new = self.processes.values()
         old.link.open = True
-        outgoing = OutgoingCut([old.link], old.host, ClaimArbiter(old.claim), T)
-        incoming = IncomingCut([new.link], new.host, ClaimArbiter(new.claim), T)
+        self.rights = Claims(self.processes, hosts) if library is None else Baton(self.processes, library)
+        outgoing: OutgoingSide
+        incoming: IncomingSide
+        if library is None:
+            outgoing = OutgoingCut([old.link], old.host, self.rights.arbiter(old), T)
+            incoming = cut = IncomingCut([new.link], new.host, self.rights.arbiter(new), T)
+            cut.arm(T)
+            self.incoming = CutInTask(new.host, lambda: None, incoming, self.report)
+        else:
+            outgoing = OutgoingSide([old.link], old.host, self.rights.arbiter(old))
+            incoming = IncomingSide([new.link], new.host, self.rights.arbiter(new))
+            incoming.arm()
+            self.incoming = CutInTask(new.host, lambda: None, incoming, None, patience=1.0)
         outgoing.arm()
-        incoming.arm(T)
         self.outgoing = CutOutTask(old.host, lambda: None, outgoing, resume_after=1.0)
-        self.incoming = CutInTask(new.host, lambda: None, incoming, self.report)
         self.outgoing.finished, self.incoming.finished = cast(Any, Finished()), cast(Any, Finished())
         old.start(self.outgoing.run())
         new.start(self.incoming.run())
-
-    def claim(self) -> PipeClaim:
-        host = self.claimed % len(self.claims)
-        self.claimed += 1
-        return PipeClaim(self.claims[host], "cut", f"host {host}")
-
-    def holders(self) -> list[PipeClaim]:
-        return [holder for claims in self.claims for holder in claims.values()]
 
     def report(self, timeout: float, failed: bool) -> Awaitable[bool]:
         if not self.processes["o"].alive:
@@ -223,11 +331,13 @@ class World:
                 self.moment += 1
                 if self.moment + 1 == len(MOMENTS):
                     self.outgoing.resume_after = -1.0
+                    if self.incoming.report is None:
+                        self.incoming.patience = -1.0
             case "fail", _, _:
                 self.processes["n"].owner.failed = True
             case "report", "deliver", index:
                 report = self.reports[index]
-                place = "" if report.failed else self.processes["n"].claim.place
+                place = "" if report.failed else self.rights.place(self.processes["n"])
                 report.handled = self.processes["o"].start(self.outgoing.taken(report.failed, place))
             case "report", how, index:
                 report = self.reports.pop(index)
@@ -260,17 +370,16 @@ class World:
         process = self.processes["n" if task.new else "o"]
         await process.on_data(process.link.destroy)
         if isinstance(task, CutInTask) and task.is_detached:
-            process.claim.give_back()
+            task.side.arbiter.give_back()
 
     def state(self) -> object:
-        out, into, holders = self.outgoing, self.incoming, self.holders()
+        out, into = self.outgoing, self.incoming
         return (
             self.moment,
             *(process.state() for process in self.processes.values()),
             tuple((report.failed, report.handled and report.handled.waits is None) for report in self.reports),
             (out.phase, out.outcome, out._taken, out._wanted, out._watching, out._due_at, out.side.over),
             (into.phase, into.outcome, into._reports, into.side.refused, bool(into.side.written)),
-            tuple(process.claim in holders for process in self.processes.values()),
             (self.manager, self.command is None or self.command.waits is None, self.processes["n"].owner.failed),
         )
 
@@ -389,6 +498,33 @@ def test_only_a_clock_that_is_set_back_far_ends_a_cut(back: float, outcome: str)
     assert world.incoming.outcome == outcome
 
 
+@pytest.mark.parametrize(
+    ("manager", "mortal", "fails", "states"),
+    [
+        ("", "", False, 296),
+        ("", "on", False, 1424),
+        pytest.param("", "", True, 616, marks=FULL),
+        pytest.param("co", "", False, 1560, marks=FULL),
+        pytest.param("cn", "", False, 2392, marks=FULL),
+        pytest.param("cnco", "", False, 5412, marks=FULL),
+        pytest.param("snso", "", False, 2746, marks=FULL),
+        pytest.param("do", "n", False, 3872, marks=FULL),
+        pytest.param("dn", "o", False, 3899, marks=FULL),
+    ],
+)
+def test_with_a_baton_two_sides_can_never_both_write_and_one_does(
+    gate_library: Path, manager: str, mortal: str, fails: bool, states: int
+) -> None:
+    found = explore(manager=manager, mortal=mortal, fails=fails, library=load_library(gate_library))
+    assert len(found) == states
+    assert {seen.outcomes[0] for seen in found} >= {"waiting", "done", "resumed"}
+    for seen in found:
+        assert len(seen.writes) < 2, seen
+        if seen.settled and (old_side_can_write(seen) or ("n" in seen.alive and "n" in seen.attached)):
+            gone = not old_side_can_write(seen) and new_side_has_given_up_for_one_that_died(seen)
+            assert seen.writes or gone, seen
+
+
 @pytest.mark.parametrize(("manager", "states"), [("", 2256), pytest.param("kn", 6768, marks=FULL)])
 def test_between_two_hosts_an_old_side_that_knows_writes_on_command_only(manager: str, states: int) -> None:
     """They share no claim, so it cannot know that the new side has ended."""
@@ -399,19 +535,16 @@ def test_between_two_hosts_an_old_side_that_knows_writes_on_command_only(manager
     assert any(seen.confirmed and not seen.writes for seen in found if seen.settled) == bool(manager)
 
 
+async def cancelled_without_the_claim(self: Any) -> None:
+    await self._end(CutEvent.CANCELLED, self.side.reopen)
+
+
 @pytest.mark.parametrize(
     ("task", "name", "mistake", "manager"),
     [
         (CutOutTask, "_may_resume", lambda self: not self._taken, ""),
         pytest.param(IncomingCut, "admits", IncomingCut.passes, "", marks=FULL, id="admits"),
-        pytest.param(
-            CutOutTask,
-            "cancel",
-            lambda self: self._end(CutEvent.CANCELLED, self.side.reopen),
-            "co",
-            marks=FULL,
-            id="cancel",
-        ),
+        pytest.param(CutOutTask, "cancel", cancelled_without_the_claim, "co", marks=FULL, id="cancel"),
     ],
 )
 def test_the_exploration_finds_a_side_that_does_not_claim(
@@ -426,3 +559,19 @@ def test_the_exploration_finds_a_topic_without_a_writer(monkeypatch: pytest.Monk
     """The new side fails, and its report is lost."""
     plant(monkeypatch, CutOutTask, "_given_up", lambda self: False)
     assert any(seen.settled and not seen.writes for seen in explore(fails=True))
+
+
+def test_the_exploration_finds_an_old_side_that_does_not_fence_the_baton(
+    gate_library: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant(monkeypatch, SharedSlot, "reclaim", lambda self: True)
+    assert any(len(seen.writes) == 2 for seen in explore(library=load_library(gate_library)))
+
+
+@pytest.mark.full
+def test_the_exploration_finds_a_new_side_that_keeps_the_baton_of_a_cancelled_cut(
+    gate_library: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant(monkeypatch, SharedSlot, "give_back", lambda self: self.leave())
+    found = explore(manager="cn", library=load_library(gate_library))
+    assert any(seen.settled and not seen.writes for seen in found)
