@@ -15,6 +15,7 @@ from midstride.errors import BackendError, NodeError, StartFailed, Unreachable
 from midstride.model.component import ComponentSpec, ParameterSpec
 from midstride.model.configuration import Instance
 from midstride.runtime.backend_protocol import Exited, Handle, Launch
+from midstride.runtime.instance_life import InstanceLife, ProcessState
 from midstride.runtime.options import SystemOptions
 from midstride.runtime.process.launcher import (
     ADOPT_TIMEOUT,
@@ -264,8 +265,12 @@ def test_abandoning_never_fails_and_keeps_what_could_not_be_ended(tmp_path: Path
         b.backend.fail_end["front/camera"] = BackendError("the kernel keeps it")
         await b.launcher.abandon("front/camera")
         assert list(b.client.life.handles) == ["front/camera"]
+        assert b.client.life["front/camera"].process is ProcessState.STUCK
         with pytest.raises(BackendError, match="the kernel keeps it"):
             await b.launcher.end("front/camera")
+        del b.backend.fail_end["front/camera"]
+        await b.launcher.end("front/camera")
+        assert b.client.life["front/camera"] == InstanceLife()
 
     bench(NOTHING, tmp_path, body)
 

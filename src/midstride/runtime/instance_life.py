@@ -91,8 +91,8 @@ class FenceEvent(Enum):
     CHANGE_BEGUN = "another change begins"
 
 
-# What has exited, or was left by an earlier manager, is ended all the same: children of a process may be left. `exited`
-# in stopping: the back end notices late. `registered` in exited: it was quicker than the control connection.
+# What has a handle can be ended in every state: children of a process that has exited may be left. `exited` in
+# stopping: the back end notices late. `registered` in exited: it was quicker than the control connection.
 PROCESSES: Final = Transitions.read(
     ProcessState,
     ProcessEvent,
