@@ -864,7 +864,7 @@ declare namespace Api {
     revision: number;
   }
 
-  /** A port of an instance on a topic, or on none, with what its component measures there on its ROS clock. In the stream, figures are rounded, and refreshed where they change noticeably. */
+  /** A port of an instance on a topic, or on none, with what its component measures there on its ROS clock. In the stream, measurements are rounded, and refreshed where they change noticeably. */
   interface PortStatus {
     name: string;
     direction: "in" | "out";

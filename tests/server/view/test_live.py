@@ -48,14 +48,14 @@ def from_scratch(v: Viewed) -> LiveView:
     watched = v.manager.watched
     of_events, of_components = list(watched.events.listeners), list(watched.client.listeners)
     twin = live_view(v.manager, v.simulator)
-    twin.refresh(figures=True)
+    twin.refresh(measurements=True)
     watched.events.listeners[:], watched.client.listeners[:] = of_events, of_components
     return twin
 
 
 def as_from_scratch(v: Viewed) -> bool:
     """Whether the view is the same as one that is built from nothing."""
-    v.live.refresh(figures=True)
+    v.live.refresh(measurements=True)
     mine, twin = (without_figures(each.document()) for each in (v, Viewed(v.manager, v.simulator, from_scratch(v))))
     fields = ("instances", "topics", "crashed", "silences", "valid", "violations", "revision", "phase", "running")
     return all(mine[field] == twin[field] for field in fields)
@@ -83,7 +83,7 @@ def test_patches_lead_to_the_view_whatever_happens(seed: int, tmp_path: Path) ->
                     )
                     await returning.take()
                 await asyncio.sleep(2 * SOON + 0.01)
-                v.live.refresh(figures=True)
+                v.live.refresh(measurements=True)
                 await asyncio.sleep(2 * SOON)
                 whole = v.document()
                 assert quick.view == whole
@@ -202,7 +202,7 @@ def test_a_client_that_does_not_read_is_owed_the_difference_alone(tmp_path: Path
         for component in ("NewTalker", "Talker") * 5:
             await v.manager.change(replace("talker", component))
         await asyncio.sleep(1)
-        v.live.refresh(figures=True)
+        v.live.refresh(measurements=True)
         # Nothing is kept for it: the shared table has an entry more for each instance that has gone, and the clients
         # that read share what is encoded.
         assert len(v.live.table._entries) <= entries + 11 and len(v.live.table._patches) <= 1
@@ -296,7 +296,7 @@ def test_the_beginning_of_a_mode_stays_while_it_lasts(tmp_path: Path) -> None:
     async def body(v: Viewed) -> None:
         since = v.component("talker")["functionalities"][0]["since"]
         await asyncio.sleep(30)
-        v.live.refresh(figures=True)
+        v.live.refresh(measurements=True)
         assert v.component("talker")["functionalities"][0]["since"] == since
         v.simulator.faults.kill("talker")
         await asyncio.sleep(1)

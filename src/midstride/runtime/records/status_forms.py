@@ -71,7 +71,7 @@ class FieldStatus(Report, frozen=True, kw_only=True):
 class PortStatus(Report, frozen=True, kw_only=True):
     """A port of an instance on a topic, or on none, with what its component measures there on its ROS clock.
 
-    In the stream, figures are rounded, and refreshed where they change noticeably.
+    In the stream, measurements are rounded, and refreshed where they change noticeably.
     """
 
     name: str

@@ -1,7 +1,7 @@
 """The live view of one manager: built from what components push, and only where something has changed.
 
 A report only marks its component. What is marked is built a moment later, all at once, for all clients together. While
-there is no client, measured figures are left as they are: only what the timeline needs is built.
+there is no client, measurements are left as they are: only what the timeline needs is built.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from midstride.server.view.noticeable_changes import (
     same_parameters_and_reasons,
 )
 from midstride.server.view.table import PartKey, ViewTable, encode_view
-from midstride.server.view.timing import FIGURES, LOOK, SOON, TOGETHER, Alarm, Wakers, figures_interval
+from midstride.server.view.timing import LOOK, MEASURED_EVERY, SOON, TOGETHER, Alarm, Wakers, measurements_interval
 from midstride.server.view.view_forms import VERSION, SystemView, Timeline
 from midstride.server.view.view_history import ModeHistory, ViewRecording
 from midstride.wire.state import ComponentState
@@ -63,21 +63,21 @@ class LiveView:
         self._reported: dict[str, ComponentState] = {}  # what the entries were built from
         self._unsound: set[str] = set()  # the components that are not as modelled
         self._dirty: set[str] = set()  # to be built
-        self._measured: set[str] = set()  # those of which only figures may have changed
-        self._revalued: set[str] = set()  # those of which only figures, parameters and reasons have
+        self._measured: set[str] = set()  # those of which only measurements may have changed
+        self._revalued: set[str] = set()  # those of which only measurements, parameters and reasons have
         self._configuration = Configuration()
         self._baseline: Baseline | None = None
         self._violations: list[str] = []
         self._silences: list[SilenceFault] | None = None  # None: to be looked for
-        self._tick = Alarm(watched.clock, lambda: self.refresh(figures=bool(self._wakers)))
+        self._tick = Alarm(watched.clock, lambda: self.refresh(measurements=bool(self._wakers)))
         self._looking = Alarm(watched.clock, self._look)
         self._waking = Alarm(watched.clock, self._wakers.wake)
         self._alarms = (self._tick, self._looking, self._waking)
         self._refreshed_at = -math.inf  # when the view was last built (steady s)
         self._revalued_at = -math.inf  # the same with parameters and reasons
-        self._figures_at = 0.0  # the same with figures
-        self._interval = FIGURES  # how often that is (s)
-        self._figures_of: dict[str, float] = {}  # the same by component
+        self._measurements_at = 0.0  # the same with measurements
+        self._interval = MEASURED_EVERY  # how often that is (s)
+        self._measurements_of: dict[str, float] = {}  # the same by component
         self._rated_at: dict[str, float] = {}  # when it was last looked whether it keeps its rates, by component
         self._started = False
         watched.client.listeners.append(self.on_component_event)
@@ -92,7 +92,7 @@ class LiveView:
             self._started = True
             for alarm in self._alarms:
                 alarm.start()
-            self.refresh(figures=True)
+            self.refresh(measurements=True)
             self._look()
 
     def close(self) -> None:
@@ -103,7 +103,7 @@ class LiveView:
 
     def on_component_event(self, event: ComponentEvent) -> None:
         name, now = event.instance, self._watched.clock.steady()
-        if not isinstance(event, ComponentState) or not self._same(event):
+        if not isinstance(event, ComponentState) or not self._may_wait(event):
             self._dirty.add(name)
             self._soon()
         elif not self._as_measured(event, now) or not same_parameters_and_reasons(self._reported.get(name), event):
@@ -112,10 +112,10 @@ class LiveView:
         else:
             self._measured.add(name)
             if self._wakers:
-                self._tick.at(max(now + SOON, self._figures_at + self._interval))
+                self._tick.at(max(now + SOON, self._measurements_at + self._interval))
 
-    def _same(self, state: ComponentState) -> bool:
-        """Whether a report differs from the entry of its component in what may wait at most: figures and values."""
+    def _may_wait(self, state: ComponentState) -> bool:
+        """Whether a report differs from the entry of its component in measurements and values at most."""
         shown = self._shown.get(state.instance)
         return (
             shown is not None
@@ -124,7 +124,7 @@ class LiveView:
         )
 
     def _as_measured(self, state: ComponentState, now: float) -> bool:
-        """Whether declared rates are met as the entry says. Judged as often as figures are refreshed: see `timing`."""
+        """Whether declared rates are met as the entry says; judged as often as measurements are refreshed."""
         name = state.instance
         if now - self._rated_at.get(name, -math.inf) < self._interval:
             return True
@@ -149,7 +149,7 @@ class LiveView:
         if silent or self._wakers:
             self._dirty |= silent
             self._silences = None
-            self.refresh(figures=bool(self._wakers))
+            self.refresh(measurements=bool(self._wakers))
         self._looking.at(self._watched.clock.steady() + LOOK)
 
     # -- the view ------------------------------------------------------------------------------------
@@ -157,7 +157,7 @@ class LiveView:
     @contextlib.contextmanager
     def client(self) -> Iterator[asyncio.Event]:
         """One more client while the context is open: its event is set whenever the view or the log has changed."""
-        self.refresh(figures=True)  # they were left as they are while there was none
+        self.refresh(measurements=True)  # they were left as they are while there was none
         with self._wakers.client() as waker:
             yield waker
 
@@ -167,7 +167,7 @@ class LiveView:
 
     def view(self, status: Status) -> SystemView:
         """The whole view, where ``status`` is the one now: of what is measured it says more than the stream."""
-        self.refresh(figures=False)
+        self.refresh(measurements=False)
         return SystemView(
             **structs.asdict(status),
             version=VERSION,
@@ -206,13 +206,13 @@ class LiveView:
         """The earliest time of which the view is known (UNIX time)."""
         return self.now() if self._recording.oldest is None else self._recording.oldest
 
-    def refresh(self, *, figures: bool) -> None:
-        """Build what has changed, also ``figures`` if that is all that has; then clients are woken."""
+    def refresh(self, *, measurements: bool) -> None:
+        """Build what has changed, also ``measurements`` if that is all that has; then clients are woken."""
         now, steady = self.now(), self._watched.clock.steady()
         self._refreshed_at = steady
-        due = figures and steady - self._figures_at >= self._interval
+        due = measurements and steady - self._measurements_at >= self._interval
         if due:
-            self._figures_at = steady
+            self._measurements_at = steady
         if self._revalued and (due or steady - self._revalued_at >= self._interval):
             self._revalued_at = steady
             self._dirty |= self._revalued
@@ -227,8 +227,8 @@ class LiveView:
         if changed:
             self._wakers.wake()
 
-    def _built(self, now: float, figures: bool, minor: set[PartKey]) -> Iterator[tuple[PartKey, bytes | None]]:
-        """The entries that may have changed; ``minor`` are those of which nothing but figures has."""
+    def _built(self, now: float, measurements: bool, minor: set[PartKey]) -> Iterator[tuple[PartKey, bytes | None]]:
+        """The entries that may have changed; ``minor`` are those of which nothing but measurements has."""
         system = self._watched.system
         configuration, before = system.configuration, self._configuration
         if self._baseline is not (baseline := self._watched.baseline()):
@@ -242,15 +242,15 @@ class LiveView:
             for name in instances:
                 self._shapes.pop(name, None)
             self._configuration = configuration
-            self._interval = figures_interval(len(configuration.instances))
+            self._interval = measurements_interval(len(configuration.instances))
             self._violations = [str(violation) for violation in violations(configuration)]
             evaluator = Evaluator(configuration)
             for name in sorted(connectors):
                 known = name in configuration.context.connectors
                 yield ("topics", name), to_json(topic_status(configuration, evaluator, name)) if known else None
-        names = self._dirty | self._measured if figures else self._dirty
+        names = self._dirty | self._measured if measurements else self._dirty
         dirty, self._dirty = self._dirty, set()
-        self._measured = set() if figures else self._measured - names
+        self._measured = set() if measurements else self._measured - names
         yield from self._instances(names, dirty, configuration, now, minor)
 
     def _instances(
@@ -261,7 +261,7 @@ class LiveView:
         now: float,
         minor: set[PartKey],
     ) -> Iterator[tuple[PartKey, bytes | None]]:
-        """The entries of ``names``; of those that are not ``dirty``, nothing but figures has changed."""
+        """The entries of ``names``; of those that are not ``dirty``, nothing but measurements has changed."""
         client, steady = self._watched.client, self._watched.clock.steady()
         for name in sorted(names):
             part, shown = ("instances", name), self._shown.get(name)
@@ -272,7 +272,7 @@ class LiveView:
                 self._reported[name] = latest.state
             if instance is None:
                 self._shapes.pop(name, None)
-                self._figures_of.pop(name, None)
+                self._measurements_of.pop(name, None)
                 self._rated_at.pop(name, None)
                 self._unsound.discard(name)
                 if self._shown.pop(name, None) is not None:
@@ -282,9 +282,9 @@ class LiveView:
             shape, before = self._shapes.get(name), () if shown is None else shown.ports
             if shape is None:
                 shape, before = self._shapes.setdefault(name, EntryShape.of(configuration, instance)), ()
-            refresh = steady - self._figures_of.get(name, -math.inf) >= self._interval
+            refresh = steady - self._measurements_of.get(name, -math.inf) >= self._interval
             if refresh:
-                self._figures_of[name] = steady
+                self._measurements_of[name] = steady
             ports = port_statuses(shape, client.life.responsive(name), before, refresh=refresh)
             if before and name not in dirty and all(map(operator.is_, ports, before)):
                 continue

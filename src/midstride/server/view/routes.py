@@ -57,7 +57,7 @@ def viewing(live: LiveView) -> APIRouter:
     async def timeline(since: _Time = None, until: _Time = None) -> Response:
         """Modes, changes and events between two times; by default all that this manager remembers."""
         live.start()
-        live.refresh(figures=False)
+        live.refresh(measurements=False)
         return answer(live.timeline(0.0 if since is None else since, live.now() if until is None else until))
 
     @router.get("/view/at", responses=answers(SystemView))
@@ -66,7 +66,7 @@ def viewing(live: LiveView) -> APIRouter:
     ) -> Response:
         """The view as it was at a time, without what was measured meanwhile. 409 for a time that is not remembered."""
         live.start()
-        live.refresh(figures=False)
+        live.refresh(measurements=False)
         document = live.document_at(at)
         if document is None:
             raise ManagerError(f"what was before {live.oldest:.3f} (UNIX time) is not remembered")

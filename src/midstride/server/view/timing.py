@@ -14,17 +14,17 @@ from midstride.runtime.manager_clock import Clock
 TOGETHER: Final = 0.005
 # How often it is built at most (s).
 SOON: Final = 0.05
-# How often at most measured figures, values of parameters and reasons of modes are refreshed while there are clients
+# How often at most measurements, values of parameters and reasons of modes are refreshed while there are clients
 # (s); and those of how many components in a second, so that a large system costs no more to watch.
-FIGURES: Final = 0.5
+MEASURED_EVERY: Final = 0.5
 REFRESHED: Final = 500
 # How often it is looked for what no report shows: components and ports that are silent (s).
 LOOK: Final = 1.0
 
 
-def figures_interval(components: int) -> float:
-    """How often figures are refreshed in a system of so many components (s)."""
-    return max(FIGURES, components / REFRESHED)
+def measurements_interval(components: int) -> float:
+    """How often measurements are refreshed in a system of so many components (s)."""
+    return max(MEASURED_EVERY, components / REFRESHED)
 
 
 class Alarm:

@@ -69,7 +69,7 @@ async def stream(live: LiveView, since: Position | None, *, log_only: bool = Fal
                 waker.clear()
                 over = lifecycle.ended.is_set() or (log_only and lifecycle.failure is not None)
                 if over and not log_only:
-                    live.refresh(figures=False)  # the last difference is sent as well
+                    live.refresh(measurements=False)  # the last difference is sent as well
                 known = log_only or table.knows(sent)
                 if not known or (not log_only and table.n != sent and (over or loop.time() >= due)):
                     kind, json = ("patch", table.patch(sent)) if known else ("view", live.document())
