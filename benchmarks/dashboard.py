@@ -161,6 +161,7 @@ class Manager:
         from midstride.runtime.process.component_client import ComponentClient
         from midstride.runtime.records.events import EventLog
         from midstride.runtime.records.reports import UpReport
+        from midstride.runtime.records.status_forms import Middleware
         from midstride.runtime.running_system import RunningSystem
         from midstride.runtime.view.watched_system import WatchedSystem
         from midstride.runtime.watch.silence import SilenceMonitor
@@ -168,12 +169,26 @@ class Manager:
         self.specification = decode_specification(document(nodes))
         self.events, clock = EventLog(), SystemClock()
         client = ComponentClient(cast(Any, None), clock, "token")
-        none = cast(Any, SimpleNamespace(status=lambda _: None))
-        monitor = SilenceMonitor(client.life, clock, self.events)
-        system = RunningSystem(self.specification, initial(self.specification), client.life)
-        self.watched = WatchedSystem(
-            system, client, monitor, none, none, none, self.events, clock, CommandQueue(clock, self.events)
+        none = cast(Any, SimpleNamespace(status=lambda _: None, unwritten=None, damaged=None))
+        session = SimpleNamespace(
+            system=RunningSystem(self.specification, initial(self.specification), client.life),
+            client=client,
+            launcher=none,
+            events=self.events,
+            store=none,
+            commands=CommandQueue(clock, self.events),
+            monitor=SilenceMonitor(client.life, clock, self.events),
+            clock=clock,
+            backend=SimpleNamespace(
+                name="none",
+                clock=clock,
+                middleware=lambda: Middleware(name="none"),
+                spares=lambda: 0,
+                unwritten=lambda: None,
+            ),
+            journal=none,
         )
+        self.watched = WatchedSystem(cast(Any, session), none, none, 0)
         self._report = UpReport
 
     async def up(self) -> Any:

@@ -67,7 +67,7 @@ async def swapped(b: Bench, *swaps: Swap) -> dict[PortRef, int | None]:
         b.events,
         b.configuration,
         swaps or (SWAP,),
-        b.backend.lingering_readers,
+        b.backend,
         StateTransfers(b.client, b.events),
         b.driver.fences,
     )

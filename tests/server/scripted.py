@@ -31,10 +31,7 @@ def watched_system(specification: Specification, events: EventLog) -> WatchedSys
     """What the manager of a system knows before any of its components has reported."""
     clock = SystemClock()
     client = ComponentClient(cast(Any, None), clock, "token")
-    system = RunningSystem(specification, initial(specification), client.life)
-    nothing = SimpleNamespace(status=lambda _: None)
-    monitor = SilenceMonitor(client.life, clock, events)
-    parts = cast(Any, nothing)
+    nothing = cast(Any, SimpleNamespace(status=lambda _: None))
     backend = SimpleNamespace(
         name="scripted",
         clock=clock,
@@ -42,10 +39,20 @@ def watched_system(specification: Specification, events: EventLog) -> WatchedSys
         spares=lambda: 0,
         unwritten=lambda: None,
     )
-    commands, records = CommandQueue(clock, events), cast(Any, SimpleNamespace(unwritten=None, damaged=None))
-    return WatchedSystem(
-        system, client, monitor, parts, parts, parts, events, commands, cast(Any, backend), records, records, 0
+    records = SimpleNamespace(unwritten=None, damaged=None)
+    session = SimpleNamespace(
+        system=RunningSystem(specification, initial(specification), client.life),
+        client=client,
+        launcher=nothing,
+        events=events,
+        store=records,
+        commands=CommandQueue(clock, events),
+        monitor=SilenceMonitor(client.life, clock, events),
+        clock=clock,
+        backend=backend,
+        journal=records,
     )
+    return WatchedSystem(cast(Any, session), nothing, nothing, 0)
 
 
 class ScriptedManager:

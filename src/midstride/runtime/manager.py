@@ -96,20 +96,7 @@ class Manager:
         self._session = session = ChangeSession(reconciler, backend, journal, verifier or Verifier())
         self._respawner = Respawner(system, clock, events, reconciler, session)
         self._restorer = Restorer(system, client, clock, events, reconciler, session, not options.keep_degraded)
-        self.watched = WatchedSystem(
-            system,
-            client,
-            monitor,
-            launcher,
-            self._respawner,
-            self._restorer,
-            events,
-            commands,
-            backend,
-            store,
-            journal,
-            options.spares,
-        )
+        self.watched = WatchedSystem(session, self._respawner, self._restorer, options.spares)
         # What each of them learns of the others.
         events.listeners.append(journal.note)
         commands.listeners += [self._watch.look_soon, self._keep_spares]

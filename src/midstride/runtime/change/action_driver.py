@@ -355,13 +355,12 @@ class ActionDriver:
         states = StateTransfers(
             self.client, self.events, replaced, not self.rolling_back, keeping=self._keeping, lost=self.own_state
         )
-        lingering_readers = self.backend.lingering_readers
         handover = LiveHandover(
             self.client,
             self.events,
             self.configuration,
             swaps,
-            lingering_readers,
+            self.backend,
             states,
             self.fences,
             self._carry_parameters,

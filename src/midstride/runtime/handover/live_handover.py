@@ -21,6 +21,7 @@ from midstride.errors import CallTimeout, CommandRefused, MidstrideError, StepFa
 from midstride.model.action import Swap
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
+from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.handover.agreed_cut import (
     Cut,
     agree_cuts,
@@ -85,17 +86,16 @@ def _raised(result: CutResult | BaseException) -> CutResult:
 class LiveHandover:
     """One hand-over on the components of ``configuration``.
 
-    ``fences`` is for old sides that hang. ``lingering_readers`` says how many readers on a topic the middleware still
-    counts although their processes have exited. ``states`` moves their state; there may be state to move without any
-    swap. ``before_cut(old, new)`` is called when both are ready for it. It is cut when it is its ``turn``: others may
-    be prepared at the same time.
+    ``fences`` is for old sides that hang. ``states`` moves their state; there may be state to move without any swap.
+    ``before_cut(old, new)`` is called when both are ready for it. It is cut when it is its ``turn``: others may be
+    prepared at the same time.
     """
 
     client: ComponentClient
     events: EventLog
     configuration: Configuration
     swaps: Sequence[Swap]
-    lingering_readers: Callable[[str], Awaitable[int]]
+    backend: Backend
     states: StateTransfers
     fences: Fences
     before_cut: Callable[[str, str], Awaitable[None]] | None = None
@@ -108,7 +108,7 @@ class LiveHandover:
     _deadline: float = 0.0  # until when an old side that hangs may become free (steady s)
 
     def __post_init__(self) -> None:
-        self._new = NewPublishers(self.client, self.events, self.configuration, self.lingering_readers, self.timing)
+        self._new = NewPublishers(self.client, self.events, self.configuration, self.backend, self.timing)
 
     async def run(self) -> dict[PortRef, int | None]:
         """The number of each old output's last message. Raises StepFailed with the reason.

@@ -7,13 +7,14 @@ have. Behind the gate they must write (docs/protocols/probation.md).
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
 from midstride.errors import MidstrideError, StepFailed
 from midstride.model.action import Swap
 from midstride.model.configuration import Configuration
+from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.handover.arbiter_choice import choose_arbiter
 from midstride.runtime.handover.probation import require_rate
 from midstride.runtime.process.component_client import ComponentClient
@@ -36,16 +37,12 @@ DETACH_TIMEOUT: Final = 2.0
 
 @dataclass(slots=True)
 class NewPublishers:
-    """Those of one hand-over on the components of ``configuration``.
-
-    ``lingering_readers`` says how many readers on a topic the middleware still counts although their processes have
-    exited; ``timing`` is that of the specification.
-    """
+    """The new publishers of one hand-over on the components of ``configuration``; ``timing`` is the specification's."""
 
     client: ComponentClient
     events: EventLog
     configuration: Configuration
-    lingering_readers: Callable[[str], Awaitable[int]]
+    backend: Backend
     timing: Mapping[str, float]
     # The swaps whose new publisher may be attached, and those where it is.
     _begun: list[Swap] = field(default_factory=list)
@@ -67,7 +64,7 @@ class NewPublishers:
         """How many living readers the old publisher has, and which, unless some of them are dead."""
         topic = self._topic(swap)
         grid = await self.client.read(swap.old.instance, commands.GridCommand(port=swap.old.port, topic=topic))
-        dead = await self.lingering_readers(topic)
+        dead = await self.backend.lingering_readers(topic)
         return (grid.readers or 0) - dead, [] if dead else grid.reader_ids
 
     async def attach(self, swap: Swap, readers: int = 0, ids: Sequence[str] = ()) -> int:

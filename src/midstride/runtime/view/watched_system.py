@@ -7,18 +7,9 @@ from dataclasses import dataclass, field
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification, initial
-from midstride.runtime.backend_protocol import Backend
-from midstride.runtime.command_queue import CommandQueue
-from midstride.runtime.manager_clock import Clock
-from midstride.runtime.process.component_client import ComponentClient
-from midstride.runtime.process.launcher import Launcher
-from midstride.runtime.records.events import EventLog
-from midstride.runtime.records.journal import Journal
-from midstride.runtime.records.state_store import StateStore
+from midstride.runtime.change.change_session import ChangeSession
 from midstride.runtime.restore.respawner import Respawner
 from midstride.runtime.restore.restoring import Restorer
-from midstride.runtime.running_system import RunningSystem
-from midstride.runtime.watch.silence import SilenceMonitor
 
 
 class Baseline:
@@ -35,28 +26,23 @@ class Baseline:
 
 @dataclass
 class WatchedSystem:
-    """The parts of a manager that know something of the running system; to be read only.
+    """The parts of a manager that know something of the running system, those of ``session`` included; to be read only.
 
     ``spares``: how many processes are to be kept ready.
     """
 
-    system: RunningSystem
-    client: ComponentClient
-    monitor: SilenceMonitor
-    launcher: Launcher
+    session: ChangeSession
     respawner: Respawner
     restorer: Restorer
-    events: EventLog
-    commands: CommandQueue
-    backend: Backend
-    store: StateStore
-    journal: Journal
     spares: int
     _baseline: Baseline | None = field(default=None, init=False)
 
-    @property
-    def clock(self) -> Clock:
-        return self.backend.clock
+    def __post_init__(self) -> None:
+        shared = self.session
+        self.system, self.client, self.launcher = shared.system, shared.client, shared.launcher
+        self.events, self.store, self.commands = shared.events, shared.store, shared.commands
+        self.monitor, self.clock = shared.monitor, shared.clock
+        self.backend, self.journal = shared.backend, shared.journal
 
     def baseline(self) -> Baseline:
         """The baseline of the specification that the system runs."""
