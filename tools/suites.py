@@ -1,10 +1,11 @@
 """suites.py MARKERS [--kilted] [--ros1] [--beside COMMAND;…] [-- ARGS…]: runs the tests, all suites at once.
 
-- `computing`: in .venv, the folders in COMPUTING, a test per processor, at a lower priority, so that they delay no
-  message;
+- `computing`: in .venv, the tests in COMPUTING, one per processor, at a lower priority, so that they delay no message;
 - `waiting`: in .venv, all others, more tests than processors;
 - `kilted`: with the second ROS 2, those tests marked ros2 that concern a platform;
 - `ros1`: with ROS 1, those marked ros1.
+
+Those marked long, many of which measure, run one suite after another.
 
 ARGS go to each pytest. The progress of each suite is shown as it comes, what it prints besides when it ends. A COMMAND,
 such as a linter, runs beside them, and counts as a suite.
@@ -39,9 +40,10 @@ QUARANTINE = ROOT / "tests" / "quarantine.txt"
 REPEATS = 2
 # How long suites that are interrupted have to end (s).
 GRACE = 5.0
-# The folders of tests that compute most of the time. The others wait, for processes and for messages.
-COMPUTING = tuple(
-    f"tests/{name}" for name in "capture codec examples lang model node plan runtime simulation verify wire".split()
+# The tests that compute most of the time. The others wait, for processes and for messages.
+COMPUTING = (
+    *(f"tests/{name}" for name in "capture codec examples lang model node plan runtime simulation verify wire".split()),
+    "tests/foreign/test_baton_model.py",
 )
 # What concerns a platform, every day: the back ends, and ...
 PLATFORM = ("tests/backends", "tests/test_ground.py")
@@ -149,7 +151,7 @@ class Suite:
 def suites(options: argparse.Namespace) -> list[Suite]:
     """Those that have tests, where `options` name folders, files or tests."""
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 2
-    others = max(1, processors // 2)
+    half = max(1, processors // 2)
     tool = {name: str(ROOT / "tools" / name) for name in ("in-venv", "with-kilted", "with-ros1")}
     markers, daily = options.markers, "not full" in options.markers
     paths = [each for each in options.arguments if each.startswith("tests/")]
@@ -169,10 +171,11 @@ def suites(options: argparse.Namespace) -> list[Suite]:
         folders = PLATFORM if daily else () if markers == "long" else SECOND_PLATFORM
         variables = {"MIDSTRIDE_NEEDS_ROS2": "1", "MIDSTRIDE_ROS2_ON_PATHS": "1"}
         arguments = ["-m", f"ros2 and ({markers})", *given, *(paths or folders)]
-        found.append(Suite("kilted", [tool["with-kilted"]], arguments, others, variables))
+        found.append(Suite("kilted", [tool["with-kilted"]], arguments, half, variables))
     if options.ros1:
         arguments = ["-m", f"ros1 and ({markers})", *given, *(paths or (PLATFORM if daily else ()))]
-        found.append(Suite("ros1", [tool["with-ros1"]], arguments, others, {"MIDSTRIDE_NEEDS_ROS1": "1"}))
+        workers = half if daily else processors
+        found.append(Suite("ros1", [tool["with-ros1"]], arguments, workers, {"MIDSTRIDE_NEEDS_ROS1": "1"}))
     return found + [Suite(each.strip(), shlex.split(each)) for each in options.beside.split(";") if each.strip()]
 
 
@@ -220,7 +223,11 @@ def main(arguments: Sequence[str]) -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     begun = time.monotonic()
     chosen = suites(options)
-    run_all(chosen)
+    if options.markers == "long":
+        for suite in chosen:
+            run_all([suite])
+    else:
+        run_all(chosen)
     again = run_quarantined_again(chosen)
     for suite in chosen:
         say(f"== {suite.name}: {'passed' if suite.has_passed else f'failed ({suite.status})'}")
