@@ -28,21 +28,21 @@ class ForeignCommands:
         lifecycle: LifecycleNode | None,
         report: Callable[[], None],
     ) -> None:
-        self._node = node
+        self._node, self._outputs = node, outputs
         self._parameters, self._lifecycle = parameters, lifecycle
         self._report = report
-        self._handlers = outputs.handlers() | {commands.ModesCommand: self.modes}
 
     async def carry_out(self, command: Command[Any]) -> WireValue:
         """Carry out any command but `welcome`. Raises CommandRefused."""
-        handler = self._handlers.get(type(command))
-        if handler is not None:
+        if (handler := getattr(self._outputs, command.name, None)) is not None:
             self._check(command)
             reply: WireValue = await handler(command)
             if isinstance(command, commands.AwaitCutCommand | commands.FenceCommand):
                 self._report()  # the manager compares what is reported with its model as soon as the change ends
             return reply
         match command:
+            case commands.ModesCommand():
+                return await self.modes(command)
             case commands.ObserveCommand():
                 if self._parameters is not None and (node := self._lifecycle) is not None and node.lifecycle.responsive:
                     await self._parameters.read()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import time
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 from msgspec import structs
 
@@ -21,8 +21,6 @@ from midstride.node.control.attachments import READY_AFTER, not_matched
 from midstride.node.control.rate_watch import RateWatch
 from midstride.node.handover.baton import BatonStep
 from midstride.wire import commands, replies
-from midstride.wire.command_server import CommandHandler
-from midstride.wire.commands import Command
 
 # How long a call that is publishing may take to return (s).
 PUBLISHING: Final = 0.3
@@ -51,19 +49,6 @@ class GatedOutputs(UngatedOutputs):
         self._cuts: dict[str, _Cut] = {}
         self._seats: dict[str, int] = {}  # by cut: the part in the page of a peer that uses Midstride's API
 
-    def handlers(self) -> dict[type[Command[Any]], CommandHandler]:
-        return {
-            **super().handlers(),
-            commands.GateCommand: self.set_gate,
-            commands.FenceCommand: self.fence,
-            commands.AwaitWriteCommand: self.await_write,
-            commands.AwaitRateCommand: self.await_rate,
-            commands.ShareSlotCommand: self.share_slot,
-            commands.CutOutCommand: self.cut_out,
-            commands.CutInCommand: self.cut_in,
-            commands.AwaitCutCommand: self.await_cut,
-        }
-
     async def attach(self, command: commands.AttachCommand) -> replies.Attached:
         port = command.port
         matched = await self._node.matched(port, command.peers, command.timeout)
@@ -90,7 +75,7 @@ class GatedOutputs(UngatedOutputs):
                 gates.page.step(baton, BatonStep.SETTLE, word.holder - 1)
         return replies.Detached(acknowledged=None, last=gates.entry(port).passed)
 
-    async def set_gate(self, command: commands.GateCommand) -> replies.Done:
+    async def gate(self, command: commands.GateCommand) -> replies.Done:
         self._node.change_record(links={**self._node.record.links, command.port: command.gate})
         self._node.adjust(command.port)
         return replies.Done()

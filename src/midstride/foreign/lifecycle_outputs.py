@@ -10,7 +10,6 @@ import asyncio
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from midstride.errors import CommandRefused
 from midstride.foreign.lifecycle_node import LifecycleNode
@@ -18,8 +17,6 @@ from midstride.foreign.node import WATCH
 from midstride.foreign.services import NoAnswer
 from midstride.foreign.ungated_outputs import UngatedOutputs
 from midstride.wire import commands, replies
-from midstride.wire.command_server import CommandHandler
-from midstride.wire.commands import Command
 from midstride.wire.state import GateState
 
 
@@ -41,16 +38,6 @@ class LifecycleOutputs(UngatedOutputs):
         self._cuts: dict[str, tuple[str | None, list[str]]] = {}  # the old side, None on that side, and the ports
         peers.nodes[own.node.record.instance] = own
 
-    def handlers(self) -> dict[type[Command[Any]], CommandHandler]:
-        return {
-            **super().handlers(),
-            commands.GateCommand: self.set_gate,
-            commands.AwaitRateCommand: self.await_rate,
-            commands.CutOutCommand: self.cut_out,
-            commands.CutInCommand: self.cut_in,
-            commands.AwaitCutCommand: self.await_cut,
-        }
-
     async def attach(self, command: commands.AttachCommand) -> replies.Attached:
         await self._own.set_links({command.port: command.gate})
         return replies.Attached(matched=0)
@@ -59,7 +46,7 @@ class LifecycleOutputs(UngatedOutputs):
         await self._own.set_links({command.port: None})
         return replies.Detached(acknowledged=None, last=None)
 
-    async def set_gate(self, command: commands.GateCommand) -> replies.Done:
+    async def gate(self, command: commands.GateCommand) -> replies.Done:
         await self._own.set_links({command.port: command.gate})
         return replies.Done()
 

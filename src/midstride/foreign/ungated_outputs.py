@@ -3,41 +3,18 @@
 from __future__ import annotations
 
 import time
-from typing import Any, NoReturn
+from typing import Any
 
 from midstride.errors import CommandRefused
 from midstride.foreign.node import ForeignNode
 from midstride.wire import commands, replies
-from midstride.wire.command_server import CommandHandler
-from midstride.wire.commands import Command
 
 
 class UngatedOutputs:
-    """Nothing does (`gate none`). Each method carries out one command. Raises CommandRefused, as they do."""
+    """Nothing does (`gate none`). Each method carries out the command of its name, and raises CommandRefused."""
 
     def __init__(self, node: ForeignNode) -> None:
         self._node = node
-
-    def handlers(self) -> dict[type[Command[Any]], CommandHandler]:
-        held = (
-            commands.GateCommand,
-            commands.FenceCommand,
-            commands.AwaitWriteCommand,
-            commands.AwaitRateCommand,
-            commands.ShareSlotCommand,
-            commands.CutOutCommand,
-            commands.CutInCommand,
-            commands.AwaitCutCommand,
-        )
-        return {
-            **dict.fromkeys(held, self._refuse),
-            commands.AttachCommand: self.attach,
-            commands.DetachCommand: self.detach,
-            commands.AwaitMatchCommand: self.await_match,
-            commands.AwaitIdleCommand: self.await_idle,
-            commands.GridCommand: self.grid,
-            commands.CancelCutCommand: self.cancel_cut,
-        }
 
     async def attach(self, command: commands.AttachCommand) -> replies.Attached:
         if command.gate == "closed":
@@ -71,8 +48,10 @@ class UngatedOutputs:
     async def cancel_cut(self, command: commands.CancelCutCommand) -> replies.Done:
         return replies.Done()
 
-    async def _refuse(self, command: Command[Any]) -> NoReturn:
+    async def refuse(self, command: Any) -> Any:
         kind = f"`gate {self._node.component.gate}`"
         raise CommandRefused(
             f"{self._node.record.instance} has no gate in its process ({kind}), so it cannot be held back"
         )
+
+    gate = fence = await_write = await_rate = share_slot = cut_out = cut_in = await_cut = refuse
