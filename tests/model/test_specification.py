@@ -127,3 +127,13 @@ def test_reasons_ask_no_more_of_a_helper_than_is_needed() -> None:
     (only,) = reasons_against(configuration, work("sink"))
     assert "s.out in mode off: nothing is guaranteed" in only
     assert reasons_against(configuration, work("sink"), 1) == ()
+
+
+def test_another_component_keeps_the_values_that_it_can_have() -> None:
+    """Its own parameters, and those of every ROS node."""
+    [name, *_] = sorted(SPECIFICATION.components)
+    new = replace(SPECIFICATION.components[name], parameters=Map(gain=ParameterSpec(1.0)))
+    node = replace(SPECIFICATION.nodes["talker"], parameters=Map(gain=2.0, width=3, use_sim_time=True))
+    specification = replace(SPECIFICATION, components=SPECIFICATION.components.set(name, new))
+    changed = specification.with_node(node).with_replaced("talker", name)
+    assert changed.nodes["talker"] == replace(node, component=name, parameters=Map(gain=2.0, use_sim_time=True))

@@ -487,6 +487,27 @@ def test_a_new_side_that_fails_has_its_outcome_before_it_reports_that() -> None:
     assert world.incoming.outcome == "cancelled"
 
 
+@pytest.mark.parametrize("attempts", [1, 4])
+def test_a_report_that_is_lost_is_repeated_so_often(attempts: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cut_protocol, "REPORT_ATTEMPTS", attempts)
+    world, lost = World(fails=True), 0
+    world.do(("fail", "", 0))
+    taken = [("n", "control"), ("n", "data"), ("report", "lose")]
+    while next_ := [step for step in world.steps() if step[:2] in taken]:
+        lost += next_[0][0] == "report"
+        world.do(next_[0])
+    assert lost == attempts
+
+
+def test_the_patience_of_a_new_side_begins_when_it_begins() -> None:
+    world = World()
+    process = world.processes["n"]
+    task = CutInTask(process.host, lambda: None, cast(Any, world.incoming.side), world.report, patience=1.0)
+    process.start(task.run())
+    process.do("control", 1)
+    assert task.outcome == "waiting"
+
+
 @pytest.mark.parametrize(("back", "outcome"), [(0.9, "waiting"), (1.1, "cancelled")])
 def test_only_a_clock_that_is_set_back_far_ends_a_cut(back: float, outcome: str) -> None:
     """A synchronization corrects it by less; a simulation that has started again sets it back by more than a second."""

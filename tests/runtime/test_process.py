@@ -591,3 +591,12 @@ def test_the_reaper_spares_a_later_process_of_the_same_number(tmp_path: Path, to
         return survived
 
     assert asyncio.run(run())
+
+
+def test_of_orphans_a_group_ends_with_its_leader_and_those_without_one_each() -> None:
+    def orphan(pid: int, group: int) -> reaper.ProcessInfo:
+        return reaper.ProcessInfo(pid, group, started=1.0, alive=True)
+
+    led = [orphan(10, 10), orphan(11, 10)]
+    alone = [orphan(21, 20), orphan(22, 20)]  # its leader has exited
+    assert process_module._leaders([*led, *alone]) == [led[0], *alone]

@@ -10,7 +10,7 @@ import pytest
 from immutables import Map
 
 from midstride.backends.simulator import Simulator
-from midstride.runtime.handover.probation import SHORTEST_PERIODS, require_rate
+from midstride.runtime.handover.probation import SHORTEST_PERIODS, require_rate, watch_after
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Outcome
 from midstride.wire.commands import AwaitRateCommand
@@ -128,5 +128,14 @@ def test_the_window_of_a_slow_output_is_some_of_its_periods_long(tmp_path: Path)
         await require_rate(b.client, build.port("talker.out"), "/chatter", 0.5, TIMING, stretch=1.0)
         [asked] = b.client.of(AwaitRateCommand)
         assert (asked.window, asked.timeout) == (SHORTEST_PERIODS / 0.5, SHORTEST_PERIODS / 0.5 + 4.0)
+
+    bench(talking(), tmp_path, body)
+
+
+def test_what_is_watched_on_a_slow_clock_is_watched_for_longer(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", AwaitRateCommand, RateVerdict(reached=False, rate=5.0, pause=0.2, failed=False))
+        await watch_after(b.client, [(build.port("talker.out"), "/chatter", 5.0)], 3.0, stretch=2.0)
+        assert [asked.timeout for asked in b.client.of(AwaitRateCommand)] == [6.0]
 
     bench(talking(), tmp_path, body)

@@ -279,3 +279,14 @@ def test_a_new_side_that_cannot_be_recorded_does_not_stop_the_hand_over(tmp_path
         assert b.client.of(RecordCommand, "filter_2") == [START_RECORDING, STOP_RECORDING]
 
     bench(ANSWERING, tmp_path, body)
+
+
+def test_a_wait_that_is_cut_short_leaves_nothing_that_waits(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        hurried, before = asyncio.Event(), asyncio.all_tasks()
+        hurried.set()
+        await recording(b).wait(60.0, hurried)
+        await asyncio.sleep(0)
+        assert asyncio.all_tasks() == before and b.clock.steady() == 0.0
+
+    bench(talking(), tmp_path, body)

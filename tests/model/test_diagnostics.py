@@ -1,0 +1,25 @@
+"""Problems as data: what follows from another one is left out, and an unknown name has a near miss."""
+
+from __future__ import annotations
+
+from midstride.model.diagnostics import Problem, independent, with_suggestions
+
+UNKNOWN = Problem("E008", ("nodes", "a", "component"), "there is no component `T`", declared=("components", "T"))
+
+
+def test_a_name_is_not_unknown_where_the_section_that_may_declare_it_could_not_be_read() -> None:
+    for subject in ((), ("components",), ("components", "T")):
+        unread = Problem("E001", subject, "this is no object")
+        assert independent([unread], [UNKNOWN]) == [unread]
+    elsewhere = Problem("E001", ("connectors",), "this is no object")
+    assert independent([elsewhere], [UNKNOWN]) == [elsewhere, UNKNOWN]
+
+
+def test_an_unknown_name_has_a_near_miss_or_what_is_known() -> None:
+    def problem(*known: str) -> Problem:
+        return Problem("E008", ("nodes",), "there is no component `Talkr`", candidates=("Talkr", known))
+
+    found = with_suggestions([problem("Talker"), problem("Camera"), problem(), Problem("E002", (), "else")])
+    helped = ["did you mean `Talker`?", "known: Camera", "no such name is declared", ""]
+    assert [each.help for each in found] == helped
+    assert {each.candidates for each in found} == {None}
