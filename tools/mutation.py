@@ -22,6 +22,7 @@ import contextlib
 import copy
 import gc
 import hashlib
+import importlib
 import json
 import os
 import random
@@ -232,6 +233,7 @@ def _codes(code: CodeType) -> Iterator[CodeType]:
 
 def exchange(mutant: Mutant) -> bool:
     """Put the mutant in the place of the function in this process; whether there is such a function."""
+    importlib.import_module("midstride." + mutant.path.removesuffix(".py").removesuffix("/__init__").replace("/", "."))
     code = _mutated_code(mutant)
     where = str(SOURCE / mutant.path), mutant.first_line, code.co_name
     gc.unfreeze()  # else they are not among the objects

@@ -460,8 +460,8 @@ def new_side_has_given_up_for_one_that_died(seen: Seen) -> bool:
         pytest.param("cokn", "", False, 23608, marks=LONG),
         pytest.param("cnco", "", False, 35822, marks=LONG),
         pytest.param("snso", "", False, 21084, marks=LONG),
-        pytest.param("cn", "n", True, None, marks=LONG),
-        pytest.param("", "on", True, None, marks=LONG),
+        pytest.param("cn", "n", True, 136516, marks=LONG),
+        pytest.param("", "on", True, 47146, marks=LONG),
     ],
 )
 def test_two_sides_can_never_both_write_and_one_does(
@@ -469,7 +469,7 @@ def test_two_sides_can_never_both_write_and_one_does(
 ) -> None:
     """Another number of ``states`` means that the protocol has changed, or that the exploration has missed some."""
     found = explore(manager=manager, mortal=mortal, fails=fails)
-    assert len(found) == states or (states is None and len(found) > 1000)
+    assert len(found) == states
     for seen in found:
         assert len(seen.writes) < 2, seen
         if seen.settled and (old_side_can_write(seen) or ("n" in seen.alive and "n" in seen.attached)):
