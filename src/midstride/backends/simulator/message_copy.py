@@ -24,37 +24,25 @@ def copied(value: Any) -> Any:
     return copier(value)
 
 
-def _same(value: Any) -> Any:
-    return value
-
-
 def _list(value: list[Any]) -> list[Any]:
     return [each if each.__class__ in _SHARED else copied(each) for each in value]
-
-
-def _array(value: array.array[Any]) -> array.array[Any]:
-    return value[:]
 
 
 # What cannot be changed.
 _SHARED: Final[frozenset[type]] = frozenset((bool, int, float, str, bytes, type(None)))
 # By class. What is not among them is a message, or is copied by `copy.deepcopy`, as NumPy's arrays are.
-_COPIERS: Final[dict[type, _Copier]] = {
-    **dict.fromkeys(_SHARED, _same),
-    list: _list,
-    array.array: _array,
-}
+_COPIERS: Final[dict[type, _Copier]] = {list: _list, array.array: copy.copy}
 
 
 def _copier(kind: type) -> _Copier:
     if issubclass(kind, SimulatedMessage):
-        return _of_attributes(kind)
+        return _of_fields(kind, list(kind.get_fields_and_field_types()))
     # Generated: ROS 2 lists the fields in this method, ROS 1 in `_slot_types`.
     slots = [name for base in kind.__mro__ for name in _slots_of(base)]
     generated = hasattr(kind, "get_fields_and_field_types") or hasattr(kind, "_slot_types")
     if not generated or not slots or "__dict__" in slots or hasattr(kind, "__deepcopy__"):
         return copy.deepcopy
-    return _of_slots(kind, slots)
+    return _of_fields(kind, slots)
 
 
 def _slots_of(base: type) -> list[str]:
@@ -62,26 +50,12 @@ def _slots_of(base: type) -> list[str]:
     return [slots] if isinstance(slots, str) else list(slots)
 
 
-def _of_attributes(kind: type) -> _Copier:
+def _of_fields(kind: type, fields: list[str]) -> _Copier:
     new: Callable[[type], Any] = object.__new__
 
     def copier(value: Any) -> Any:
         made = new(kind)
-        fields, own = value.__dict__, made.__dict__
         for name in fields:
-            each = fields[name]
-            own[name] = each if each.__class__ in _SHARED else copied(each)
-        return made
-
-    return copier
-
-
-def _of_slots(kind: type, slots: list[str]) -> _Copier:
-    new: Callable[[type], Any] = object.__new__
-
-    def copier(value: Any) -> Any:
-        made = new(kind)
-        for name in slots:
             each = getattr(value, name)
             setattr(made, name, each if each.__class__ in _SHARED else copied(each))
         return made
