@@ -180,9 +180,6 @@ class ProcessBackend(abc.ABC):
     async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
         return await end_orphans(token, known, grace)
 
-    def unwritten(self) -> str | None:
-        return None  # the components' agents are inside them
-
     def is_stopped(self, instance: str) -> bool:
         process = self._processes.get(instance)
         info = None if process is None else process_info(process.pid)

@@ -80,6 +80,8 @@ class Endpoints:
 
 
 class Backend(Protocol):
+    """A platform. One without spare processes, or that need not know what a component reports, inherits its methods."""
+
     name: str
     clock: Clock
     transport: Transport
@@ -108,12 +110,15 @@ class Backend(Protocol):
         To be called when nothing else is going on, or before many starts. A platform without processes, or that cannot
         start them, has none.
         """
+        return
 
     def spares(self) -> int:
         """How many of them are ready."""
+        return 0
 
     def takes_spare(self, arguments: Sequence[str], directory: Path) -> bool:
         """Whether a command can be run in one of them, in ``directory``; others get a new process."""
+        return False
 
     async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
         """Terminate the system's processes whose instance is not ``known``; returns the names of those instances.
@@ -127,12 +132,15 @@ class Backend(Protocol):
 
     def disconnected(self, instance: str) -> None:
         """A component that was started by hand has exited, as its control connection shows."""
+        return
 
     def reported(self, state: ComponentState) -> None:
         """A component has reported its state."""
+        return
 
     def unwritten(self) -> str | None:
         """Why what the next manager needs to know of the components could not be written to disk."""
+        return None
 
     def middleware(self) -> Middleware:
         """The middleware, and what is set for it. To be asked after ``open``."""
@@ -148,3 +156,4 @@ class Backend(Protocol):
 
     async def lingering_readers(self, topic: str) -> int:
         """How many subscriptions on ``topic`` the middleware still counts whose process is known to be dead."""
+        return 0

@@ -24,19 +24,18 @@ from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.relayed_program import RelayOrder, order_file, private_topics
 from midstride.model.component import ComponentSpec
 from midstride.model.instance_names import full_name, split_name
-from midstride.runtime.backend_protocol import RELAY_SUFFIX, Endpoints, Exited, Handle, Launch
+from midstride.runtime.backend_protocol import RELAY_SUFFIX, Backend, Endpoints, Exited, Handle, Launch
 from midstride.runtime.process.child_process import Process
 from midstride.runtime.process.reaper import Reaper
 from midstride.runtime.records.status_forms import Middleware
 from midstride.runtime.timeouts import within
-from midstride.wire.state import ComponentState
 
 # How long taking back the registrations of a dead node may delay the report of its end (s).
 _TIDY: Final = 1.0
 _RELAY: Final = f"{__package__}.relay_program"
 
 
-class Ros1Backend(processes.ProcessBackend):
+class Ros1Backend(processes.ProcessBackend, Backend):
     """Starts a master if none answers; ``started_master``: whether it has."""
 
     name = "ros1"
@@ -160,9 +159,6 @@ class Ros1Backend(processes.ProcessBackend):
 
     def disconnected(self, instance: str) -> None:
         self._begin(self._died(instance))
-
-    def reported(self, state: ComponentState) -> None:
-        pass  # every component has its agent inside
 
     def _begin(self, tidying: Coroutine[Any, Any, None]) -> None:
         task = asyncio.get_running_loop().create_task(tidying)

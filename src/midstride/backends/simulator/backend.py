@@ -21,7 +21,7 @@ from midstride.errors import BackendError, StartFailed
 from midstride.model.instance_names import full_name, log_file_name
 from midstride.node.component_host import Host
 from midstride.node.diagnostic_status import DiagnosticEntry
-from midstride.runtime.backend_protocol import Endpoints, Exited, Handle, Launch
+from midstride.runtime.backend_protocol import Backend, Endpoints, Exited, Handle, Launch
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.records.status_forms import Middleware
 from midstride.wire.state import ComponentState
@@ -35,10 +35,8 @@ FIRST_PID: Final = 5_000_000
 EXIT_LATENCY: Final = 0.005
 
 
-class Simulator:
-    """Implements :class:`midstride.runtime.backend_protocol.Backend`.
-
-    ``Simulator().run(main())`` runs a coroutine in virtual time and shuts the simulator down after it. On any other
+class Simulator(Backend):
+    """``Simulator().run(main())`` runs a coroutine in virtual time and shuts the simulator down after it. On any other
     asyncio loop the simulator runs in real time; call :meth:`shutdown` at the end. All times are in seconds; the same
     ``seed`` gives the same run. ``logs``: the folder for the output of the components, one file for each.
     """
@@ -136,15 +134,6 @@ class Simulator:
             await self.time.sleep(min(0.01, grace))
         process.kill()
 
-    def keep_spares(self, number: int, token: str) -> None:
-        pass
-
-    def spares(self) -> int:
-        return 0
-
-    def takes_spare(self, arguments: Sequence[str], directory: Path) -> bool:
-        return False
-
     async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
         started = {name for name, process in self.processes.items() if process.token == token}
         orphans = sorted(name for name in started if name not in known)
@@ -155,15 +144,6 @@ class Simulator:
     def is_stopped(self, instance: str) -> bool:
         process = self.processes.get(instance)
         return process is not None and process.thawed_at > self.time.steady()
-
-    def disconnected(self, instance: str) -> None:
-        pass  # it has left the simulated graph
-
-    def reported(self, state: ComponentState) -> None:
-        pass  # every component has its agent inside
-
-    def unwritten(self) -> str | None:
-        return None
 
     def middleware(self) -> Middleware:
         return Middleware(name="none: messages stay in the manager's process")
@@ -185,9 +165,6 @@ class Simulator:
             yield topic
         finally:
             del self.network.probes[topic]
-
-    async def lingering_readers(self, topic: str) -> int:
-        return 0  # a process that has ended is not in the simulated graph
 
     def _process(self, launch: Launch, log: Path | None) -> SimulatedProcess:
         return SimulatedProcess(launch, self._pids, self.time, self._host, self._exited, log)

@@ -39,7 +39,7 @@ from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.relayed_program import differing
 from midstride.model.component import ComponentSpec
 from midstride.model.instance_names import full_name
-from midstride.runtime.backend_protocol import Endpoints, Exited, Handle, Launch
+from midstride.runtime.backend_protocol import Backend, Endpoints, Exited, Handle, Launch
 from midstride.runtime.process.child_process import Process
 from midstride.runtime.process.reaper import Reaper
 from midstride.runtime.records.status_forms import Middleware
@@ -56,7 +56,7 @@ _RELAY: Final = "midstride.backends.ros2.component.relay_program"
 log = logging.getLogger(__name__)
 
 
-class Ros2Backend(ProcessBackend):
+class Ros2Backend(ProcessBackend, Backend):
     """``middleware_settings``: whether processes get Midstride's transports and discovery (:mod:`..dds_profiles`)."""
 
     name = "ros2"
