@@ -9,7 +9,8 @@ from __future__ import annotations
 import ast
 import re
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -238,6 +239,51 @@ def test_every_kind_of_import_closes_a_cycle(source: str) -> None:
     }
     one, two, three = (f"midstride.plan.{name}" for name in ("one", "two", "three"))
     assert cycles(module_graph(sources)) == [[one, two, three, one]]
+
+
+@cache
+def public_names(package: str) -> frozenset[str]:
+    """The names that other packages may use of a package's modules: the words of ``PUBLIC`` in its __init__."""
+    path = ROOT / package.replace(".", "/") / "__init__.py"
+    for statement in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "PUBLIC":
+            return frozenset(ast.literal_eval(statement.value).split())
+    return frozenset()
+
+
+def foreign_names(
+    tree: ast.AST, module: str, is_package: bool, known: Collection[str]
+) -> Iterator[tuple[int, str, str]]:
+    """The line, module and name of each import from a module of another package."""
+    own = module if is_package else module.rpartition(".")[0]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            origin = absolute(node, module, is_package)
+            for alias in node.names:
+                whole = f"{origin}.{alias.name}" in known
+                home = f"{origin}.{alias.name}" if whole else origin
+                package = home.rpartition(".")[0]
+                if home in known and package != PACKAGE and not f"{own}.".startswith(f"{package}."):
+                    yield node.lineno, home, alias.name
+
+
+def test_other_packages_use_only_the_names_that_a_package_lists() -> None:
+    """A package's inner packages may use all of it; examples, as what users write, keep to the lists as well."""
+    sources = list(modules())
+    known = {module for _, module, is_package in sources if not is_package}
+    sources += [(path, "examples", False) for path in sorted((ROOT.parent / "examples").rglob("*.py"))]
+    used: dict[str, set[str]] = {}
+    faults = []
+    for path, module, is_package in sources:
+        for line, home, name in foreign_names(ast.parse(path.read_text(encoding="utf-8")), module, is_package, known):
+            package = home.rpartition(".")[0]
+            used.setdefault(package, set()).add(name)
+            if name not in public_names(package):
+                faults.append(f"{path}:{line}: {name} of {home} is not in PUBLIC of {package}")
+    for package in (module for _, module, is_package in modules() if is_package):
+        unused = public_names(package) - used.get(package, set())
+        faults += [f"{name} is in PUBLIC of {package}, and no other package uses it" for name in sorted(unused)]
+    assert not faults, "\n" + "\n".join(faults)
 
 
 def public_types(tree: ast.Module) -> Iterator[tuple[int, str]]:

@@ -12,6 +12,8 @@ from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.process.reaper import Reaper
 from midstride.runtime.workspace import Workspace
 
+PUBLIC = "KEPT_OF_LOG LONGEST_LOG listens message_class"
+
 NAMES: Final = ("ros2", "ros1", "sim")
 
 

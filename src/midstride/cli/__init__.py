@@ -11,6 +11,8 @@ import os
 import sys
 from collections.abc import Sequence
 
+PUBLIC = "Demo DemoEnvironment cancelled_by_signals demo_environment matching"
+
 # A command keeps nearly every object until it exits. Collecting garbage after every 700 new objects, Python's default,
 # takes a fifth of the time of checking a large file and finds nothing.
 _GC_THRESHOLD = 50_000

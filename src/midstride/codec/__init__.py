@@ -4,3 +4,11 @@
 `component`, `specification`, `configuration` (the forms), `schema`. The forms of plans are in :mod:`midstride.plan`,
 those of what the manager reports in :mod:`midstride.runtime`; they are made of the same base classes.
 """
+
+PUBLIC = (
+    "ComponentForm ConfigurationForm Document FiniteNumber Form FormCheck InstanceForm NamedComponentForm NodeForm "
+    "NonEmptyName PlainValue Report Schema SecondsOrZero SpecificationForm TopicForm ValueForm decode "
+    "decode_component decode_saved_specification decode_specification encode encode_component encode_specification "
+    "expressible field given parse_json schemas specification_schema strict_json to_json under value_of values_form "
+    "values_of"
+)

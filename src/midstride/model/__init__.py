@@ -9,3 +9,18 @@ Beyond them: `specification` (a whole system as its author declares it) and its 
 that a structure allows), `diagnosis` (why a mode is out of reach), `wording` (actions in words).
 The JSON forms are in :mod:`midstride.codec`.
 """
+
+PUBLIC = (
+    "Action Assumption Attach ComponentSpec Configuration Connector Constraint Contract Create DEFAULT_QOS "
+    "DEFAULT_SECONDS Degrade Detach Diagnosis Durability EnvironmentGuarantee Evaluator FunctionalityRef "
+    "FunctionalitySpec GATES Gate Handover HistoryPolicy InputAlternatives Instance Interval Keep Limit Liveliness "
+    "MAX_NUMBER Mode NOTHING Node NodeEndpoint OneOf Order ParameterSpec ParameterValue PortRef Predicate Problem QoS "
+    "ROS_PARAMETERS Reliability Remove Resource RespawnPolicy Scalar SetParameters Severity Specification SubjectPath "
+    "Swap SystemContext TIMING Upgrade ValueSet Violation attachment_shortfall best canonical_type cap_violation "
+    "capacity_violation check check_component check_node component component_names component_rules configure "
+    "consumers_of contract_reasons counted did_you_mean dotted_name errors explain format_number fresh_name full_name "
+    "handover_seconds independent initial is_infrastructure is_named_after log_file_name lowered "
+    "missing_for_constraints nearest node_names on_one_line printable publishers_count reasons_against rebalanced "
+    "resolved roles_of satisfies specification_names split_name suggestion to_fraction unknown_name value_fits "
+    "value_kind violations wording"
+)

@@ -7,3 +7,9 @@ adds the mode changes that a structural change needs (`mode_ordering`); `minimal
 the reasons why something degrades, `validate` an independent replay. `impact` and `specification_diff` answer
 questions about specifications without a plan.
 """
+
+PUBLIC = (
+    "Alternative Change Degradation Estimate LevelShift Levels Overlap Plan PlanRequest RuntimeValue Step Values "
+    "alternatives change_between decide differences impacts left_behind of_change one_by_one overlap "
+    "renamed_components requested_change require runtime_value sensitivity without_outputs"
+)

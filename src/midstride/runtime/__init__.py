@@ -1,0 +1,1 @@
+PUBLIC = "Backend Clock Endpoints Exited Handle Launch Manager RELAY_SUFFIX SystemClock SystemOptions Workspace within"

@@ -5,3 +5,8 @@
 `trace`, `chain` and `diagram` turn its answer back into the names of the file; `verdict` holds the answers; `checking`
 puts these together. `prove/` has the proofs by SMT solvers.
 """
+
+PUBLIC = (
+    "Alloy AlloyOptions Answer Checked Verdict chain_lines check_specification find parallel_jobs tasks to_dot "
+    "to_mermaid verify_configuration verify_plan verify_specification"
+)

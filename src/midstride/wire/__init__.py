@@ -6,3 +6,17 @@ envelope and its codec. :mod:`.transport` defines what a transport is: :mod:`.so
 sockets, in the folders of :mod:`.folders`), :mod:`.pipe` an in-memory one. :mod:`.channel` and :mod:`.command_server`
 are the two ends of a connection. Nothing here uses ROS.
 """
+
+PUBLIC = (
+    "AnswerCommand AwaitIdleCommand AwaitMatchCommand AwaitRateCommand COMPONENTS Channel ClockMoment Command "
+    "CommandHandler CommandServer ComponentReport ComponentState Connection CutClaim CutClock CutInCommand "
+    "CutOutCommand CutOutcome CutResult CutSwap DiscoverCommand ENV_BACKEND ENV_CONTROL ENV_DIAGNOSTICS ENV_INSTANCE "
+    "ENV_NAMESPACE ENV_NODE ENV_PARAMETERS ENV_SET_PARAMETERS ENV_SHARED_NAME ENV_STANDBY ENV_SYSTEM ENV_TOKEN "
+    "Endpoint FenceCommand FieldSamples FileFingerprint FunctionalityState GateCommand GateState Greeting Grid "
+    "GridCommand LastWrite LinkState MEMORY Measured MuteCommand NOT_WELCOMED ObserveCommand PipeClaim PipeEnd "
+    "PipeNetwork PrepareStateCommand Program ProgramCommand RateVerdict Receipt RecordCommand Records RecordsCommand "
+    "Registration ReleaseCommand Reply Request ResolveCutsCommand Serve SetParametersCommand ShareSlotCommand "
+    "SharedSlotPlace SharedSlotPort SocketFolder StateTransfer StopListening THIS_HOST Transport TriggerKind "
+    "WelcomeCommand WireValue commands environment files_named frames open_socket replies result_of workspace_folder "
+    "workspace_root"
+)

@@ -5,4 +5,9 @@ from __future__ import annotations
 from midstride.backends.simulator.backend import Simulator
 from midstride.backends.simulator.virtual_loop import VirtualLoop
 
+PUBLIC = (
+    "CooperativeThread Ended ProcessOutput RequestFault SimulatedClock SimulatedProcess SimulatedProgram "
+    "SimulatedWriter Simulator ThreadYield"
+)
+
 __all__ = ["Simulator", "VirtualLoop"]

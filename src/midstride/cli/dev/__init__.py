@@ -1,1 +1,3 @@
 """``midstride dev``: what is saved is swapped into the running system."""
+
+PUBLIC = "Changes DevSession WatchedSpecification saves worst"

@@ -1,1 +1,7 @@
 """What the author of a node declares and uses: components, ports, functionalities and their modes."""
+
+PUBLIC = (
+    "Callbacks Component DeclaredMode DeclaredParts Driven Function Functionality GatePolicy Guarantee Input "
+    "InputLink Listener MessageTimes Output OutputLink OutputOwner Parameter any_of approximate at_least at_most "
+    "between component_class fitted_to guarantee type_name window_of"
+)

@@ -1,1 +1,5 @@
 """The control thread of a component: it answers the manager and never runs the author's code."""
+
+PUBLIC = (
+    "Agent Answering Attachments HEARTBEAT LONG_FLOOR READY_AFTER RateWatch StateHooks not_matched tolerated_periods"
+)

@@ -1,1 +1,6 @@
 """The hand-over from one publisher to another on live components, and the fence for one that hangs."""
+
+PUBLIC = (
+    "ATTACH_TIMEOUT CutTurn CutTurns DEFAULT_WAIT DETACH_TIMEOUT Fences GivenUp LiveHandover STATE_TIMEOUT StateMoves "
+    "StateTransfers StepBudget keeps_state only_turn own_state require_arbiters watch_after"
+)

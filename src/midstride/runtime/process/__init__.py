@@ -1,1 +1,6 @@
 """The processes of components: started, registered, reached by commands, and ended."""
+
+PUBLIC = (
+    "ComponentClient ComponentEvent Disconnected Launcher Process REPORTED Reaper STOP_GRACE adopting_orphans "
+    "end_orphans find have_answer process_info raise_limit reaper room_for_a_start shorten spawn tail"
+)

@@ -1,1 +1,12 @@
 """What a manager keeps and reports: the journal, the saved state, events, and their JSON forms."""
+
+PUBLIC = (
+    "ChangeRecord ChangeReport ChangeTimeline CrashedInstance DISK Database DegradedFunctionality Disk DownReport "
+    "EndpointStatus Event EventLog FencedInstance FieldStatus FunctionalityStatus History Incident InstanceStatus "
+    "Interrupted Journal JournalEntry LiveConfiguration Middleware ModeInterval ModeRecorder ModeSkew NewChange "
+    "Observation Outcome OutcomeKind ParameterStatus ParametersReport Phase PlannedChange PortStatus ProgramStatus "
+    "Rehearsal RehearsalOrder RehearsedSeed RespawnStatus RunningCommand SavedInstance SavedState Service "
+    "SilenceFault SilenceKind SpareStatus SpecificationVersion StateStore Statement Status StepTime SwapReport "
+    "TopicStatus UnixTime UpReport WINDOW_PERIODS Why closed_history closed_report in_order mode_level report reports "
+    "status_forms unknown_report"
+)
