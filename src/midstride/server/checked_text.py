@@ -7,7 +7,7 @@ parameters.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, TypeAlias
+from typing import Annotated, Final, Literal, TypeAlias
 
 from msgspec import Meta, convert
 
@@ -64,14 +64,10 @@ def checked(submitted: SubmittedText) -> CheckedText:
     specification = loaded.specification
     return CheckedText(
         ok=specification is not None,
-        diagnostics=[_report(each.to_json()) for each in loaded.diagnostics],
+        diagnostics=[convert(each.to_json(), DiagnosticReport) for each in loaded.diagnostics],
         request=None if specification is None else ChangeRequest(to=SpecificationForm.of(specification)),
     )
 
 
 def _refuse(path: Path) -> str:
     raise Unreadable("E100", "no file is read for a text that is sent to the manager", _HELP)
-
-
-def _report(document: dict[str, Any]) -> DiagnosticReport:
-    return convert(document, DiagnosticReport)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import h11
-from fastapi import FastAPI, Request, Response
+from fastapi import FastAPI, HTTPException, Request, Response
 from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -21,7 +21,7 @@ from midstride.errors import CallTimeout, ManagerError, Unreachable
 from midstride.server.auth import TokenAuth
 from midstride.server.connections import Server, connection_limit, listen_tcp
 from midstride.server.error_answers import Failure, answer
-from midstride.server.requests import LARGEST_BODY
+from midstride.server.requests import read_body
 from midstride.server.static import dashboard
 from midstride.wire.sockets import open_socket
 
@@ -77,12 +77,12 @@ class _PassedOn:
         if scope["type"] != "http":
             return
         try:
-            body = await _body(Request(scope, receive))
+            body = await read_body(Request(scope, receive))
         except ClientDisconnect:
             return
-        if body is None:
-            failure = Failure.named("TooLarge", f"the body has more than {LARGEST_BODY} bytes")
-            await answer(failure, 413, {"Connection": "close"})(scope, receive, send)
+        except HTTPException as error:  # the manager would not accept so much
+            failure = Failure.named("TooLarge", error.detail)
+            await answer(failure, error.status_code, {"Connection": "close"})(scope, receive, send)
             return
         started = False
 
@@ -127,16 +127,6 @@ class _PassedOn:
                 await asyncio.gather(gone, answering, return_exceptions=True)
         finally:
             writer.close()
-
-
-async def _body(request: Request) -> bytes | None:
-    """The body of a request; None if the manager would not accept so much."""
-    body = bytearray()
-    async for chunk in request.stream():
-        body += chunk
-        if len(body) > LARGEST_BODY:
-            return None
-    return bytes(body)
 
 
 def _request(scope: Scope, body: bytes) -> list[h11.Event]:

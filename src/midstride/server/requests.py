@@ -93,6 +93,9 @@ class SubmittedRehearsal(Form, frozen=True, kw_only=True):
     ] = 30.0
 
 
+R = TypeVar("R", SubmittedChange, SubmittedRehearsal)
+
+
 async def read_setting(http: HttpRequest) -> tuple[str, Mapping[str, ParameterValue]]:
     """The node and the values in the body. Raises as :func:`read_request` does."""
     return await _read(http, ParameterSetting, lambda form: (form.node, values_of(form.parameters)), lambda _: ())
@@ -105,7 +108,7 @@ async def read_request(http: HttpRequest) -> PlanRequest:
 
 async def read_change(http: HttpRequest) -> tuple[SubmittedChange, PlanRequest]:
     """The change in the body, and its request. Raises as :func:`read_request` does."""
-    return await _read(http, SubmittedChange, _parts, lambda parts: under("request", request_names(parts[1])))
+    return await _read_with_request(http, SubmittedChange)
 
 
 async def read_text(http: HttpRequest) -> SubmittedText:
@@ -115,23 +118,21 @@ async def read_text(http: HttpRequest) -> SubmittedText:
 
 async def read_rehearsal(http: HttpRequest) -> SubmittedRehearsal:
     """The rehearsal in the body. Raises as :func:`read_request` does."""
-    form, _ = await _read(
-        http,
-        SubmittedRehearsal,
-        lambda form: (form, form.request.request()),
-        lambda parts: under("request", request_names(parts[1])),
-    )
+    form, _ = await _read_with_request(http, SubmittedRehearsal)
     return form
 
 
-def _parts(form: SubmittedChange) -> tuple[SubmittedChange, PlanRequest]:
-    return form, form.request.request()
+async def _read_with_request(http: HttpRequest, form: type[R]) -> tuple[R, PlanRequest]:
+    def names(parts: tuple[R, PlanRequest]) -> Iterable[Problem]:
+        return under("request", request_names(parts[1]))
+
+    return await _read(http, form, lambda found: (found, found.request.request()), names)
 
 
 async def _read(
     http: HttpRequest, form: type[F], build: Callable[[F], T], names: Callable[[T], Iterable[Problem]]
 ) -> T:
-    body = await _body(http)
+    body = await read_body(http)
 
     def read() -> T:
         try:
@@ -143,7 +144,8 @@ async def _read(
     return await asyncio.to_thread(read)  # it can take seconds
 
 
-async def _body(http: HttpRequest) -> bytes:
+async def read_body(http: HttpRequest) -> bytes:
+    """The body. Raises HTTPException if it is too large."""
     body = bytearray()
     async for chunk in http.stream():
         body += chunk

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
-from msgspec import UNSET, structs
+from msgspec import UNSET, convert, structs
 
 from midstride.codec.form import given
-from midstride.plan.forms.plan_forms import PlanPreview
-from midstride.runtime.records.measure import SwapReport
-from midstride.runtime.records.reports import Event, OutcomeKind
+from midstride.runtime.records.reports import Event
 from midstride.server.view.view_forms import ChangeState, ChangeView, PastChange, StepView
 
 # How many changes are remembered; the journal has all of them.
@@ -27,102 +24,73 @@ _STATES: Final[dict[str, ChangeState]] = {
 }
 
 
-@dataclass(slots=True)
-class _Change:
-    id: str | None
-    command: str
-    began: float
-    state: ChangeState = "planning"
-    plan: PlanPreview | None = None
-    index: int | None = None
-    total: int | None = None
-    ended: float | None = None
-    steps: dict[int, StepView] = field(default_factory=dict)
-    swaps: list[SwapReport] = field(default_factory=list)
-    outcome: OutcomeKind | None = None
-    because: str | None = None
-
-
 class ChangeTracker:
     """Follows the events of one manager. One change is in progress at a time."""
 
     def __init__(self) -> None:
-        self._command: _Change | None = None  # becomes the current change with its plan, or its refusal
-        self._current: _Change | None = None
+        # The change in progress, or the last one that ended.
+        self.current: ChangeView | None = None
+        self._command: ChangeView | None = None  # becomes the current change with its plan, or its refusal
         self._past: deque[PastChange] = deque(maxlen=REMEMBERED)
 
     def on_event(self, event: Event) -> None:
         if event.kind == "command":
-            self._command = _Change(given(event.id), event.words, event.at)
+            self._command = _begun(event)
             return
-        change = self._command
-        if change is None:
-            return
-        if event.kind in {"plan", "verifying", "outcome"} and self._current is not change:
-            self._retire()
-            self._current = change
-        if change is not self._current:
-            return  # a command that is no change, as `up`
-        self._take(change, event)
-
-    def _take(self, change: _Change, event: Event) -> None:
-        if change.ended is None:
-            change.state = _STATES.get(event.kind, change.state)
-        if event.plan is not UNSET:
-            change.plan, change.total = event.plan, len(event.plan.steps)
-        if event.swaps is not UNSET:
-            change.swaps = event.swaps
-        if event.kind == "outcome":
-            change.ended, change.outcome, change.because = event.at, given(event.outcome), event.words
-        elif event.index is not UNSET and event.kind == "step":
-            change.index = event.index
-            change.steps[event.index] = StepView(
-                index=event.index, words=event.words, began=event.at, ended=None, failed=False
-            )
-        elif event.index is not UNSET and event.index in change.steps:
-            change.steps[event.index] = structs.replace(
-                change.steps[event.index], ended=event.at, failed=event.kind == "step_failed"
-            )
-
-    def _retire(self) -> None:
-        if self._current is not None:
-            self._past.append(_past(self._current))
-
-    @property
-    def current(self) -> ChangeView | None:
-        """The change in progress, or the last one that ended."""
-        change = self._current
-        if change is None:
-            return None
-        return ChangeView(
-            id=change.id,
-            command=change.command,
-            state=change.state,
-            plan=change.plan,
-            index=change.index,
-            total=change.total,
-            began=change.began,
-            ended=change.ended,
-            steps=[change.steps[index] for index in sorted(change.steps)],
-            swaps=change.swaps,
-            outcome=change.outcome,
-            because=change.because,
-        )
+        if self._command is not None and event.kind in {"plan", "verifying", "outcome"}:
+            if self.current is not None:
+                self._past.append(_past(self.current))
+            self.current, self._command = self._command, None
+        if self._command is None and self.current is not None:  # else a command that is no change, as `up`
+            self.current = _after(self.current, event)
 
     def between(self, since: float, until: float) -> Iterator[PastChange]:
         """The changes that overlap the time, by their beginning."""
-        current = [] if self._current is None else [_past(self._current)]
+        current = [] if self.current is None else [_past(self.current)]
         for change in [*self._past, *current]:
             if change.began <= until and (change.ended is None or change.ended >= since):
                 yield change
 
 
-def _past(change: _Change) -> PastChange:
-    return PastChange(
-        id=change.id,
-        command=change.command,
-        began=change.began,
-        ended=change.ended,
-        outcome=change.outcome,
-        because=change.because,
+def _begun(command: Event) -> ChangeView:
+    return ChangeView(
+        id=given(command.id),
+        command=command.words,
+        state="planning",
+        plan=None,
+        index=None,
+        total=None,
+        began=command.at,
+        ended=None,
+        steps=[],
+        swaps=[],
+        outcome=None,
+        because=None,
     )
+
+
+def _after(change: ChangeView, event: Event) -> ChangeView:
+    """The change once the event has happened."""
+    differing: dict[str, Any] = {}
+    if change.ended is None:
+        differing["state"] = _STATES.get(event.kind, change.state)
+    if event.plan is not UNSET:
+        differing |= {"plan": event.plan, "total": len(event.plan.steps)}
+    if event.swaps is not UNSET:
+        differing["swaps"] = event.swaps
+    if event.kind == "outcome":
+        differing |= {"ended": event.at, "outcome": given(event.outcome), "because": event.words}
+    elif event.index is not UNSET:
+        steps = {step.index: step for step in change.steps}
+        if event.kind == "step":
+            step = StepView(index=event.index, words=event.words, began=event.at, ended=None, failed=False)
+            steps[event.index], differing["index"] = step, event.index
+        elif event.index in steps:
+            failed = event.kind == "step_failed"
+            steps[event.index] = structs.replace(steps[event.index], ended=event.at, failed=failed)
+        differing["steps"] = [steps[index] for index in sorted(steps)]
+    return structs.replace(change, **differing)
+
+
+def _past(change: ChangeView) -> PastChange:
+    return convert(change, PastChange, from_attributes=True)

@@ -6,15 +6,14 @@ kept for each of them but that number.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Final, Literal, TypeAlias
+from typing import Final, TypeAlias
 
 import msgspec
 
 # The keyed lists of a view; any other part is one value, under the key "".
-Keyed: TypeAlias = Literal["instances", "topics"]
-KEYED: Final[tuple[Keyed, ...]] = ("instances", "topics")
+KEYED: Final = ("instances", "topics")
 PartKey: TypeAlias = tuple[str, str]  # the field of the view, and the key in it
 # For how many entries that are gone it is remembered when: a client that lacks more is sent the whole view.
 GONE_LIMIT: Final = 1_000
@@ -68,10 +67,6 @@ class ViewTable:
         """All that there is."""
         return {part: entry.json for part, entry in self._entries.items() if entry.json is not None}
 
-    def keys(self, field: Keyed) -> list[str]:
-        """The keys of the entries of a keyed list."""
-        return [key for (name, key), entry in self._entries.items() if name == field and entry.json is not None]
-
     def knows(self, n: int) -> bool:
         """Whether a patch from state ``n`` to the current one can be made."""
         return self._oldest <= n <= self.n and n > 0
@@ -119,9 +114,4 @@ def _head(n: int, at: float) -> list[tuple[str, bytes]]:
 
 
 def _object(fields: Iterable[tuple[str, bytes]]) -> bytes:
-    return b"{%s}" % b",".join(_members(fields))
-
-
-def _members(fields: Iterable[tuple[str, bytes]]) -> Iterator[bytes]:
-    for name, json in fields:
-        yield b"%s:%s" % (msgspec.json.encode(name), json)
+    return b"{%s}" % b",".join(b"%s:%s" % (msgspec.json.encode(name), json) for name, json in fields)
