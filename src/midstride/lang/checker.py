@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from immutables import Map
 
@@ -57,7 +58,7 @@ def check_files(
     """Check ``source`` and its includes. Returns the specification (None if there are errors), the diagnostics, the
     sources and the resolved declarations."""
     reporter = Reporter()
-    bounds = Bounds.of(source)
+    bounds = Bounds.of(source.path or Path(source.name))
     loader = Loader(read, reporter, bounds)
     loader.load(source)
     semantic = reporter

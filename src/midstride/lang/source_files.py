@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -90,6 +90,11 @@ def read_source(path: Path, read: FileReader, name: str | None = None) -> Source
     return Source(name or str(path), text, path)
 
 
+def include_folders() -> list[str]:
+    """The folders of `--include-path` and of the environment."""
+    return [folder for folder in os.environ.get(INCLUDE_PATH, "").split(os.pathsep) if folder]
+
+
 @dataclass(frozen=True, slots=True)
 class Bounds:
     """Which files a specification may read: those below ``folders``, which are real paths.
@@ -100,13 +105,16 @@ class Bounds:
     folders: tuple[str, ...]
 
     @classmethod
-    def of(cls, root: Source) -> Bounds:
-        """Below the folder of the root file, and below the folders that INCLUDE_PATH lists."""
-        path = root.path or Path(root.name)
-        listed = filter(None, os.environ.get(INCLUDE_PATH, "").split(os.pathsep))
+    def of(cls, root: Path, more: Iterable[str] = ()) -> Bounds:
+        """Below the folder of the root file, below the folders that INCLUDE_PATH lists, and below ``more``."""
         # The root file may be a link, as others beside it: `colcon build --symlink-install` installs links.
-        folders = (str(path.parent), os.path.dirname(os.path.realpath(path)), *listed)
+        folders = (str(root.parent), os.path.dirname(os.path.realpath(root)), *include_folders(), *more)
         return cls(tuple(dict.fromkeys(os.path.realpath(folder) for folder in folders)))
+
+    def contain(self, path: str) -> bool:
+        """Whether the file at ``path`` may be read."""
+        real = os.path.realpath(path)
+        return any(os.path.commonpath((folder, real)) == folder for folder in self.folders)
 
     def path(self, name: Name, *endings: str) -> str:
         """The path of a file, which is relative to the file that names it. Raises Unreadable if it may not be read."""
@@ -116,8 +124,7 @@ class Bounds:
             raise Unreadable("E107", f"its name does not end in {' or '.join(endings)}")
         base = name.span.source.path
         path = os.path.normpath((Path() if base is None else base.parent) / name.text)
-        real = os.path.realpath(path)
-        if not any(os.path.commonpath((folder, real)) == folder for folder in self.folders):
+        if not self.contain(path):
             named = f"`midstride --include-path DIR …`, or the variable {INCLUDE_PATH}"
             help = f"move it there, or name its folder: {named}"
             raise Unreadable("E107", "it is not below the folder of the file that names the system", help)

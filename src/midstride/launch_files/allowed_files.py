@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from midstride.lang.source import Source
-from midstride.lang.source_files import INCLUDE_PATH, MAX_TOTAL, Unreadable, read_source, read_text
+from midstride.lang.source_files import MAX_TOTAL, Bounds, Unreadable, read_source, read_text
 from midstride.launch_files.findings import UnknownValue
 
 MAX_FILES: Final = 2048
@@ -17,21 +17,16 @@ MAX_FILES: Final = 2048
 class ReadableFiles:
     """Those below the folder of ``root``, below the folders that the user names, and below those of packages."""
 
-    def __init__(self, root: Path, packages: Iterable[str] = ()) -> None:
-        folders = [str(root.parent), os.path.dirname(os.path.realpath(root)), *include_folders(), *packages]
-        self._folders = tuple(dict.fromkeys(os.path.realpath(folder) for folder in folders))
+    def __init__(self, root: Path, packages: Iterable[str]) -> None:
+        self._bounds = Bounds.of(root, packages)
         self._read: dict[str, Source] = {}
         self._total = 0
-
-    def may_read(self, path: str) -> bool:
-        real = os.path.realpath(path)
-        return any(os.path.commonpath((folder, real)) == folder for folder in self._folders)
 
     def source(self, path: str, *endings: str) -> Source:
         """The text of the file at an absolute path. Raises UnknownValue with the reason."""
         if endings and not path.endswith(endings):
             raise UnknownValue(f"its name does not end in {' or '.join(endings)}", "include")
-        if not self.may_read(path):
+        if not self._bounds.contain(path):
             remedy = "allow its folder by `midstride --include-path DIR import`"
             raise UnknownValue(f"it is not below the folder of the launch file; {remedy}", "include")
         if path not in self._read:
@@ -43,11 +38,6 @@ class ReadableFiles:
                 raise UnknownValue(str(error), "include") from None
             self._total += len(self._read[path].text)
         return self._read[path]
-
-
-def include_folders() -> list[str]:
-    """The folders of `--include-path` and of the environment."""
-    return [folder for folder in os.environ.get(INCLUDE_PATH, "").split(os.pathsep) if folder]
 
 
 def _shown(path: str) -> str:

@@ -51,7 +51,7 @@ class Interpreter(NodeElements):
             "node": ("", self.node),
             "lifecycle_node": ("", self.node),
             "node_container": ("", self.container),
-            "load_composable_node": ("target", self.load_components),
+            "load_composable_node": ("target", self.left_out),
             "executable": ("", self.executable),
         }
 
@@ -103,7 +103,7 @@ class Interpreter(NodeElements):
             return
         known, function = self._elements[entity.tag]
         try:
-            if not self._applies(entity, context):
+            if not self.applies(entity, context):
                 return
             if known:
                 self.expect(entity, known)
@@ -114,35 +114,18 @@ class Interpreter(NodeElements):
                 name = str(entity.attributes.get("name"))
                 context.variables[name] = UnknownValue(f"whether `{name}` is set is not known", error.kind)
 
-    def _applies(self, entity: Entity, context: Context) -> bool:
-        """Raises UnknownValue."""
-        for attribute, wanted in (("if", True), ("unless", False)):
-            if attribute in entity.attributes:
-                try:
-                    value = truth(self.text(entity, attribute, context))
-                except UnknownValue as error:
-                    raise UnknownValue(
-                        f"its condition `{attribute}` has no known value: {error}", "condition"
-                    ) from None
-                if value is not wanted:
-                    return False
-        return True
-
     # -- variables -------------------------------------------------------------------------------------------
 
     def _arg(self, entity: Entity, context: Context) -> None:
         name = str(self.required(entity, "name"))
         self._given.pop(name, None)
         if name not in context.variables:
-            try:
-                context.variables[name] = self.text(entity, "default", context)
-            except UnknownValue as error:
-                if "default" in entity.attributes:
-                    context.variables[name] = UnknownValue(f"`{name}` has no known value: {error}", error.kind)
-                else:
-                    message = f"`{name}` has no value and no default; pass `{name}:=…`"
-                    self.findings.add("argument", message, entity.span)
-                    context.variables[name] = UnknownValue(f"`{name}` has no value", "argument")
+            if "default" in entity.attributes:
+                self._assign(name, entity, "default", context)
+            else:
+                message = f"`{name}` has no value and no default; pass `{name}:=…`"
+                self.findings.add("argument", message, entity.span)
+                context.variables[name] = UnknownValue(f"`{name}` has no value", "argument")
         choices = [str(self.required(choice, "value")) for choice in entity.named("choice")]
         value = context.variables[name]
         if choices and isinstance(value, str) and value not in choices:
@@ -150,10 +133,13 @@ class Interpreter(NodeElements):
             self.findings.add("argument", message, entity.span)
 
     def _let(self, entity: Entity, context: Context) -> None:
-        name = self.text(entity, "name", context)
+        self._assign(self.text(entity, "name", context), entity, "value", context)
+
+    def _assign(self, name: str, entity: Entity, attribute: str, context: Context) -> None:
+        """Set a variable. That its value is not known is reported where it is needed."""
         try:
-            context.variables[name] = self.text(entity, "value", context)
-        except UnknownValue as error:  # reported where it is needed
+            context.variables[name] = self.text(entity, attribute, context)
+        except UnknownValue as error:
             context.variables[name] = UnknownValue(f"`{name}` has no known value: {error}", error.kind)
 
     def _set_env(self, entity: Entity, context: Context) -> None:
@@ -188,10 +174,7 @@ class Interpreter(NodeElements):
         if self._depth >= MAX_INCLUDES or self.system.files >= MAX_INCLUSIONS:
             raise UnknownValue(f"`{name}`: launch files include too many others", "include")
         for argument, each in given:  # as in ROS, they stay set after the include
-            try:
-                context.variables[argument] = self.text(each, "value", context)
-            except UnknownValue as error:
-                context.variables[argument] = UnknownValue(f"`{argument}` has no known value: {error}", error.kind)
+            self._assign(argument, each, "value", context)
         self._depth += 1
         try:
             self.file(path, context)

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from midstride.errors import SpecificationError
 from midstride.lang.source import Span
-from midstride.launch_files.allowed_files import ReadableFiles, include_folders
+from midstride.lang.source_files import Bounds, include_folders
+from midstride.launch_files.allowed_files import ReadableFiles
 from midstride.launch_files.context import Context
 from midstride.launch_files.findings import ImportFindings, UnknownValue
 from midstride.launch_files.interpreter import Interpreter
@@ -47,8 +48,7 @@ def import_launch_file(
     start = Span(files.source(absolute), 0, 0)
     for name in interpreter.undeclared():
         findings.add("argument", f"no launch file that was read declares `{name}`", start)
-    named = ReadableFiles(folder.absolute() / "system.stride")
-    reader = ParameterReader(files, findings, named.may_read)
+    reader = ParameterReader(files, findings, Bounds.of(folder.absolute() / "system.stride").contain)
     heading = (
         f"Imported from {path.name}. A launch file does not state ports: while the nodes run,\n"
         "`midstride capture --into FILE` adds what they publish and subscribe to."

@@ -6,6 +6,7 @@ import os
 import re
 import shlex
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from typing import Any, Final
 
 from midstride.lang.source import Span
@@ -86,20 +87,14 @@ class NodeElements:
     def container(self, entity: Entity, context: Context) -> None:
         """Raises UnknownValue."""
         self.node(entity, context)
-        self._left_out(entity, context)
+        self.left_out(entity, context)
 
-    def load_components(self, entity: Entity, context: Context) -> None:
-        self._left_out(entity, context)
-
-    def _left_out(self, entity: Entity, context: Context) -> None:
+    def left_out(self, entity: Entity, context: Context) -> None:
+        """Note the components that are in the element, or would be loaded by it."""
         for component in entity.named(*_COMPONENTS):
             label = str(component.attributes.get("plugin", "a component"))
             try:
-                applies = all(
-                    truth(self.text(component, attribute, context)) is wanted
-                    for attribute, wanted in (("if", True), ("unless", False))
-                    if attribute in component.attributes
-                )
+                applies = self.applies(component, context)
             except UnknownValue:
                 applies = True
             if applies:
@@ -125,7 +120,7 @@ class NodeElements:
                 command=(*command, *args),
                 span=entity.span,
                 remaps=(*context.remaps, *self._remaps(entity, context)),
-                settings=(*context.settings, *self._settings(entity, context)),
+                settings=(*context.settings, *self._settings(entity, "", context)),
                 environment=dict(self._environment(entity, context)),
                 ros_arguments=self._words(entity, "ros_args", context),
                 respawn=tuple(self._respawn(entity, context)),
@@ -173,13 +168,14 @@ class NodeElements:
                 yield f"respawn_max_retries {int(retries)}"
 
     def _number(self, entity: Entity, attribute: str, context: Context) -> float | None:
-        """A number from 0, if the node states one."""
+        """A number from 0 that the language has, if the node states one."""
         if attribute not in entity.attributes:
             return None
         try:
             text = self.text(entity, attribute, context)
-            if (found := _from_zero(text)) is not None:
-                return found
+            with suppress(ValueError):
+                if 0 <= (found := float(text)) <= MAX_NUMBER:
+                    return found
             raise UnknownValue(f"`{shortened(text)}` is not a number from 0", "unsupported")
         except UnknownValue as error:
             self.findings.add(error.kind, f"`{attribute}` of a node is left out: {error}", entity.span)
@@ -193,9 +189,10 @@ class NodeElements:
             except UnknownValue as error:
                 self.findings.add(error.kind, f"a remapping is left out: {error}", remap.span)
 
-    def _settings(self, entity: Entity, context: Context) -> Iterator[Setting]:
+    def _settings(self, entity: Entity, prefix: str, context: Context) -> Iterator[Setting]:
+        """Of the parameters in an element; their names begin with ``prefix``."""
         for parameter in entity.named("param"):
-            yield from self._parameter(parameter, "", context)
+            yield from self._parameter(parameter, prefix, context)
 
     def _parameter(self, entity: Entity, prefix: str, context: Context) -> Iterator[Setting]:
         try:
@@ -203,22 +200,17 @@ class NodeElements:
             if "from" in entity.attributes:
                 path = self.path(entity, "from", context)
                 replaced = "allow_substs" in entity.attributes and truth(self.text(entity, "allow_substs", context))
-                text = substituted(self._parameter_text(path), context) if replaced else None
+                text = substituted(self.files.source(path, ".yaml", ".yml").text, context) if replaced else None
                 yield ParameterFileName(path, text, entity.span)
                 return
             name = prefix + self.text(entity, "name", context)
-            nested = list(entity.named("param"))
-            for each in nested:
-                yield from self._parameter(each, f"{name}.", context)
-            if not nested:
+            yield from self._settings(entity, f"{name}.", context)
+            if not any(entity.named("param")):
                 yield name, value_of(entity, "value", lambda text: substituted(text, context))
         except UnknownValue as error:
             what = entity.attributes.get("name", entity.attributes.get("from", ""))
             message = f"the parameter or file `{what}` is left out: {error}"
             self.findings.add(error.kind if error.kind != "include" else "parameters", message, entity.span)
-
-    def _parameter_text(self, path: str) -> str:
-        return self.files.source(path, ".yaml", ".yml").text
 
     # -- attributes ------------------------------------------------------------------------------------------
 
@@ -229,6 +221,20 @@ class NodeElements:
             if name not in allowed and not name.endswith("-sep"):
                 message = f"the attribute `{name}` of `{entity.tag}` is left out"
                 self.findings.add("unsupported", message, entity.span)
+
+    def applies(self, entity: Entity, context: Context) -> bool:
+        """Whether the conditions of the element hold. Raises UnknownValue."""
+        for attribute, wanted in (("if", True), ("unless", False)):
+            if attribute in entity.attributes:
+                try:
+                    value = truth(self.text(entity, attribute, context))
+                except UnknownValue as error:
+                    raise UnknownValue(
+                        f"its condition `{attribute}` has no known value: {error}", "condition"
+                    ) from None
+                if value is not wanted:
+                    return False
+        return True
 
     def required(self, entity: Entity, attribute: str) -> EntityValue:
         """Raises UnknownValue."""
@@ -273,15 +279,6 @@ class NodeElements:
 
 def _stem(path: str) -> str:
     return os.path.splitext(os.path.basename(path))[0]
-
-
-def _from_zero(text: str) -> float | None:
-    """A number that the language has, and that is not negative."""
-    try:
-        found = float(text)
-    except ValueError:
-        return None
-    return found if 0 <= found <= MAX_NUMBER else None
 
 
 def _split(text: str) -> list[str]:

@@ -123,7 +123,8 @@ def _value(template: Template, context: Context) -> str:
 def _performed(call: SubstitutionCall, context: Context) -> str:
     if call.name == "if" and 2 <= len(call.arguments) <= 3:  # only the branch that is taken needs a value
         condition = truth(_value(call.arguments[0], context))
-        return _value(call.arguments[1], context) if condition else "".join(_rest(call, context))
+        taken = call.arguments[1:2] if condition else call.arguments[2:]
+        return "".join(_value(argument, context) for argument in taken)
     values = [_value(argument, context) for argument in call.arguments]
     function = _FUNCTIONS.get(call.name)
     if function is None:
@@ -132,10 +133,6 @@ def _performed(call: SubstitutionCall, context: Context) -> str:
     if not low <= len(values) <= high:
         raise UnknownValue(f"`{shortened(call.text)}`: wrong number of arguments")
     return perform(context, values)
-
-
-def _rest(call: SubstitutionCall, context: Context) -> Sequence[str]:
-    return [_value(argument, context) for argument in call.arguments[2:]]
 
 
 def truth(text: str) -> bool:

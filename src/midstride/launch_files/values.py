@@ -44,7 +44,8 @@ def _of_type(text: str, stated: str) -> ParameterValue:
         raise UnknownValue(f"`{stated}` is not a type of parameters", "parameters")
     if name != stated:
         found = _yaml(text)
-        values = [float(each) if wanted is float and isinstance(each, int) else each for each in _members(found)]
+        members = found if isinstance(found, list) else [found]
+        values = [float(each) if wanted is float and isinstance(each, int) else each for each in members]
         if not all(isinstance(each, wanted) for each in values):
             raise UnknownValue(f"the value is not of the type `{stated}`", "parameters")
         return _list(values)
@@ -55,10 +56,6 @@ def _of_type(text: str, stated: str) -> ParameterValue:
         return words[text.lower()] if wanted is bool else _finite(wanted(text))
     except (KeyError, ValueError):
         raise UnknownValue(f"the value is not of the type `{stated}`", "parameters") from None
-
-
-def _members(value: ParameterValue) -> list[Plain]:
-    return list(value) if isinstance(value, list) else [value]
 
 
 def _plain_or_list(value: Plain, substitute: Substitute, typed: bool) -> ParameterValue:
