@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
-from itertools import count
 
 from midstride.capture.observed import ObservedGraph
 from midstride.capture.probe import Dependences
-from midstride.capture.proposal import component_text, node_block, ports_of, topic_lines
+from midstride.capture.proposal import component_text, free_name, node_block, ports_of, topic_lines
 from midstride.lang.printer import format_text
 from midstride.lang.token_stream import RESERVED
 
@@ -32,11 +30,11 @@ def draft(name: str, graph: ObservedGraph, rates: bool = False, findings: Depend
     owns = {node.rpartition("/")[2] for node in ports}
     for node, found in ports.items():
         words = (word[0].upper() + word[1:] for word in re.split(r"[^A-Za-z0-9]+", node) if word)
-        component = _free("".join(words), components)  # of `/a/b` and `/a_b`, too
+        component = free_name("".join(words), components)  # of `/a/b` and `/a_b`, too
         components.add(component)
         lines += [f"component {component} {{", *component_text(found, heard, rates, own_topics=False), "}", ""]
         namespace, _, own = node.rpartition("/")
-        name = own if own not in RESERVED else _free(own, {*RESERVED, *owns}, "_")
+        name = own if own not in RESERVED else free_name(own, {*RESERVED, *owns}, "_")
         statements = nodes.setdefault(namespace.strip("/"), [])
         if name != own:
             statements.append(f"# `{own}` is a word of the language")
@@ -47,10 +45,3 @@ def draft(name: str, graph: ObservedGraph, rates: bool = False, findings: Depend
     formatted = format_text("\n".join(lines))
     assert formatted.text is not None, [str(each) for each in formatted.diagnostics]
     return formatted.text
-
-
-def _free(base: str, taken: Collection[str], ending: str = "") -> str:
-    """``base``, or with the first number after ``ending`` that makes it a name that is not taken."""
-    return next(
-        name for number in count(1) if (name := base if number == 1 else f"{base}{ending}{number}") not in taken
-    )

@@ -11,7 +11,15 @@ from pathlib import Path
 
 from midstride.capture.observed import ObservedGraph
 from midstride.capture.probe import Dependences
-from midstride.capture.proposal import ProposedPort, component_text, merged, node_block, ports_of, topic_lines
+from midstride.capture.proposal import (
+    ProposedPort,
+    component_text,
+    free_name,
+    merged,
+    node_block,
+    ports_of,
+    topic_lines,
+)
 from midstride.errors import SpecificationError
 from midstride.lang.diagnostic_text import Reporter
 from midstride.lang.parser import parse
@@ -156,7 +164,8 @@ class _Inserter:
                 self._insert_before(close, lines)
                 continue
             body = _edited(self.file.tokens.source.text[start:close], commands)
-            name = self._free_name(component.name.text)
+            name = free_name(component.name.text, self.taken)
+            self.taken.add(name)
             self.edits.append((close + 1, close + 1, "\n".join([f"\n\ncomponent {name}{body}", *lines, "}"])))
             for node, _ in members:
                 if node.component is not None:
@@ -173,13 +182,6 @@ class _Inserter:
                 escaped = command.replace("\\", "\\\\").replace('"', '\\"')
                 found.append((run.command.span.start - start, run.command.span.end - start, f'"{escaped}"'))
         return found
-
-    def _free_name(self, base: str) -> str:
-        number = 2
-        while f"{base}{number}" in self.taken:
-            number += 1
-        self.taken.add(f"{base}{number}")
-        return f"{base}{number}"
 
     def _attach(self, node: NodeDeclaration, ports: list[ProposedPort]) -> None:
         if not ports or node.component is None:

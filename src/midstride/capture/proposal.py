@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import count
 from typing import Final
 
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
@@ -279,4 +280,11 @@ def _needed(profiles: list[QoS]) -> QoS:
         deadline=min(deadlines, default=None),
         lease=min(leases, default=None),
         liveliness="manual_by_topic" if any(each.liveliness == "manual_by_topic" for each in profiles) else None,
+    )
+
+
+def free_name(base: str, taken: Collection[str], ending: str = "") -> str:
+    """``base``, or with the first number after ``ending`` that makes it a name that is not taken."""
+    return next(
+        name for number in count(1) if (name := base if number == 1 else f"{base}{ending}{number}") not in taken
     )

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from midstride.runtime.records.status_forms import ParametersReport, ProgramStatus, Service, Status, Why
 
 F = TypeVar("F")
-EventDocument = Document
 
 # Requests that only read are answered at once, or something is wrong (s).
 READ_TIMEOUT = 10.0
@@ -77,12 +76,12 @@ class Client:
             return False
         return True
 
-    def service(self, timeout: float = 2.0) -> Service | None:
+    def service(self) -> Service | None:
         """The manager's description of itself; None if no manager answers in time."""
         from midstride.runtime.records.status_forms import Service
 
         try:
-            return self._form(Service, "GET", "", timeout=timeout)
+            return self._form(Service, "GET", "", timeout=2.0)
         except errors.ManagerError:
             return None
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -61,11 +61,8 @@ class Appended:
     _parts: dict[Path, bytes] = field(default_factory=dict)
 
     def follow(self, path: Path, end: int) -> None:
+        """Follow a file from ``end`` on, unless it is followed already."""
         self._ends.setdefault(path, end)
-
-    def followed(self, paths: Iterable[Path]) -> list[Path]:
-        """Those of ``paths`` that are not followed yet."""
-        return [path for path in paths if path not in self._ends]
 
     def lines(self) -> Iterator[tuple[Path, str]]:
         """The new lines. A file that has been shortened is read on from its new end."""

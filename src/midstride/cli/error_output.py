@@ -30,7 +30,8 @@ def report(error: click.UsageError | MidstrideError | OSError, words: Sequence[s
         message = error.format_message().rstrip(".")
         if isinstance(error, click.NoSuchOption) and error.option_name == "--include-path":
             message += "; it comes before the command: `midstride --include-path DIR …`"
-        if message.startswith("Got unexpected extra argument") and error.ctx is not None and _takes_system(error.ctx):
+        parameters = error.ctx.command.params if error.ctx is not None else []
+        if message.startswith("Got unexpected extra argument") and any(each.name == "system" for each in parameters):
             message += "; a system is named with --system NAME"
         message = _CLICK_TYPE.sub(lambda found: f"is not a {_NUMBERS[found[1]]}", message)
         _report(f"{path}: {_lower_first(message)}\ntry `{path} --help`", "UsageError", message, words)
@@ -45,10 +46,6 @@ def report(error: click.UsageError | MidstrideError | OSError, words: Sequence[s
     path = " ".join(["midstride", *_command(words)])
     _report("\n".join(f"{path}: {line}" for line in lines), type(error).__name__, "\n".join(lines), words)
     return NO
-
-
-def _takes_system(context: click.Context) -> bool:
-    return any(parameter.name == "system" for parameter in context.command.params)
 
 
 def _command(words: Sequence[str]) -> list[str]:

@@ -148,46 +148,38 @@ def _runtime_values(found: AnyPlan | Outcome) -> Iterable[Text]:
 
 def falls(plan: AnyPlan) -> str:
     """What degrades on the way, how far, for how long and why; and what is lower or higher afterwards."""
-    lines = [_marked_fall(plan, fall) for fall in plan.degradations]
+    lines = [_fall(plan, fall) for fall in plan.degradations]
     lower = _lower_afterwards(plan)
     higher = [shift for shift in plan.level_shifts if shift.levels <= 0]
     if not lines and not lower:
         lines = ["[green]Nothing degrades:[/green] every functionality that remains keeps its level throughout."]
     lines += [f"[yellow]Afterwards:[/yellow] {escape(_lowered(shift))}." for shift in lower]
-    lines += [f"[green]Improves:[/green] {escape(_shift(shift))}" for shift in higher]
+    for shift in higher:
+        levels = f"from {shift.before or 'unserved'} to {shift.after or 'unserved'}"
+        lines.append(f"[green]Improves:[/green] {escape(f'{shift.functionality}, {levels}')}")
     return "\n".join(lines)
 
 
-def _marked_fall(plan: AnyPlan, fall: Degradation) -> str:
-    if fall.since == 0:
-        return f"[yellow]Degraded already:[/yellow] {escape(_already(plan, fall))}"
-    return f"[yellow]Degrades:[/yellow] {escape(_fall(plan, fall))}"
-
-
 def _fall(plan: AnyPlan, fall: Degradation) -> str:
-    name, since, until = fall.functionality, fall.since, fall.until
-    where = f"steps {since} to {until}" if until is not None else f"from step {since} on"
-    mode = _mode_entered(plan.steps[since - 1], name)
-    depth = f" to {mode}" if mode else ""
-    if mode and fall.unserved is not None:
-        depth += f", unserved from step {fall.unserved} on,"
-    head = f"{name}{depth} for about {seconds(fall.seconds)} ({where})"
-    return "\n  ".join([head, fall.because, *fall.forced_by, *_alternatives(plan, name)])
-
-
-def _already(plan: AnyPlan, fall: Degradation) -> str:
-    """How long a functionality remains below that is below before the first step."""
-    until, unserved = fall.until, fall.unserved
-    where = "throughout" if until is None else f"until step {until}"
-    where += f", unserved from step {unserved} on" if unserved else ""
-    name = fall.functionality
-    head = f"{name} for about {seconds(fall.seconds)} more ({where})"
-    return "\n  ".join([head, *fall.forced_by, *_alternatives(plan, name)])
-
-
-def _alternatives(plan: AnyPlan, functionality: str) -> Iterable[str]:
+    """How far a functionality degrades, for how long and why; or how long one remains so that is degraded already."""
+    name, since, until, unserved = fall.functionality, fall.since, fall.until, fall.unserved
+    if since == 0:
+        mark, reasons = "Degraded already:", []
+        where = "throughout" if until is None else f"until step {until}"
+        where += f", unserved from step {unserved} on" if unserved else ""
+        head = f"{name} for about {seconds(fall.seconds)} more ({where})"
+    else:
+        mark, reasons = "Degrades:", [fall.because]
+        where = f"steps {since} to {until}" if until is not None else f"from step {since} on"
+        mode = _mode_entered(plan.steps[since - 1], name)
+        depth = f" to {mode}" if mode else ""
+        if mode and unserved is not None:
+            depth += f", unserved from step {unserved} on,"
+        head = f"{name}{depth} for about {seconds(fall.seconds)} ({where})"
     found: Sequence[Alternative] = getattr(plan, "alternatives", None) or ()
-    return (_alternative(each) for each in found if each.functionality == functionality)
+    instead = [_alternative(each) for each in found if each.functionality == name]
+    lines = "\n  ".join([head, *reasons, *fall.forced_by, *instead])
+    return f"[yellow]{mark}[/yellow] {escape(lines)}"
 
 
 def _alternative(alternative: Alternative) -> str:
@@ -217,10 +209,6 @@ def _lower_afterwards(plan: AnyPlan) -> list[LevelShift]:
 
 def _lowered(shift: LevelShift | DegradedFunctionality) -> str:
     return wording.lowered(shift.functionality, shift.after, shift.before)
-
-
-def _shift(shift: LevelShift) -> str:
-    return f"{shift.functionality}, from {shift.before or 'unserved'} to {shift.after or 'unserved'}"
 
 
 def cost(plan: AnyPlan) -> str:
@@ -261,7 +249,11 @@ def outcome(outcome: Outcome) -> RenderableType:
     }[kind]
     lines: list[RenderableType] = [Text.from_markup(headline + (f": {escape(str(because))}" if because else "."))]
     if kind != "refused":
-        lines += map(Text, [*_times(outcome), *_skews(outcome), *_fallen_lines(outcome)])
+        skews = (
+            f"{skew.kind.capitalize()} of {_listed(skew.functionalities)}: within {skew.seconds * 1000:.1f} ms."
+            for skew in outcome.skews
+        )
+        lines += map(Text, [*_times(outcome), *skews, *_fallen_lines(outcome)])
     lines += _runtime_values(outcome)
     if outcome.swaps:
         swaps = table(["topic", "subscriber"], MEASUREMENTS)
@@ -285,13 +277,6 @@ def _times(outcome: Outcome) -> list[str]:
     together = sum(step.seconds for step in steps)
     in_all = "" if seconds(ended) == seconds(together) else f", for steps of {seconds(together)} in all"
     return [f"Planned: {_about_plan(plan)}. Measured: {seconds(ended)}{in_all}."]
-
-
-def _skews(outcome: Outcome) -> list[str]:
-    return [
-        f"{skew.kind.capitalize()} of {_listed(skew.functionalities)}: within {skew.seconds * 1000:.1f} ms."
-        for skew in outcome.skews
-    ]
 
 
 def _fallen_lines(outcome: Outcome) -> list[str]:

@@ -41,19 +41,13 @@ def comparison(found: Mapping[str, PlanForm | str], title: str) -> RenderableTyp
         if isinstance(plan, str):
             rows.add_row(strategy, Text("refused", style="red"), *[""] * 4)
         else:
-            rows.add_row(strategy, *_figures(plan))
+            bound = " (minimal)" if plan.proved_minimal else ""
+            times = map(seconds, (planned_seconds(plan), plan.makespan))
+            disruption = f"{plan.disruption:.3g}{bound}"
+            rows.add_row(strategy, disruption, str(len(plan.degraded)), *times, str(len(plan.steps)))
     refused = [Text(f"{strategy}: {why}", style="red") for strategy, why in found.items() if isinstance(why, str)]
     plans = {strategy: plan for strategy, plan in found.items() if not isinstance(plan, str) and plan.steps}
     return Group(Text(title, style="bold"), rows, *refused, *_axes(plans))
-
-
-def _figures(plan: PlanForm) -> Iterable[str]:
-    bound = " (minimal)" if plan.proved_minimal else ""
-    yield f"{plan.disruption:.3g}{bound}"
-    yield str(len(plan.degraded))
-    yield seconds(planned_seconds(plan))
-    yield seconds(plan.makespan)
-    yield str(len(plan.steps))
 
 
 def _axes(plans: Mapping[str, PlanForm]) -> Iterable[RenderableType]:

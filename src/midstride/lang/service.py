@@ -51,12 +51,9 @@ class LanguageService:
     """Holds the buffers of open files. ``roots`` are further folders to search for systems."""
 
     def __init__(
-        self,
-        roots: Iterable[Path] = (),
-        read: FileReader = read_text,
-        messages: Callable[[], MessageTypes | None] = lambda: None,
+        self, read: FileReader = read_text, messages: Callable[[], MessageTypes | None] = lambda: None
     ) -> None:
-        self.roots = list(roots)
+        self.roots: list[Path] = []
         self.buffers: dict[str, str] = {}
         self._read_disk = read
         self._messages = messages

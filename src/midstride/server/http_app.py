@@ -50,6 +50,7 @@ from midstride.server.view.routes import viewing
 
 # No table of the journal has more rows.
 _LARGEST: Final = 2**31 - 1
+_Number = Annotated[int | None, Query(ge=1, le=_LARGEST, description="as in /history")]
 
 
 def create_app(live: LiveView) -> FastAPI:
@@ -145,9 +146,7 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
         return answer(SpecificationForm.of(manager.specification))
 
     @router.get("/specification/earlier", responses=answers(SpecificationVersion))
-    async def earlier_specification(
-        version: Annotated[int | None, Query(ge=1, le=_LARGEST, description="as in /history")] = None,
-    ) -> Response:
+    async def earlier_specification(version: _Number = None) -> Response:
         """A version of the specification; by default the one before the latest change of it."""
         return answer(await manager.earlier_specification(version))
 
@@ -159,9 +158,7 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
         return answer(await manager.history(latest))
 
     @router.get("/change", responses=answers(ChangeReport))
-    async def past_change(
-        number: Annotated[int | None, Query(ge=1, le=_LARGEST, description="as in /history")] = None,
-    ) -> Response:
+    async def past_change(number: _Number = None) -> Response:
         """A change of the history, by default the latest: its plan, both specifications, what happened, the figures."""
         return answer(await manager.change_report(number))
 
@@ -170,9 +167,7 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
         response_class=HTMLResponse,
         responses={200: {"content": {"text/html": {}}, "description": "one self-contained file"}, **failures()},
     )
-    async def report(
-        number: Annotated[int | None, Query(ge=1, le=_LARGEST, description="as in /history")] = None,
-    ) -> Response:
+    async def report(number: _Number = None) -> Response:
         """A change of the history, by default the latest, as an HTML file that needs nothing else."""
         found = await manager.change_report(number)
         text = await asyncio.to_thread(change_file, found, manager.specification.name, backend)

@@ -44,7 +44,9 @@ def dashboard_command(named: str | None, port: int | None, no_browser: bool, sys
     token = new_token()
     with ended_by_signals(), listen(port) as listening:
         url = f"http://{listening.getsockname()[0]}:{listening.getsockname()[1]}/?token={token}"
-        opened = None if no_browser or not _graphical() else _open(workspace, url)
+        # A browser without a window of its own would take this terminal.
+        graphical = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"))
+        opened = _open(workspace, url) if graphical and not no_browser else None
         if wants_json():
             print_json({"system": workspace.name, "url": url, "port": listening.getsockname()[1]})
         else:
@@ -57,11 +59,6 @@ def dashboard_command(named: str | None, port: int | None, no_browser: bool, sys
             if opened is not None:
                 opened.unlink(missing_ok=True)
     return 0
-
-
-def _graphical() -> bool:
-    """Whether a browser would have a window: one in this terminal would take it."""
-    return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"))
 
 
 def _open(workspace: Workspace, url: str) -> Path:

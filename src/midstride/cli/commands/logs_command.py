@@ -75,7 +75,7 @@ def _follow(client: Client, workspace: Workspace, node: str, following: Appended
     while True:
         if time.monotonic() - looked > LOOK:
             looked = time.monotonic()
-            for path in following.followed(log_files(workspace, node, _status(client))):
+            for path in log_files(workspace, node, _status(client)):
                 following.follow(path, 0)  # a replacement: from its first line
         for path, line in following.lines():
             shown = _show(path, [line], shown, several=shown is not None)

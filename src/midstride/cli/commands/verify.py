@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -70,7 +70,9 @@ def verify_command(
         raise click.UsageError("--system needs --live")
     if picture is not None:
         graphviz.kind_of(picture)
-    options = AlloyOptions(alloy, limit, _writer(output))
+    options = AlloyOptions(alloy, limit)
+    if output is not None:
+        options = replace(options, keep=partial(write, output))
     verdict = _verify_live(system, options) if live else _verify_files(file, plan_file, options)
     if picture is not None:
         if verdict.findings:
@@ -120,14 +122,6 @@ def _verify_live(system: str | None, options: AlloyOptions) -> Verdict:
         because = f"no answer from {silent}; it holds only if the last known state is still correct"
         return replace(verdict, answer=Answer.UNKNOWN, because=because)
     return verdict
-
-
-def _writer(output: Path | None) -> Callable[[str], None]:
-    def save(text: str) -> None:
-        if output is not None:
-            write(output, text)
-
-    return save
 
 
 def lines(verdict: Verdict) -> list[tuple[str, str]]:

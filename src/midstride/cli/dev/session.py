@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -199,12 +199,8 @@ class DevSession:
         else:
             own = {path for program in self._programs if program.role == name for path in program.files}
         others = {path for program in self._programs for path in program.files}
-        beside = {path for folder in {os.path.dirname(path) for path in own} for path in _modules(folder)}
+        beside = {str(path) for folder in {Path(path).parent for path in own} for path in folder.glob("*.py")}
         return own | (beside - others)
-
-
-def _modules(folder: str) -> Iterable[str]:
-    return map(str, Path(folder).glob("*.py"))
 
 
 def _what(changes: dict[str, list[str]]) -> str:

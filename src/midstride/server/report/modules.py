@@ -7,6 +7,7 @@ declaration, no cycles.
 
 from __future__ import annotations
 
+import posixpath
 import re
 from pathlib import Path, PurePosixPath
 from typing import Final
@@ -44,7 +45,7 @@ def _add(folder: Path, name: PurePosixPath, done: dict[str, str], above: tuple[s
         return variable
     imports: list[str] = []
     for found in _IMPORT.finditer(text):
-        file = _normal(name.parent / found["file"])
+        file = PurePosixPath(posixpath.normpath(name.parent / found["file"]))
         source = _add(folder, file, done, (*above, key))
         if found["names"]:
             imports.append(f"const {{ {', '.join(_names(found['names'], key))} }} = {source};")
@@ -65,13 +66,3 @@ def _names(text: str, key: str) -> list[str]:
             raise MidstrideError(f"{key} of the dashboard has an import of another form: {part}")
         found.append(f"{match['name']}: {match['alias']}" if match["alias"] else match["name"])
     return found
-
-
-def _normal(path: PurePosixPath) -> PurePosixPath:
-    parts: list[str] = []
-    for part in path.parts:
-        if part == "..":
-            parts.pop()
-        elif part != ".":
-            parts.append(part)
-    return PurePosixPath(*parts)

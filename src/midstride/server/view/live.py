@@ -20,7 +20,6 @@ from midstride.codec.writing import to_json
 from midstride.model.configuration import Configuration
 from midstride.model.rules import Evaluator, violations
 from midstride.runtime.process.component_client import ComponentEvent
-from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.reports import Event
 from midstride.runtime.records.status_forms import InstanceStatus, RunningCommand, SilenceFault, Status
 from midstride.runtime.view.instance_status import EntryShape, instance_status, is_sound, port_statuses
@@ -195,11 +194,6 @@ class LiveView:
             changes=list(self._changes.between(since, until)),
             events=[event for event in events if since <= event.at <= until],
         )
-
-    @property
-    def events(self) -> EventLog:
-        """The manager's."""
-        return self._watched.events
 
     @property
     def oldest(self) -> float:

@@ -6,7 +6,7 @@ The manager's journal keeps what lasts longer: changes, and incidents (GET /hist
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -114,14 +114,9 @@ class ModeHistory:
 
     def between(self, since: float, until: float) -> list[ModeInterval]:
         """The intervals that overlap the time, by their beginning."""
-        return in_order(self._overlapping(since, until))
-
-    def _overlapping(self, since: float, until: float) -> Iterator[ModeInterval]:
-        for interval in self._closed:
-            if interval.began <= until and interval.ended is not None and interval.ended >= since:
-                yield interval
-        for modes in self._open.values():
-            yield from (interval for interval in modes.values() if interval.began <= until)
+        known = [*self._closed, *(interval for modes in self._open.values() for interval in modes.values())]
+        begun = (interval for interval in known if interval.began <= until)
+        return in_order(interval for interval in begun if interval.ended is None or interval.ended >= since)
 
 
 def _interval(component: InstanceStatus, functionality: FunctionalityStatus, began: float) -> ModeInterval:

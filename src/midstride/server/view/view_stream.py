@@ -51,7 +51,8 @@ async def stream(live: LiveView, since: Position | None, *, log_only: bool = Fal
     ``log_only``: events of the log alone, from the first on where ``since`` says nothing, and only until it is known
     that the system could not be brought up.
     """
-    lifecycle, events, table = live.lifecycle, live.events, live.table
+    lifecycle, table = live.lifecycle, live.table
+    events = lifecycle.manager.watched.events
     known = since is not None and since.manager in {None, live.manager}
     with events.client() if log_only else live.client() as waker:
         sent = since.n if since is not None and known and table.knows(since.n) else 0
