@@ -64,11 +64,6 @@ class Life:
         if not self.alive:
             raise ManagerKilled
 
-    @property
-    def free(self) -> bool:
-        """Whether it lives and is not cut off: it need not wait for a :meth:`breath`."""
-        return self.alive and self.cut_off is None
-
     async def breath(self) -> None:
         """Returns while it lives and is not cut off, and never again once it has been killed."""
         while self.cut_off is not None and not self.cut_off.done():
@@ -141,11 +136,9 @@ class _Backend(_Guarded):
 
 class _Clock(_Guarded):
     async def sleep(self, seconds: float) -> None:
-        if not self._life.free:
-            await self._life.breath()
+        await self._life.breath()
         await asyncio.sleep(seconds)
-        if not self._life.free:
-            await self._life.breath()
+        await self._life.breath()
 
 
 class _Transport(_Guarded):
@@ -168,20 +161,15 @@ class _Connection:
         self.close = inner.close
 
     async def send(self, frame: bytes) -> None:
-        if not self._life.free:
-            await self._life.breath()
-            self._examine(frame)
+        await self._life.breath()
+        if self._life.cut_off is not None:  # it is back: another manager may have the lease
+            request = frames.decode_from_client(frame)
+            if isinstance(request, frames.Request) and frames.decode_command(request).kind == "changing":
+                self._life.on_change(f"sends `{frames.command_name(request)}`")
         await self._inner.send(frame)
-        if not self._life.free:
-            await self._life.breath()
+        await self._life.breath()
 
     async def receive(self) -> bytes | None:
         frame = await self._inner.receive()
-        if not self._life.free:
-            await self._life.breath()
+        await self._life.breath()
         return frame
-
-    def _examine(self, frame: bytes) -> None:
-        request = frames.decode_from_client(frame)
-        if isinstance(request, frames.Request) and frames.decode_command(request).kind == "changing":
-            self._life.on_change(f"sends `{frames.command_name(request)}`")

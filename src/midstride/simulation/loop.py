@@ -114,11 +114,7 @@ class SeededLoop(asyncio.AbstractEventLoop):
     call_soon_threadsafe = call_soon  # type: ignore[assignment]
 
     def call_later(self, delay: float, callback: Any, *args: Any, context: Any = None) -> Any:  # type: ignore[override]
-        when = self._now + delay
-        handle = _Callback(when, callback, args, context)
-        self._count += 1
-        heapq.heappush(self._timers, (when, self.random.random(), self._count, handle))
-        return handle
+        return self.call_at(self._now + delay, callback, *args, context=context)
 
     def call_at(self, when: float, callback: Any, *args: Any, context: Any = None) -> Any:  # type: ignore[override]
         handle = _Callback(when, callback, args, context)
@@ -136,9 +132,6 @@ class SeededLoop(asyncio.AbstractEventLoop):
         return future
 
     def call_exception_handler(self, context: dict[str, Any]) -> None:
-        self.errors.append(context)
-
-    def default_exception_handler(self, context: dict[str, Any]) -> None:
         self.errors.append(context)
 
     def run_until_complete(self, future: Any) -> Any:

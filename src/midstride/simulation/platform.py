@@ -22,10 +22,6 @@ class Platform(Simulator):
         self.machines = 1
         self._on_change = on_change
 
-    def reseed(self, seed: int) -> None:
-        """How long messages take is drawn from ``seed`` from now on."""
-        self.network.random.seed(seed)
-
     def standing(self, instance: str) -> StandIn | None:
         """The process of ``instance``, if it runs."""
         found = self.processes.get(instance)
@@ -67,13 +63,10 @@ class Platform(Simulator):
                 behaviour.clear()
 
     def _process(self, launch: Launch, log: Path | None) -> SimulatedProcess:
-        process = StandIn(launch, self._pids, self.time, self._host, self._exited, log, self._published)
+        process = StandIn(launch, self._pids, self.time, self._host, self._exited, log)
+        process.on_state = self._on_change
         process.machine = f"machine {self._pids % self.machines}"
         return process
-
-    def _published(self, process: SimulatedProcess) -> None:
-        assert isinstance(process, StandIn)
-        self._on_change(process)
 
     def _exited(self, process: SimulatedProcess) -> None:
         super()._exited(process)

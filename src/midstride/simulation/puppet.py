@@ -96,8 +96,8 @@ class Puppet:
     ) -> None:
         key = f"{declared.name}.{mode.name}"
         behaviour = self._modes.get(key, {})
-        inputs = [self._assumed(declared, assumption) for assumption in mode.assumptions]
-        inputs = [entry for entry in inputs if entry is not None]
+        assumed = [ports for each in mode.assumptions if (ports := self._assumed(declared, each))]
+        inputs = [any_of(*ports) if len(ports) > 1 else ports[0] for ports in assumed]
         outputs = [self.outputs[name] for name in declared.outputs if name in mode.guarantees]
         promises = {self.outputs[n]: guarantee(p.rate, dict(p.fields) or None) for n, p in mode.guarantees.items()}
         rates = [predicate.rate for predicate in mode.guarantees.values() if predicate.rate is not None]
@@ -107,7 +107,7 @@ class Puppet:
         function: Any = self._call(key, outputs, behaviour, ())
         sync = None
         if rate is None and inputs:
-            named = list(dict.fromkeys(port for entry in inputs for port in _ports_of(entry)))
+            named = list(dict.fromkeys(port for ports in assumed for port in ports))
             if "sync" in behaviour:
                 sync = approximate(behaviour["sync"])
                 function = self._call(key, outputs, behaviour, tuple(named))
@@ -121,14 +121,13 @@ class Puppet:
         else:
             functionality.set_degraded_mode(function, name=mode.name, **arguments)
 
-    def _assumed(self, declared: model.FunctionalitySpec, assumption: model.Assumption) -> Any:
-        """The inputs that can meet the assumption; None where only the environment can."""
+    def _assumed(self, declared: model.FunctionalitySpec, assumption: model.Assumption) -> list[Input]:
+        """The inputs that can meet the assumption; none where only the environment can."""
         if isinstance(assumption, Predicate):
             names = [name for name in declared.inputs if satisfies(self._declared.inputs[name], assumption)]
         else:
             names = list(assumption.inputs)
-        ports = [self._inputs[name] for name in names]
-        return any_of(*ports) if len(ports) > 1 else next(iter(ports), None)
+        return [self._inputs[name] for name in names]
 
     # -- behaving ----------------------------------------------------------------------------------
 
@@ -199,10 +198,6 @@ class Puppet:
         if "write" in stop:
             for output in self.outputs.values():
                 self._write(output, stop["write"])
-
-
-def _ports_of(entry: Any) -> list[Input]:
-    return [entry] if isinstance(entry, Input) else list(entry)
 
 
 def text_of(message: Any) -> str:

@@ -10,7 +10,7 @@ import random
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from midstride.errors import BackendError, MidstrideError
+from midstride.errors import MidstrideError
 from midstride.node.control.component_agent import HEARTBEAT
 from midstride.plan.forms.step_forms import AttachStep, DetachStep, HandoverStep, RemoveStep
 from midstride.plan.request import PlanRequest
@@ -102,7 +102,7 @@ class Simulation:
         system.platform.machines = 2 if self._random.random() < TWO_MACHINES else 1
         self._loop, self._platform, self._disk = system.loop, system.platform, system.disk
         self._loop.random.seed(self._random.getrandbits(32))
-        self._platform.reseed(self._random.getrandbits(32))
+        self._platform.network.random.seed(self._random.getrandbits(32))
         system.on_event, system.on_exit = self._on_manager_event, self._on_exit
         system.invariants.begin(self._reaction, self._lateness, self._uninterrupted, self._violated)
         self._platform.control.before_request = self._before_request
@@ -124,10 +124,11 @@ class Simulation:
     def run(self) -> SeedRun:
         """Run it; the system is left up."""
         begun = self._platform.time.steady()
+        self._loop.errors.clear()
         try:
-            self._system.run(self._supervised())
-        except BackendError as error:
-            self._violated(str(error))
+            self._system.run(self._main())
+        except MidstrideError as error:
+            self._violated(f"{type(error).__name__}: {error}")
         text = "\n".join([*self._timeline, str(sorted(self._system.invariants.heard.items()))])
         return SeedRun(
             self._seed,
@@ -140,13 +141,6 @@ class Simulation:
         )
 
     # -- what happens ------------------------------------------------------------------------------
-
-    async def _supervised(self) -> None:
-        self._loop.errors.clear()
-        try:
-            await self._main()
-        except MidstrideError as error:
-            self._violated(f"{type(error).__name__}: {error}")
 
     async def _main(self) -> None:
         if any(fault.kind == "clock jump" for fault in self._faults) and not self._platform.time.driven:
@@ -187,9 +181,7 @@ class Simulation:
             while not task.done():
                 await asyncio.wait({task}, timeout=0.1)
                 if not life.alive:
-                    self._note("manager", "killed")
-                    self._reached("manager killed")
-                    return None
+                    raise ManagerKilled
                 if life.cut_off is not None:
                     self._note("manager", "cut off")
                     return None

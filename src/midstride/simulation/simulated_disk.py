@@ -21,8 +21,6 @@ class SimulatedDisk(Disk):
         self.full = False
         self.kill_at: Literal["before", "after", "torn"] | None = None
         self.kill_in = ""
-        # Counts the writes.
-        self.writes = 0
         # The manager that writes; None for a reader.
         self.life: Life | None = None
         self._files: dict[Path, sqlite3.Connection] = {}
@@ -54,7 +52,6 @@ class _Database(Database):
         self._life = disk.life
 
     def write(self, statements: Iterable[Statement], *args: Any, **named: Any) -> None:
-        self._disk.writes += 1
         if self._life is not None:
             self._life.require()
         if self._disk.full:

@@ -11,21 +11,17 @@ import zlib
 from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
 
 from immutables import Map
 
 from midstride.backends.simulator.cooperative_thread import ThreadYield
-from midstride.backends.simulator.simulated_process import SimulatedProcess
 from midstride.backends.simulator.simulated_program import ProcessOutput, SimulatedProgram
-from midstride.backends.simulator.virtual_clock import SimulatedClock
 from midstride.codec.component_form import encode_component
 from midstride.model.component import ComponentSpec
 from midstride.model.specification import Specification
 from midstride.node.author.ports import Output
-from midstride.node.component_host import Host
 from midstride.runtime.backend_protocol import Launch
 from midstride.simulation.puppet import Puppet
 from midstride.simulation.threadless import ThreadlessProcess
@@ -125,20 +121,8 @@ class _Program(SimulatedProgram):
 class StandIn(ThreadlessProcess):
     """The process of a stand-in. ``on_state`` is called when it has published its state."""
 
-    def __init__(
-        self,
-        launch: Launch,
-        pid: int,
-        clock: SimulatedClock,
-        host: Callable[[SimulatedProcess, str], Host],
-        on_exit: Callable[[SimulatedProcess], None],
-        log: Path | None,
-        on_state: Callable[[SimulatedProcess], None],
-    ) -> None:
-        self._published: ComponentState | None = None
-        self._on_state = on_state
-        self.role = launch.node
-        super().__init__(launch, pid, clock, host, on_exit, log)
+    on_state: Callable[[StandIn], None]
+    _published: ComponentState | None = None
 
     @property
     def state(self) -> ComponentState | None:
@@ -148,7 +132,7 @@ class StandIn(ThreadlessProcess):
     def state(self, state: ComponentState | None) -> None:
         self._published = state
         if state is not None:
-            self._on_state(self)
+            self.on_state(self)
 
     @property
     def component(self) -> ComponentSpec:
@@ -181,5 +165,5 @@ class StandIn(ThreadlessProcess):
         return self._thread.resume(work)  # its program does not touch the interpreter's state
 
     def _new_program(self, launch: Launch) -> SimulatedProgram:
-        self._stand_in = _Program(launch, self.log)
+        self.role, self._stand_in = launch.node, _Program(launch, self.log)
         return self._stand_in
