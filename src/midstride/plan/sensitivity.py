@@ -38,7 +38,8 @@ def sensitivity(plan: Plan) -> str | None:
             other = minimal(change, budget)
         except PlanRefused:  # with this duration, no plan meets the constraints
             continue
-        own = _retimed(plan, change).disruption
+        steps = [replace(step, seconds=change.estimate_of(step.action).seconds) for step in plan.steps]
+        own = Plan.of(plan.strategy, steps, Levels(change)).disruption
         if own - other.disruption > _SHARE * own:
             return (
                 f"This plan is the best one if `{what}` takes {estimate.seconds:.3g} s, as expected. It has taken "
@@ -61,9 +62,3 @@ def _variations(plan: Plan) -> Iterator[tuple[str, float, Estimate, Change]]:
         for seconds in (keys[key].shortest, keys[key].longest):
             measured: Map[str, Estimate] = change.measured.set(key, Estimate.exactly(seconds))
             yield key, seconds, keys[key], replace(change, measured=measured)
-
-
-def _retimed(plan: Plan, change: Change) -> Plan:
-    """The same steps, with the durations of ``change``."""
-    steps = [replace(step, seconds=change.estimate_of(step.action).seconds) for step in plan.steps]
-    return Plan.of(plan.strategy, steps, Levels(change))

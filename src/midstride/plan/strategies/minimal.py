@@ -211,12 +211,12 @@ def _search(
     stack = [start.advance()]
     while stack:
         state = stack.pop()
-        doomed = state.builder.is_doomed
-        if state.builder.meter.disruption > most:
+        doomed, meter = state.builder.is_doomed, state.builder.meter
+        if meter.disruption > most:
             continue
         if (best is not None or most < inf) and (trials <= 0 or doomed):
             continue
-        if best is not None and _cannot_beat(state, best):
+        if best is not None and not best.breaches and (meter.disruption, len(meter.fallen)) > best.key[1:3]:
             continue
         if state.only_removals_left:
             found = _candidate(levels, constraints, state.finish())
@@ -240,11 +240,6 @@ def _priority(state: SearchState) -> tuple[bool, float, float, int]:
     awaited = [change.seconds("create", i.component) for i in state.creates.values() if i.role in roles]
     cost = meter.disruption + meter.missing * max(awaited, default=0.0)
     return state.builder.is_doomed, cost, meter.missing, len(state.builder.numbered)
-
-
-def _cannot_beat(state: SearchState, best: Candidate) -> bool:
-    meter = state.builder.meter
-    return not best.breaches and (meter.disruption, len(meter.fallen)) > best.key[1:3]
 
 
 def _candidate(levels: Levels, constraints: Sequence[Constraint], builder: PlanBuilder) -> Candidate:

@@ -96,13 +96,11 @@ class ModeChanges:
         try:
             return await self.client.change(instance, command)
         except CommandRefused:
-            if isinstance(action, Upgrade) or budget.is_spent(instance) or not await self._has_degraded(instance):
+            if isinstance(action, Upgrade) or budget.is_spent(instance):
+                raise
+            if not own_degradations_in(self.configuration, await self.client.peek(instance)):
                 raise
             return await self.client.change(instance, command)  # whatever mode it has fallen to
-
-    async def _has_degraded(self, instance: str) -> bool:
-        """Whether its own reflex or code has degraded it since the change began."""
-        return bool(own_degradations_in(self.configuration, await self.client.peek(instance)))
 
 
 async def lower_modes(

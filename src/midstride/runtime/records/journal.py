@@ -135,6 +135,7 @@ class Journal:
             self._flushing = asyncio.get_running_loop().create_task(self._flush())
 
     async def _flush(self) -> None:
+        """Write the incidents that wait; once another manager has the lease, they are not kept."""
         try:
             await self.write()
         except Superseded:
@@ -174,14 +175,12 @@ class Journal:
 
     async def history(self, latest: int) -> History:
         """The latest changes and incidents. Raises ManagerError if they cannot be read."""
-        with suppress(Superseded):
-            await self.write()  # incidents that wait
+        await self._flush()
         return await self._beside(lambda database: read_history(database, latest, self.damaged))
 
     async def report(self, number: int | None = None) -> ChangeReport:
         """Change ``number``, by default the latest. Raises ManagerError if there is none, or it cannot be read."""
-        with suppress(Superseded):
-            await self.write()
+        await self._flush()
         return existing(await self._beside(lambda database: read_report(database, number)), number)
 
     async def specification(self, version: int | None = None) -> SpecificationVersion:

@@ -14,7 +14,7 @@ from midstride.runtime.process.component_client import ComponentEvent
 from midstride.wire.state import ComponentState, FunctionalityState
 
 # By how much (s) the beginning of a mode may seem to move between two reports, which travel for different times.
-_SAME_MODE: Final = 0.5
+SAME_MODE: Final = 0.5
 
 
 class ModeInterval(Report, frozen=True, kw_only=True):
@@ -73,7 +73,7 @@ class ModeRecorder:
             key, began = (state.instance, name), at - found.since
             known = self._open.get(key)
             if known is not None:
-                if known.mode == found.mode and abs(known.began - began) <= _SAME_MODE:
+                if known.mode == found.mode and abs(known.began - began) <= SAME_MODE:
                     continue
                 began = max(began, known.began)
                 self._closed.append(structs.replace(known, ended=began))

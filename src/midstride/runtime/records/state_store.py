@@ -220,13 +220,13 @@ class StateStore:
         """The values of a role's parameters that were set at run time."""
         key = f"{_VALUES}{role}"
         if values:
-            self._put(key, msgspec.json.encode(values).decode())
+            self._write(_puts(key, msgspec.json.encode(values).decode()))
         else:
             self._write({key: ("DELETE FROM system WHERE key = ?", (key,))})
 
     def require(self) -> None:
         """Raises ManagerError if the state cannot be written."""
-        self._put("checked", "")
+        self._write(_puts("checked", ""))
         if self.unwritten is not None:
             raise ManagerError(self.unwritten)
 
@@ -240,9 +240,6 @@ class StateStore:
         database, self._database = self._database, None
         if database is not None:
             database.close()
-
-    def _put(self, *pairs: str) -> None:
-        self._write(_puts(*pairs))
 
     def _write(self, statements: _Statements) -> None:
         for key in statements:  # each in the order in which they were asked for last: one of them empties a table

@@ -73,11 +73,11 @@ class Respawner(ReconciliationObserver):
         for role, record in list(self._records.items()):
             if record.carrying_out:
                 continue
-            if self._policy(role) is None or (self._runs(role) and record.attempts.runs_since is None):
+            if self._policy(role) is None or (self.system.has_instance(role) and record.attempts.runs_since is None):
                 self._forget(role, record)
         for role, crashes in self.system.crashes.items():
             policy, record = self._policy(role), self._records.get(role) or _Record()
-            if policy is None or self._runs(role) or record.carrying_out:
+            if policy is None or self.system.has_instance(role) or record.carrying_out:
                 continue
             new = [crash for crash in crashes if not any(crash is known for known in record.crashes)]
             record.crashes = crashes
@@ -112,15 +112,12 @@ class Respawner(ReconciliationObserver):
         node = self.system.specification.nodes.get(role)
         return None if node is None else node.respawn
 
-    def _runs(self, role: str) -> bool:
-        return self.system.has_instance(role)
-
     def _forget(self, role: str, record: _Record) -> None:
         """A command has restored or removed the node, or removed its policy: what was counted begins anew."""
         del self._records[role]
         if record.task is not None:
             record.task.cancel()
-            why = "it runs again" if self._runs(role) else "it has no restart policy any more"
+            why = "it runs again" if self.system.has_instance(role) else "it has no restart policy any more"
             self.events.add("respawn", f"the restart of {role} is cancelled: {why}")
 
     def _on_crash(self, role: str, record: _Record, policy: RespawnPolicy, why: str) -> None:
@@ -165,7 +162,7 @@ class Respawner(ReconciliationObserver):
             log.exception("%s failed", words)
             failed = f"{words} failed: {error}"
         record.carrying_out, record.task = False, None
-        if self._runs(role):
+        if self.system.has_instance(role):
             record.attempts.runs_since = self.clock.steady()
         elif failed is not None and (policy := self._policy(role)) is not None and not self._stopped:
             if request.replace:

@@ -153,11 +153,9 @@ class Restorer(ReconciliationObserver):
         elif record.supported_since is None or gone > SILENCE:
             record.supported_since = now
         due = record.due()
-        if due is not None and now >= due and self._is_idle():
+        idle = self._restoring is None or self._restoring.done()
+        if due is not None and now >= due and idle:
             self._restoring = asyncio.get_running_loop().create_task(self._restore(self._due(now + TOGETHER)))
-
-    def _is_idle(self) -> bool:
-        return self._restoring is None or self._restoring.done()
 
     def _count(self, ref: FunctionalityRef, record: _Record, failed: str = "") -> None:
         """It has fallen, or could not be restored: there is another attempt, or the last one has been made."""

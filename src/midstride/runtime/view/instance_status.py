@@ -10,12 +10,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
-from msgspec import UNSET
+from msgspec import UNSET, structs
 
 from midstride.model.component import FunctionalityRef, FunctionalitySpec, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.graph_names import resolved
 from midstride.runtime.process.registration import REPORTED
+from midstride.runtime.records.mode_recorder import SAME_MODE
 from midstride.runtime.records.status_forms import (
     EndpointStatus,
     FieldStatus,
@@ -28,8 +29,6 @@ from midstride.runtime.view.rounded_measurements import Measurements, differ_not
 from midstride.runtime.view.watched_system import Baseline, WatchedSystem
 from midstride.wire.state import THIS_HOST, ComponentState, Endpoint, FunctionalityState, LinkState
 
-# By how much (s) the beginning of a mode may seem to move between two reports, which travel for different times.
-_SAME_MODE: Final = 0.5
 _NO_LINKS: Final[dict[str, LinkState]] = {}
 
 
@@ -192,7 +191,7 @@ def _since(found: FunctionalityState, reported: float, before: FunctionalityStat
     """When the mode began: the same as before while it lasts, although each report was on its way for another time."""
     began = reported - found.since
     known = before.since if before is not None and before.mode == found.mode else None
-    return known if known is not None and abs(began - known) <= _SAME_MODE else round(began, 3)
+    return known if known is not None and abs(began - known) <= SAME_MODE else round(began, 3)
 
 
 def port_statuses(
@@ -224,7 +223,7 @@ def _port(
     refresh: bool,
     exact: bool,
 ) -> PortStatus:
-    gate, measured = (None, None) if link is None else (link.gate, link.measured)
+    gate, measured, samples = (None, None, {}) if link is None else (link.gate, link.measured, link.fields)
     met = None if declared is None or measured is None else measured.meets(declared)
     refresh = refresh or link is None
     if exact:
@@ -255,22 +254,8 @@ def _port(
         jitter=found.jitter,
         longest=found.longest,
         window=(None if measured is None else measured.window) if exact else UNSET,
-        fields=_fields(link) if exact else UNSET,
+        fields=[FieldStatus(field=name, **structs.asdict(each)) for name, each in samples.items()] if exact else UNSET,
     )
-
-
-def _fields(link: LinkState | None) -> list[FieldStatus]:
-    return [
-        FieldStatus(
-            field=name,
-            constraint=each.constraint,
-            checked=each.checked,
-            violations=each.violations,
-            run=each.run,
-            last=each.last,
-        )
-        for name, each in ({} if link is None else link.fields).items()
-    ]
 
 
 def _deviations(

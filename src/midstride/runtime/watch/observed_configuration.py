@@ -23,7 +23,8 @@ def observe(configuration: Configuration, life: LifeTable) -> tuple[Configuratio
         elif (state := life.responsive(name)) is None:
             silent.append(name)
         else:
-            configuration = _as_reported(configuration, name, state)
+            configuration = configuration.with_modes(reported_modes(configuration.component(name), state))
+            configuration = with_attachments(configuration, *changed_attachments(configuration, state))
     return configuration, silent
 
 
@@ -58,11 +59,6 @@ def reported_modes(component: ComponentSpec, state: ComponentState) -> dict[Func
         FunctionalityRef(state.instance, name): component.functionalities[name].mode_index(view.mode)
         for name, view in state.functionalities.items()
     }
-
-
-def _as_reported(configuration: Configuration, name: str, state: ComponentState) -> Configuration:
-    configuration = configuration.with_modes(reported_modes(configuration.component(name), state))
-    return with_attachments(configuration, *changed_attachments(configuration, state))
 
 
 def changed_attachments(

@@ -44,13 +44,9 @@ class ReportedValues:
 
     def update_saved(self, configuration: Configuration, roles: Mapping[str, object]) -> dict[str, Values]:
         """What is to be saved: the values of each role that have changed. Forgets roles that are not in ``roles``."""
-        now = self.by_role(configuration)
-        changed = {
-            role: values if role in roles else _NONE
-            for role, values in now.items()
-            if (values if role in roles else _NONE) != self.saved.get(role, _NONE)
-        }
-        self.saved = {role: values for role, values in now.items() if values and role in roles}
+        now = {role: values if role in roles else _NONE for role, values in self.by_role(configuration).items()}
+        changed = {role: values for role, values in now.items() if values != self.saved.get(role, _NONE)}
+        self.saved = {role: values for role, values in now.items() if values}
         return changed
 
     def forget_ended(self, configuration: Configuration) -> None:

@@ -183,7 +183,10 @@ class Recording(ChangeObserver):
         tails = [TAIL_WITHOUT_RATE if period is None else WINDOW_PERIODS * period * factor for period in periods]
         begun, records = self.clock.steady(), dict[PortRef, Records]()
         before = await self._published(resumed)
-        await self._keep_recording(min(max(tails), LONGEST_TAIL))
+        tail = min(max(tails), LONGEST_TAIL)
+        least = tail * SHORTEST_TAIL_PERIODS / WINDOW_PERIODS
+        await self.wait(least)
+        await self.wait(tail - least, self.hurried)
         after = await self._published(resumed)
         # The subscribers first: then the driving inputs have received every message that was answered.
         for port in dict.fromkeys([*(each.input for each in self.recorded), *self._driving_inputs.values()]):
@@ -214,11 +217,6 @@ class Recording(ChangeObserver):
             if published >= UNRECEIVED and not any(row.received > found.now - watched * 1e9 for row in found.rows):
                 self.silences.append(not_receiving(each.input, seen.topic, watched))
         return reports + self.unknown
-
-    async def _keep_recording(self, tail: float) -> None:
-        least = tail * SHORTEST_TAIL_PERIODS / WINDOW_PERIODS
-        await self.wait(least)
-        await self.wait(tail - least, self.hurried)
 
     async def wait(self, seconds: float, hurried: asyncio.Event | None = None) -> None:
         """Wait so long (s), or until ``hurried`` is set, or the recording is broken off."""
