@@ -59,10 +59,8 @@ class Runs:
 
     def _run(self, seed: int) -> SeedRun:
         drawn = random.Random(seed)
-        if self._scenario is not None:
-            scenario = self._scenario
-        else:
-            scenario = rover(drawn, None if self._system is None else self._system.specification)
+        current = None if self._system is None else self._system.specification
+        scenario = self._scenario or rover(drawn, current)
         if self._system is None:
             self._system = System(scenario.specification, scenario.specifications())
         run = Simulation(seed, self._system, scenario, drawn).run()

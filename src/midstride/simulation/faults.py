@@ -9,7 +9,6 @@ from typing import Final, Literal, TypeAlias, cast, get_args
 
 from midstride.backends.simulator.injected_faults import RequestFault
 from midstride.simulation.platform import Platform
-from midstride.simulation.stand_in import StandIn
 
 FaultKind: TypeAlias = Literal[
     "crash",
@@ -72,6 +71,12 @@ _REQUEST_FAULTS: Final[dict[FaultKind, RequestFault]] = {
     "delayed reply": "delayed_reply",
     "repeated request": "repeated_request",
     "repeated reply": "repeated_reply",
+}
+# What a stand-in that misbehaves does in every mode (:mod:`midstride.simulation.puppet`).
+_MISBEHAVIOUR: Final[dict[FaultKind, dict[str, object]]] = {
+    "slow rate": {"every": 5},
+    "silence": {"silent": True},
+    "exception": {"raise": "a drawn fault"},
 }
 # How many requests a change makes, about: a fault strikes at one of them.
 REQUESTS: Final = 40
@@ -168,7 +173,8 @@ def strike(fault: Fault, platform: Platform, names: list[str], random: random.Ra
         case "no discovery":
             faults.stop_discovery(target.instance)
         case "slow rate" | "silence" | "exception":
-            _misbehave(target, fault.kind)
+            for behaviour in target.modes.values():
+                behaviour.update(_MISBEHAVIOUR[fault.kind])
         case "lost messages" | "delayed messages":
             topics = sorted(name for name, topic in platform.network.topics.items() if topic.writers)
             if not topics:
@@ -184,14 +190,3 @@ def strike(fault: Fault, platform: Platform, names: list[str], random: random.Ra
                 target.instance, fault.op, _REQUEST_FAULTS[cast("FaultKind", kind)], fault.times, 0, fault.seconds
             )
     return target.instance
-
-
-def _misbehave(process: StandIn, kind: FaultKind) -> None:
-    for behaviour in process.modes.values():
-        match kind:
-            case "slow rate":
-                behaviour["every"] = 5
-            case "silence":
-                behaviour["silent"] = True
-            case _:
-                behaviour["raise"] = "a drawn fault"

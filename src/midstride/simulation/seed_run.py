@@ -400,10 +400,10 @@ class Simulation:
     def _targets(self, fault: Fault, instance: str) -> list[str]:
         if fault.op is not None and fault.involved:
             return [instance]
-        everyone = [process.instance for process in self._platform.stand_ins()]
+        running = self._platform.stand_ins()
         roles = {role for request in self._scenario.changes for role in request.roles()}
-        involved = [process.instance for process in self._platform.stand_ins() if process.role in roles]
-        return involved if fault.involved and involved else everyone
+        involved = [process for process in running if fault.involved and process.role in roles]
+        return [process.instance for process in involved or running]
 
     def _reached(self, branch: str) -> None:
         for struck in self._struck:

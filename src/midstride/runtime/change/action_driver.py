@@ -248,9 +248,8 @@ class ActionDriver:
     async def _remove(self, action: Remove, budget: StepBudget) -> None:
         instance = self.configuration.instances[action.instance]
         fenced = action.instance in self.system.life.fenced
-        if (
-            not self.rolling_back and not fenced
-        ):  # else this change created it, and the instance that returns has its own state
+        # In a roll-back, this change created it, and the instance that returns has its own state.
+        if not self.rolling_back and not fenced:
             export = commands.ExportStateCommand(timeout=budget.timeout(action.instance, STATE_TIMEOUT))
             try:
                 exported = await self.client.read(action.instance, export)
