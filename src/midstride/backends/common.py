@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -130,6 +130,13 @@ def on_thread(function: Callable[[], T], post: Callable[[Callable[[], None]], ob
 def on_new_thread(function: Callable[[], T]) -> Awaitable[T]:
     """The result of ``function``, called in a thread that the end of the process does not wait for."""
     return on_thread(function, lambda work: threading.Thread(target=work, daemon=True).start())
+
+
+def in_background(work: Coroutine[Any, Any, None], tasks: set[asyncio.Task[None]]) -> None:
+    """Have the running loop do ``work``, as a task that is among ``tasks`` until it has ended."""
+    task = asyncio.get_running_loop().create_task(work)
+    tasks.add(task)
+    task.add_done_callback(tasks.discard)
 
 
 async def comes_true(condition: Callable[[], bool], timeout: float) -> bool:

@@ -10,15 +10,16 @@ from __future__ import annotations
 import asyncio
 import logging
 import socket
-from collections.abc import Coroutine, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 
 from midstride.backends import fork_client
+from midstride.backends.common import in_background
 from midstride.backends.fork_client import ForkServer
 from midstride.backends.fork_server import JOINED, LOADED
 from midstride.backends.process_title import VALUE_ROOM
@@ -87,12 +88,7 @@ class Spares:
             self.server = ForkServer(self._module, self.python, environment, self._log)
         for _ in range(number - len(self._spares) - self._starting):
             self._starting += 1
-            self._begin(self._start())
-
-    def _begin(self, work: Coroutine[Any, Any, None]) -> None:
-        task = asyncio.get_running_loop().create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+            in_background(self._start(), self._tasks)
 
     async def _start(self) -> None:
         """Start a spare."""
@@ -164,7 +160,7 @@ class Spares:
                 channel.setblocking(True)  # it is waiting for just that
                 channel.sendall(msgspec.json.encode(program) + b"\n")
             except OSError:
-                self._begin(fork_client.leave(process))
+                in_background(fork_client.leave(process), self._tasks)
                 return False
         process.on_exit = None
         return True
@@ -184,7 +180,7 @@ class Spares:
         """It exits when its socket closes."""
         self._forget(spare)
         spare.channel.close()
-        self._begin(fork_client.leave(spare.process))
+        in_background(fork_client.leave(spare.process), self._tasks)
 
     def _end_all(self) -> None:
         for spare in list(self._spares):
@@ -194,7 +190,7 @@ class Spares:
 
     def _end_server(self, server: ForkServer) -> None:
         self.server = None
-        self._begin(server.close())
+        in_background(server.close(), self._tasks)
 
     async def close(self) -> None:
         """End them all."""

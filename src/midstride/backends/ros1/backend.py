@@ -10,12 +10,13 @@ import asyncio
 import contextlib
 import os
 import socket
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from midstride.backends import naming, processes
+from midstride.backends.common import in_background
 from midstride.backends.ros1 import launching, master_process, names, rpc
 from midstride.backends.ros1.master import Master
 from midstride.codec.component_form import NamedComponentForm
@@ -155,15 +156,10 @@ class Ros1Backend(processes.ProcessBackend, Backend):
             finally:  # whatever the master has answered
                 self._on_exit(Exited(instance, status, process.last_words()))
 
-        self._begin(tidy_and_report())
+        in_background(tidy_and_report(), self._tidying)
 
     def disconnected(self, instance: str) -> None:
-        self._begin(self._died(instance))
-
-    def _begin(self, tidying: Coroutine[Any, Any, None]) -> None:
-        task = asyncio.get_running_loop().create_task(tidying)
-        self._tidying.add(task)
-        task.add_done_callback(self._tidying.discard)
+        in_background(self._died(instance), self._tidying)
 
     async def _died(self, instance: str) -> None:
         """Take back what a component that has ended may have left with the master, in bounded time."""

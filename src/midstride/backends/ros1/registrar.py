@@ -17,7 +17,7 @@ from typing import Any, Final, Generic, Protocol, TypeVar, cast
 import rospy
 from rospy.impl.registration import RegManager, get_registration_listeners, get_topic_manager
 
-from midstride.backends.common import comes_true
+from midstride.backends.common import comes_true, in_background
 from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, NodeError
 
@@ -76,7 +76,7 @@ class Registrar(Generic[T]):
             if found is None:
                 found = self._topics_of(manager)[name] = make(name)
                 manager.topics.add(name)
-                self.loop.call_soon_threadsafe(self._begin, self._join(found), self._tasks)
+                self.loop.call_soon_threadsafe(in_background, self._join(found), self._tasks)
             elif not hasattr(found, "ports") or found.data_class._md5sum != type_._md5sum:
                 does = "publishes on" if self._kind == "Publisher" else "is subscribed to"
                 raise NodeError(f"this node {does} {name} already, but not by a port of this type")
@@ -94,7 +94,7 @@ class Registrar(Generic[T]):
                 topic.given_up = True
                 del self._topics_of(manager)[topic.resolved_name]
                 manager._recalculate_topics()
-                self.loop.call_soon_threadsafe(self._begin, self._leave(topic), self._leaving)
+                self.loop.call_soon_threadsafe(in_background, self._leave(topic), self._leaving)
 
     def _topics_of(self, manager: Any) -> dict[str, Any]:
         return manager.pubs if self._kind == "Publisher" else manager.subs  # type: ignore[no-any-return]
@@ -106,11 +106,6 @@ class Registrar(Generic[T]):
             task.cancel()
         if self._leaving:
             await asyncio.wait(self._leaving, timeout=timeout)
-
-    def _begin(self, work: Any, tasks: set[asyncio.Task[None]]) -> None:
-        task = self.loop.create_task(work)
-        tasks.add(task)
-        task.add_done_callback(tasks.discard)
 
     async def _join(self, topic: T) -> None:
         expected = -1
