@@ -23,7 +23,7 @@ from std_msgs.msg import String
 
 from midstride.backends import common, diagnostic_array
 from midstride.backends.naming import DIAGNOSTICS
-from midstride.backends.ros1 import launching, names, node_parameters, publishing, subscribing
+from midstride.backends.ros1 import launching, names, node_parameters, publishing
 from midstride.backends.ros1.data_thread import DataThread
 from midstride.backends.ros1.master import Master
 from midstride.backends.ros1.publishing import NumberedTopic, PortPublisher
@@ -94,7 +94,7 @@ class Ros1Host:
         self.publishes_ros_time = True
         self.now: Callable[[], int] = time.time_ns  # until rospy knows whether the clock is simulated
         self.steady: Callable[[], int] = time.monotonic_ns
-        self.read_info: Callable[[Any], MessageInfo] = subscribing.read_info
+        self.read_info: Callable[[Any], MessageInfo] = lambda info: MessageInfo(*info)
         # No service is behind it: here each instance has a node, and a node's services, under its own name.
         self.gate = ServiceGate(self.steady, is_open=not find().standby)
 

@@ -14,7 +14,6 @@ from midstride.backends.ros1.data_thread import DataThread
 from midstride.backends.ros1.publishing import TRAILER
 from midstride.backends.ros1.registrar import Registrar
 from midstride.model.contract import QoS
-from midstride.node.component_host import MessageInfo
 
 # A header's time further than this (ns) from the time of receipt is not the time of the message.
 _PLAUSIBLE: Final = 1_000_000_000
@@ -142,7 +141,3 @@ class PortSubscription:
         """No callback from now on."""
         self._callback = None
         self._registrar.detach(self, self.topic)
-
-
-def read_info(info: Info) -> MessageInfo:
-    return MessageInfo(*info)

@@ -143,7 +143,7 @@ class SimulatedProcess:
     def _wake(self) -> None:
         """A `time.sleep` of its code is over."""
         if self.thawed_at > self.clock.steady():
-            self.clock.loop.call_at(self._thawed_on_loop(), self._wake)
+            self.clock.loop.call_later(self.thawed_at - self.clock.steady(), self._wake)
             return
         self._asleep = False
         self.resume()
@@ -182,9 +182,6 @@ class SimulatedProcess:
         self.thawed_at = self._reacts_at = 0.0
         self._scheduled = False
         self._schedule()
-
-    def _thawed_on_loop(self) -> float:
-        return self.clock.loop.time() + max(0.0, self.thawed_at - self.clock.steady())
 
     @property
     def runs(self) -> bool:
