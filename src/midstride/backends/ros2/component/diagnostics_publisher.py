@@ -35,12 +35,9 @@ class DiagnosticsPublisher:
 
     def _publish(self, entries: Callable[[], Iterable[DiagnosticEntry]], now: int) -> None:
         try:
-            self._publish_now(entries, now)
+            if self._publisher is None:
+                self._publisher = self._control_node.create_publisher(diagnostic_array.MESSAGE, DIAGNOSTICS, 1)
+            if self._publisher.get_subscription_count():
+                self._publisher.publish(diagnostic_array.message(entries(), *self._names, now))
         finally:
             self._under_way = False
-
-    def _publish_now(self, entries: Callable[[], Iterable[DiagnosticEntry]], now: int) -> None:
-        if self._publisher is None:
-            self._publisher = self._control_node.create_publisher(diagnostic_array.MESSAGE, DIAGNOSTICS, 1)
-        if self._publisher.get_subscription_count():
-            self._publisher.publish(diagnostic_array.message(entries(), *self._names, now))

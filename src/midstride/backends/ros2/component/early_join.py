@@ -7,6 +7,7 @@ A second node of a process that has joined is found by others within 15 ms or so
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from typing import Any
 
 import rclpy
@@ -18,15 +19,15 @@ from rclpy.signals import SignalHandlerOptions
 _node: Node | None = None
 
 
-def hidden_node(name: str, context: Context) -> Node:
-    """A node without parameters, services and topics."""
-    return Node(
+def hidden_node(name: str, make: Callable[..., Node] = Node, **options: Any) -> Any:
+    """A node without parameters, services and topics, made by ``make`` with further ``options``."""
+    return make(
         name,
-        context=context,
         use_global_arguments=False,
         enable_rosout=False,
         start_parameter_services=False,
         parameter_overrides=[Parameter("start_type_description_service", value=False)],
+        **options,
     )
 
 
@@ -35,7 +36,7 @@ def join() -> None:
     global _node
     context = Context()
     rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
-    _node = hidden_node(f"_midstride_spare_{os.getpid()}", context)
+    _node = hidden_node(f"_midstride_spare_{os.getpid()}", context=context)
 
 
 def become_default() -> bool:

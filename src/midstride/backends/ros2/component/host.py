@@ -186,12 +186,9 @@ class Ros2Host:
         return self._nodes is not None and self.ros_node.count_publishers(topic) > 0
 
     def extra_endpoints(self) -> list[Endpoint]:
-        nodes = self._nodes
-        return (
-            []
-            if nodes is None
-            else node_parameters.endpoints(self.ros_node, nodes.control_name, self._ports, self._rmw)
-        )
+        if (nodes := self._nodes) is None:
+            return []
+        return node_parameters.endpoints(self.ros_node, nodes.control_name, self._ports, self._rmw)
 
     # -- life ----------------------------------------------------------------------------------------
 

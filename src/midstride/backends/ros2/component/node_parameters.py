@@ -6,11 +6,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any, Final, Literal, TypeAlias
 
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.exceptions import (
-    InvalidParameterTypeException,
-    InvalidParameterValueException,
-    ParameterAlreadyDeclaredException,
-)
+from rclpy.exceptions import ParameterException
 from rclpy.parameter import Parameter
 
 from midstride.backends.ros2.component.data_node import NodeParameter
@@ -46,11 +42,7 @@ class Ros2NodeParameters:
                 value = self._node.get_parameter(name).value
             else:
                 value = self._node.declare_parameter(name, default, ignore_override=name in self._given).value
-        except (
-            InvalidParameterTypeException,
-            InvalidParameterValueException,
-            ParameterAlreadyDeclaredException,
-        ) as error:
+        except ParameterException as error:
             raise NodeError(f"parameter {name}: {error}") from error
         if on_change is not None:
             if not self._on_change:

@@ -15,7 +15,6 @@ from typing import Any, Final
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
-from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from midstride.backends.ros2 import middleware, names
@@ -117,14 +116,8 @@ class ComponentNodes:
         if self._own_context and not early_join.become_default():
             rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         self._context = rclpy.utilities.get_default_context()
-        self._control = GatedNode(
-            names.control(instance, name, system),
-            gate,
-            namespace=namespace,
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-            parameter_overrides=[Parameter("start_type_description_service", value=False)],
+        self._control = early_join.hidden_node(
+            names.control(instance, name, system), GatedNode, gate=gate, namespace=namespace
         )
         early_join.leave()
         self._full_name = full_name(name, namespace)

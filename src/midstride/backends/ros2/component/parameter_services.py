@@ -133,15 +133,12 @@ class ParameterServices:
             return _refused(
                 f"{ours[0]} shows the state of a Midstride component and cannot be set: use `midstride` to change it"
             )
-        return await self._set_on_data([Parameter.from_parameter_msg(one) for one in parameters])
-
-    def _set_on_data(self, parameters: list[Any]) -> Any:
-        """The result, to be awaited on the control executor."""
+        read = [Parameter.from_parameter_msg(one) for one in parameters]
         future = Future(executor=self._control_executor)
 
         def work() -> None:
             try:
-                result = self._node.set_from_outside(parameters)
+                result = self._node.set_from_outside(read)
             except ParameterNotDeclaredException as error:
                 result = _refused(str(error))
             except CAUGHT as error:
@@ -150,7 +147,7 @@ class ParameterServices:
             self._control_executor.wake()
 
         self._data_executor.create_task(work)
-        return future
+        return await future
 
 
 def _value(name: str, value: Any) -> Any:

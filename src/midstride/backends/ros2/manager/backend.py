@@ -86,7 +86,7 @@ class Ros2Backend(ProcessBackend, Backend):
             self.settings = dds_profiles.of_this_process(enabled=self._set_middleware)
             with dds_profiles.applied_profile(self.settings) as self.warnings:
                 rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
-                self._node = hidden_node(f"_midstride_manager_{os.getpid()}", context)
+                self._node = hidden_node(f"_midstride_manager_{os.getpid()}", context=context)
         except Exception as error:  # rclpy's own kinds are not public
             context.try_shutdown()
             raise BackendError(f"ROS 2 cannot be joined: {error}") from error
@@ -203,15 +203,14 @@ class Ros2Backend(ProcessBackend, Backend):
         return False
 
     def _exited(self, instance: str, status: int | None, process: Process) -> None:
-        self._foreign_nodes.gone(instance)
-        self._forget_node(instance)
+        self._gone(instance)
         self._on_exit(Exited(instance, status, process.last_words()))
 
     async def _died(self, instance: str) -> None:
-        self._foreign_nodes.gone(instance)
-        self._forget_node(instance)
+        self._gone(instance)
 
-    def _forget_node(self, instance: str) -> None:
+    def _gone(self, instance: str) -> None:
+        self._foreign_nodes.gone(instance)
         if self._context is not None:
             self._graph.died(full_name(instance))
 
