@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import subprocess
 import sys
 import sysconfig
 from collections.abc import Mapping
+from ctypes import c_int, c_uint32, c_uint64
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from midstride.foreign import build
+from midstride.foreign.page import load_library
 
 # What tools/rust builds.
 RUST_TALKER = Path(__file__).parents[1] / ".cache" / "rust" / "debug" / "rust_talker"
@@ -24,6 +28,16 @@ _LIBRARIES = (
     "std_msgs__rosidl_typesupport_c",
     "std_msgs__rosidl_generator_c",
 )
+
+
+def baton_steps(path: Path) -> Any:
+    """The gate library at ``path``, with what the steps of a baton make of its word as functions."""
+    library, number = load_library(path), c_uint32
+    following = ctypes.POINTER(c_uint64)
+    library.midstride_enter.argtypes = [c_uint64, number, number, c_int, c_int, c_int, following]
+    library.midstride_leave.argtypes, library.midstride_leave.restype = [c_uint64, c_uint64, number, c_int], c_uint64
+    library.midstride_step.argtypes, library.midstride_step.restype = [c_uint64, c_int, number, number, c_int], c_uint64
+    return library
 
 
 def environment_of_compiled(base: Mapping[str, str]) -> dict[str, str]:

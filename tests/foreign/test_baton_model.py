@@ -14,8 +14,9 @@ from typing import Any
 
 import pytest
 
-from midstride.foreign.page import PortFlag, load_library
+from midstride.foreign.page import PortFlag
 from midstride.node.handover.baton import BatonState, BatonStep, BatonWord
+from tests.native import baton_steps
 
 PASS, HOLD_BACK, SKIP, ASK, BUSY = range(5)
 OLD, NEW = 1, 2
@@ -212,7 +213,7 @@ class Explorer:
 
 @pytest.fixture(scope="session")
 def explorer(gate_library: Path) -> Explorer:
-    return Explorer(load_library(gate_library))
+    return Explorer(baton_steps(gate_library))
 
 
 def begin(explorer: Explorer, flags: tuple[tuple[int, int], ...], manager: str) -> World:

@@ -18,7 +18,7 @@ from typing import Any, TypeAlias, cast
 import pytest
 
 from midstride.errors import CallTimeout, CommandRefused, Unreachable
-from midstride.foreign.page import PortFlag, load_library
+from midstride.foreign.page import PortFlag
 from midstride.node.component_host import Host
 from midstride.node.handover import cut_protocol
 from midstride.node.handover.arbiter import Arbiter, ClaimArbiter
@@ -27,6 +27,7 @@ from midstride.node.handover.cut import IncomingCut, IncomingSide, OutgoingCut, 
 from midstride.node.handover.cut_life import CutEvent
 from midstride.node.handover.cut_protocol import CutInTask, CutOutTask
 from midstride.wire.pipe import PipeClaim
+from tests.native import baton_steps
 from tests.node.test_cut import PERIOD, Clocks, Grid, Owner, T, link_of, write
 from tests.planting import plant
 
@@ -536,7 +537,7 @@ def test_only_a_clock_that_is_set_back_far_ends_a_cut(back: float, outcome: str)
 def test_with_a_baton_two_sides_can_never_both_write_and_one_does(
     gate_library: Path, manager: str, mortal: str, fails: bool, states: int
 ) -> None:
-    found = explore(manager=manager, mortal=mortal, fails=fails, library=load_library(gate_library))
+    found = explore(manager=manager, mortal=mortal, fails=fails, library=baton_steps(gate_library))
     assert len(found) == states
     assert {seen.outcomes[0] for seen in found} >= {"waiting", "done", "resumed"}
     for seen in found:
@@ -586,7 +587,7 @@ def test_the_exploration_finds_an_old_side_that_does_not_fence_the_baton(
     gate_library: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plant(monkeypatch, SharedSlot, "reclaim", lambda self: True)
-    assert any(len(seen.writes) == 2 for seen in explore(library=load_library(gate_library)))
+    assert any(len(seen.writes) == 2 for seen in explore(library=baton_steps(gate_library)))
 
 
 @pytest.mark.full
@@ -594,5 +595,5 @@ def test_the_exploration_finds_a_new_side_that_keeps_the_baton_of_a_cancelled_cu
     gate_library: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plant(monkeypatch, SharedSlot, "give_back", lambda self: self.leave())
-    found = explore(manager="cn", library=load_library(gate_library))
+    found = explore(manager="cn", library=baton_steps(gate_library))
     assert any(seen.settled and not seen.writes for seen in found)

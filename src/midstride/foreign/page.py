@@ -122,19 +122,6 @@ _SIZES: Final = (ctypes.sizeof(PageLayout), ctypes.sizeof(PageNode), ctypes.size
 def load_library(path: Path) -> Any:
     """The functions of the library that the manager calls."""
     library = ctypes.CDLL(str(path), mode=os.RTLD_LOCAL | os.RTLD_NOW)
-    library.midstride_enter.argtypes = [
-        c_uint64,
-        c_uint32,
-        c_uint32,
-        c_int,
-        c_int,
-        c_int,
-        ctypes.POINTER(c_uint64),
-    ]
-    library.midstride_leave.argtypes = [c_uint64, c_uint64, c_uint32, c_int]
-    library.midstride_leave.restype = c_uint64
-    library.midstride_step.argtypes = [c_uint64, c_int, c_uint32, c_uint32, c_int]
-    library.midstride_step.restype = c_uint64
     library.midstride_take_step.argtypes = [ctypes.POINTER(PageBaton), c_int, c_uint32, c_uint32, c_int]
     library.midstride_take_step.restype = c_uint64
     library.midstride_is_dead.argtypes = [c_int, c_uint32]
