@@ -73,10 +73,8 @@ class ForeignAgent:
         clock: ReportedClock | None = None,
     ) -> None:
         self.node = ForeignNode(record, folder, gates)
-        if reported is not None:
-            self.node.reported = reported.silence
-        if clock is not None:
-            self.node.clock = clock
+        self.node.reported = (reported or ReportedWrites()).silence
+        self.node.clock = clock or ReportedClock()
         outputs = UngatedOutputs(self.node) if gates is None else GatedOutputs(self.node, gates)
         self._services = services
         self.lifecycle: LifecycleNode | None = None

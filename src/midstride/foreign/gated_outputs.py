@@ -22,6 +22,8 @@ from midstride.node.control.rate_watch import RateWatch
 from midstride.node.handover.baton import BatonStep
 from midstride.wire import commands, replies
 
+# How long the helper thread of a node may take to look, once it is asked to (s).
+LOOK: Final = 0.3
 # How long a call that is publishing may take to return (s).
 PUBLISHING: Final = 0.3
 # An output with a rate hangs if it has been silent for so many periods, and at least so long (s).
@@ -51,16 +53,14 @@ class GatedOutputs(UngatedOutputs):
 
     async def attach(self, command: commands.AttachCommand) -> replies.Attached:
         port = command.port
-        matched = await self._node.matched(port, command.peers, command.timeout)
+        matched = await self._matched(port, command.peers, command.timeout)
         if matched < command.peers:
             raise not_matched(matched, command)
-        matched = await self._node.matched(port, command.everyone, command.patience)
+        matched = await self._matched(port, command.everyone, command.patience)
         if command.peers or command.everyone:
             await asyncio.sleep(READY_AFTER)
-        self._node.change_record(links={**self._node.record.links, port: command.gate})
-        if self._node.component.has_output(port):
-            self._node.adjust(port)
-        else:
+        self._node.set_links({port: command.gate})
+        if not self._node.component.has_output(port):
             self._gates.set_gate(port, True)
         return replies.Attached(matched=matched)
 
@@ -69,15 +69,14 @@ class GatedOutputs(UngatedOutputs):
         await super().detach(command)
         gates.set_gate(port, False)
         if self._node.component.has_output(port) and (baton := gates.baton(port)):
-            await self._node.comes_true(lambda: not gates.has_it(port) or not self._node.writers(baton), PUBLISHING)
+            await self._node.comes_true(lambda: not gates.has_it(port) or not self._writers(baton), PUBLISHING)
             word = gates.page.word(baton)
             if word.predecessor == gates.index + 1:  # it has been handed over, for good
                 gates.page.step(baton, BatonStep.SETTLE, word.holder - 1)
         return replies.Detached(acknowledged=None, last=gates.entry(port).passed)
 
     async def gate(self, command: commands.GateCommand) -> replies.Done:
-        self._node.change_record(links={**self._node.record.links, command.port: command.gate})
-        self._node.adjust(command.port)
+        self._node.set_links({command.port: command.gate})
         return replies.Done()
 
     async def fence(self, command: commands.FenceCommand) -> replies.FencedOutputs:
@@ -89,7 +88,7 @@ class GatedOutputs(UngatedOutputs):
             if not gates.baton(port):
                 gates.set_gate(port, command.lift)
         if not command.lift:
-            free = await self._node.comes_true(lambda: not any(map(self._node.writers, batons)), command.timeout)
+            free = await self._node.comes_true(lambda: not any(map(self._writers, batons)), command.timeout)
             if not free:
                 for baton in batons:
                     gates.step(baton, BatonStep.LIFT)
@@ -97,10 +96,23 @@ class GatedOutputs(UngatedOutputs):
         last = {f"{port} {topic}": int(gates.entry(port).passed) for port, topic in command.attachments}
         return replies.FencedOutputs(last=last)
 
+    async def _matched(self, port: str, wanted: int, patience: float) -> int:
+        """With how many endpoints a port is matched, once that is ``wanted`` or after ``patience`` (s)."""
+        page, index, entry = self._gates.page, self._gates.index, self._gates.entry(port)
+        looked = page.beat(index)
+        page.ring(index)
+        await self._node.comes_true(lambda: page.beat(index) != looked, LOOK)
+        await self._node.comes_true(lambda: entry.matched >= wanted, patience)
+        return int(entry.matched)
+
+    def _writers(self, baton: int) -> int:
+        """How many calls of the holder of ``baton`` are publishing."""
+        return self._gates.page.word(baton).writers
+
     # -- waiting ---------------------------------------------------------------------------------------
 
     async def await_match(self, command: commands.AwaitMatchCommand) -> replies.Attached:
-        return replies.Attached(matched=await self._node.matched(command.port, command.peers, command.timeout))
+        return replies.Attached(matched=await self._matched(command.port, command.peers, command.timeout))
 
     async def await_write(self, command: commands.AwaitWriteCommand) -> replies.GatedWrites:
         """With a rate, what was written before does not count: it may hang by now."""
@@ -147,7 +159,7 @@ class GatedOutputs(UngatedOutputs):
         grid = await super().grid(command)
         if command.port is None or command.topic is None:
             return grid
-        return structs.replace(grid, readers=await self._node.matched(command.port, 0, 0.0))
+        return structs.replace(grid, readers=await self._matched(command.port, 0, 0.0))
 
     async def cut_out(self, command: commands.CutOutCommand) -> replies.Done:
         """The old side: from now on, one baton decides for the outputs of the cut."""
@@ -195,9 +207,7 @@ class GatedOutputs(UngatedOutputs):
         before = {port: int(gates.entry(port).passed) for port in ports}
         gates.share(ports, baton)
         cut = self._cuts[command.cut] = _Cut(command.swaps, baton, before, old, own)
-        self._node.change_record(links={**self._node.record.links, **dict.fromkeys(ports, "open")})
-        for port in ports:
-            self._node.adjust(port)
+        self._node.set_links(dict.fromkeys(ports, "open"))
         gates.page.step(baton, BatonStep.NAME_SUCCESSOR, old, gates.index, at_once=gates.timed(ports))
         gates.page.ring(gates.index)
         word = gates.page.word(baton)
@@ -254,14 +264,11 @@ class GatedOutputs(UngatedOutputs):
         """The new side: close its gates, and give the baton back to the old side."""
         gates = self._gates
         assert cut.other is not None
-        ports = [swap.port for swap in cut.swaps]
-        self._node.change_record(links={**self._node.record.links, **dict.fromkeys(ports, "closed")})
-        for port in ports:
-            self._node.adjust(port)
+        self._node.set_links({swap.port: "closed" for swap in cut.swaps})
         gates.page.step(cut.baton, BatonStep.WITHDRAW, cut.other)
         if gates.page.word(cut.baton).holder == gates.index + 1:
             gates.step(cut.baton, BatonStep.FENCE)
-            if not await self._node.comes_true(lambda: not self._node.writers(cut.baton), PUBLISHING):
+            if not await self._node.comes_true(lambda: not self._writers(cut.baton), PUBLISHING):
                 raise CommandRefused(f"{self._node.record.instance} is publishing, and that does not end")
             gates.page.step(cut.baton, BatonStep.GIVE, cut.other)
         self._restore(cut)

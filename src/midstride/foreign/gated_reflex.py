@@ -32,8 +32,8 @@ def broken_assumptions(node: ForeignNode) -> dict[str, tuple[str, str]]:
 
 def _silence(node: ForeignNode, functionality: str, port: str) -> str | None:
     """In words, that an input has been silent for too long because its publishers have; None where that is not so."""
-    gates, rate = node.require_gates(), node.component.stated_rate(port, node.record.modes)
-    if port not in node.record.links or not rate or (received := gates.age(port)) is None:
+    gates, rate = node.gates, node.component.stated_rate(port, node.record.modes)
+    if gates is None or port not in node.record.links or not rate or (received := gates.age(port)) is None:
         return None
     topic, tolerates = node.record.topics[port], node.component.tolerates.get(port)
     publishers = [age for age in (gates.page.silence(topic), node.reported(topic)) if age is not None]

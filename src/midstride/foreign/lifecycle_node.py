@@ -31,7 +31,7 @@ class LifecycleNode:
         if self.lifecycle.state != FINALIZED:
             await self.lifecycle.reach(FINALIZED)
 
-    def required(self, modes: Mapping[str, str], links: Mapping[str, GateState]) -> str:
+    def required(self, modes: Mapping[str, str], links: Mapping[str, GateState | None]) -> str:
         """The state for these modes (by functionality) and attachments (by port)."""
         works = any(modes[each.name] != each.modes[-1].name for each in self.node.component)
         if self.node.gates is None:
@@ -51,13 +51,8 @@ class LifecycleNode:
     async def set_links(self, links: Mapping[str, GateState | None]) -> None:
         """Open, close or take away (None) attachments, by port. Raises CommandRefused; then they are as before."""
         before = {port: self.node.record.links.get(port) for port in links}
-        required = self.required(self.node.record.modes, _merged(self.node.record.links, links))
-        await self._change(required, lambda: self._record(links), lambda: self._record(before))
-
-    def _record(self, links: Mapping[str, GateState | None]) -> None:
-        self.node.change_record(links=_merged(self.node.record.links, links))
-        for port in links:
-            self.node.adjust(port)
+        required = self.required(self.node.record.modes, {**self.node.record.links, **links})
+        await self._change(required, lambda: self.node.set_links(links), lambda: self.node.set_links(before))
 
     async def _change(self, required: str, apply: Callable[[], None], undo: Callable[[], None]) -> None:
         """``apply`` once the node is active, or before it is deactivated, so that what is open is active."""
@@ -90,8 +85,3 @@ class LifecycleNode:
         last = {each.name: each.modes[-1].name for each in self.node.component}
         self.node.enter_modes(last, f"its lifecycle state is {state}")
         return True
-
-
-def _merged(links: Mapping[str, GateState], changes: Mapping[str, GateState | None]) -> dict[str, GateState]:
-    merged = {**links, **changes}
-    return {port: gate for port, gate in merged.items() if gate is not None}

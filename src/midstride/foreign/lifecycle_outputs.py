@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from midstride.errors import CommandRefused
@@ -17,7 +16,6 @@ from midstride.foreign.node import WATCH
 from midstride.foreign.services import NoAnswer
 from midstride.foreign.ungated_outputs import UngatedOutputs
 from midstride.wire import commands, replies
-from midstride.wire.state import GateState
 
 
 @dataclass
@@ -88,8 +86,8 @@ class LifecycleOutputs(UngatedOutputs):
 
     async def _exchange(self, old: LifecycleNode, theirs: list[str], ours: list[str]) -> float:
         begun = asyncio.get_running_loop().time()
-        await old.set_links(_all(theirs, "closed"))
-        await self._own.set_links(_all(ours, "open"))
+        await old.set_links(dict.fromkeys(theirs, "closed"))
+        await self._own.set_links(dict.fromkeys(ours, "open"))
         return asyncio.get_running_loop().time() - begun
 
     async def await_cut(self, command: commands.AwaitCutCommand) -> replies.CutResult:
@@ -114,12 +112,8 @@ class LifecycleOutputs(UngatedOutputs):
         if exchange is not None and peer is not None:
             exchange.cancel()
             await asyncio.wait({exchange})
-            await self._own.set_links(_all(ports, "closed"))
+            await self._own.set_links(dict.fromkeys(ports, "closed"))
         elif ports:
             self._peers.exchanges.pop(command.cut, None)
-            await self._own.set_links(_all(ports, "open"))
+            await self._own.set_links(dict.fromkeys(ports, "open"))
         return replies.Done()
-
-
-def _all(ports: list[str], gate: GateState) -> Mapping[str, GateState]:
-    return dict.fromkeys(ports, gate)

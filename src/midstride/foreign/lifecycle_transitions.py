@@ -52,10 +52,7 @@ class NodeLifecycle:
         Raises CommandRefused, which says which transition failed, and in which state the node is.
         """
         async with self._lock:
-            try:
-                state = await self.look(timeout)
-            except NoAnswer as error:
-                raise CommandRefused(f"{self.instance} cannot become {target}: {error}") from None
+            state = await self._asked(target, timeout)
             while state != target:
                 state = await self._step(state, target)
 
@@ -91,8 +88,8 @@ class NodeLifecycle:
             raise CommandRefused(f"{self.instance} cannot become {target}: it is {FINALIZED}, so replace it")
         return now
 
-    async def _asked(self, target: str) -> str:
+    async def _asked(self, target: str, timeout: float = STATE_TIMEOUT) -> str:
         try:
-            return await self.look()
+            return await self.look(timeout)
         except NoAnswer as error:
             raise CommandRefused(f"{self.instance} cannot become {target}: {error}") from None

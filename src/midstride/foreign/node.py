@@ -34,8 +34,6 @@ TICK: Final = 0.005
 WATCH: Final = 0.05
 # The shortest interval between two counts from which a rate is computed (s).
 SAMPLE: Final = 0.2
-# How long the helper thread of a node may take to look, once it is asked to (s).
-LOOK: Final = 0.3
 
 
 class ForeignNode:
@@ -82,15 +80,6 @@ class ForeignNode:
         else:
             self.unwritten = None
 
-    def require_gates(self) -> Gates:
-        """Raises CommandRefused where no library is preloaded."""
-        if self.gates is None:
-            kind = f"`gate {self.component.gate}`"
-            raise CommandRefused(
-                f"{self.record.instance} has no gate in its process ({kind}), so it cannot be held back"
-            )
-        return self.gates
-
     def adjust(self, port: str) -> None:
         """Open or close the gate of an output, as its attachment and the mode of its functionality say."""
         if self.gates is None or not self.component.has_output(port):
@@ -99,23 +88,17 @@ class ForeignNode:
         works = self.record.modes[owner.name] != owner.modes[-1].name
         self.gates.set_gate(port, works and self.record.links.get(port) == "open")
 
+    def set_links(self, links: Mapping[str, GateState | None]) -> None:
+        """Open, close or take away (None) attachments, by port."""
+        changed = {**self.record.links, **links}
+        self.change_record(links={port: gate for port, gate in changed.items() if gate is not None})
+        for port in links:
+            self.adjust(port)
+
     def require_attached(self, port: str, topic: str) -> None:
         """Raises CommandRefused."""
         if port not in self.record.links or self.record.topics[port] != topic:
             raise CommandRefused(f"{port} is not attached to {topic}")
-
-    async def matched(self, port: str, wanted: int, patience: float) -> int:
-        """With how many endpoints a port is matched, once that is ``wanted`` or after ``patience`` (s)."""
-        gates = self.require_gates()
-        looked = gates.page.beat(gates.index)
-        gates.page.ring(gates.index)
-        await self.comes_true(lambda: gates.page.beat(gates.index) != looked, LOOK)
-        await self.comes_true(lambda: gates.entry(port).matched >= wanted, patience)
-        return int(gates.entry(port).matched)
-
-    def writers(self, baton: int) -> int:
-        """How many calls of the holder of ``baton`` are publishing."""
-        return self.require_gates().page.word(baton).writers
 
     def require_modes(self, modes: Mapping[str, str]) -> None:
         """Raises CommandRefused if a functionality or one of its modes is not declared."""
@@ -188,18 +171,18 @@ class ForeignNode:
             gate=self._gate_state(port),
             count=entry.passed,
             gated=entry.gated,
-            measured=self._measured(port),
+            measured=self._measured(port, gates),
             fenced=self.component.has_output(port) and gates.fenced(port),
         )
 
-    def _measured(self, port: str) -> Measured | None:
+    def _measured(self, port: str, gates: Gates) -> Measured | None:
         """From the counts at each report, so less exact than a component's own figures; there is no jitter.
 
         None in simulated time.
         """
         if self.record.simulated_time:
             return None
-        gates, now = self.require_gates(), time.monotonic()
+        now = time.monotonic()
         entry, window = gates.entry(port), window_of(self.component.stated_rate(port, self.record.modes))
         seen, total = self._counts.setdefault(port, deque()), int(entry.passed + entry.gated)
         if not seen or now - seen[-1][0] >= SAMPLE:

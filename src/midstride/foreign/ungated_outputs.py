@@ -22,12 +22,11 @@ class UngatedOutputs:
                 f"{self._node.record.instance} has no gate (`gate none`), so {command.topic} cannot be handed over to "
                 "it; use `--strategy paper`, or `gate preload`"
             )
-        self._node.change_record(links={**self._node.record.links, command.port: "open"})
+        self._node.set_links({command.port: "open"})
         return replies.Attached(matched=0)
 
     async def detach(self, command: commands.DetachCommand) -> replies.Detached:
-        links = {name: gate for name, gate in self._node.record.links.items() if name != command.port}
-        self._node.change_record(links=links)
+        self._node.set_links({command.port: None})
         return replies.Detached(acknowledged=None, last=None)
 
     async def await_match(self, command: commands.AwaitMatchCommand) -> replies.Attached:
