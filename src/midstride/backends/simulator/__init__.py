@@ -6,7 +6,7 @@ from midstride.backends.simulator.backend import Simulator
 from midstride.backends.simulator.virtual_loop import VirtualLoop
 
 PUBLIC = (
-    "CooperativeThread Ended ProcessOutput RequestFault SimulatedClock SimulatedProcess SimulatedProgram "
+    "CooperativeThread Ended ProcessOutput RequestFault SimulatedProcess SimulatedProgram "
     "SimulatedWriter Simulator ThreadYield"
 )
 
