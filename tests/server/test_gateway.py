@@ -102,8 +102,8 @@ def test_a_client_that_goes_away_leaves_nothing_behind(workspace: Workspace) -> 
         async with opened(workspace) as client, serving(manager, workspace):
             async with client.stream("GET", "/api/v1/view/stream?only=event&since=0") as response:
                 await anext(response.aiter_lines())
-                assert len(manager.events._wakers) == 1
-            while manager.events._wakers:
+                assert len(manager.events.wakers) == 1
+            while manager.events.wakers:
                 await asyncio.sleep(0.01)
 
     run(test)

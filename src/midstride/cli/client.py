@@ -121,8 +121,7 @@ class Client:
         """A version of the specification; None: the one before the latest change of it."""
         from midstride.runtime.records.change_history import SpecificationVersion
 
-        query = {} if version is None else {"version": version}
-        return self._form(SpecificationVersion, "GET", _with_query("/specification/earlier", query))
+        return self._form(SpecificationVersion, "GET", _with_query("/specification/earlier", {"version": version}))
 
     def history(self, latest: int) -> History:
         """The latest changes, and the incidents since the first of them."""
@@ -130,11 +129,11 @@ class Client:
 
         return self._form(History, "GET", _with_query("/history", {"latest": latest}))
 
-    def change_report(self, query: Mapping[str, int]) -> ChangeReport:
-        """A change of the history with all that was recorded of it: its ``number``, or else the latest."""
+    def change_report(self, number: int | None) -> ChangeReport:
+        """Change ``number`` of the history with all that was recorded of it; None: the latest."""
         from midstride.runtime.records.change_report import ChangeReport
 
-        return self._form(ChangeReport, "GET", _with_query("/change", query))
+        return self._form(ChangeReport, "GET", _with_query("/change", {"number": number}))
 
     def configuration(self) -> LiveConfiguration:
         """The configuration as its components report it."""
@@ -256,7 +255,9 @@ def _of_another_version(error: Exception) -> errors.ManagerError:
 
 
 def _with_query(path: str, query: Mapping[str, Any]) -> str:
-    return f"{path}?{urlencode(query)}" if query else path
+    """The path with what of the query is not None."""
+    stated = {name: value for name, value in query.items() if value is not None}
+    return f"{path}?{urlencode(stated)}" if stated else path
 
 
 # Errors that are constructed from their message alone.

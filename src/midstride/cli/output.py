@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TextIO, cast
@@ -54,6 +54,15 @@ def print_json(document: Any, *, lines: bool = False) -> None:
     if printable(text) != text:
         text = "".join(c if printable(c) == c else json.dumps(c)[1:-1] for c in text)
     print(text, flush=lines)
+
+
+def show(document: Any, lines: Iterable[object]) -> None:
+    """Print the result of a command: with ``--json`` the document, else the lines."""
+    if wants_json():
+        print_json(document)
+        return
+    for line in lines:
+        click.echo(str(line))
 
 
 class PrintableStream:

@@ -34,7 +34,7 @@ def change(system: str | None, number: int | None) -> ChangeReport:
     """
     workspace = find_records(system)
     if (manager := _manager(workspace)) is not None:
-        return manager.change_report(_which(number))
+        return manager.change_report(number)
     from midstride.runtime.records.closed_journal import closed_report
 
     return closed_report(workspace.journal, number)
@@ -44,7 +44,7 @@ def report(system: str | None, number: int | None) -> str:
     """The same as an HTML file."""
     workspace = find_records(system)
     if (manager := _manager(workspace)) is not None:
-        return manager.text("/report", timeout=3 * READ_TIMEOUT, **_which(number))
+        return manager.text("/report", timeout=3 * READ_TIMEOUT, number=number)
     from midstride.runtime.records.closed_journal import closed_report
     from midstride.server.report.documents import change_file
 
@@ -60,7 +60,3 @@ def _manager(workspace: Workspace) -> Client | None:
         words = f"the manager of {workspace.name} has exited: this is what it had recorded"
         click.echo(f"({words}; `midstride up FILE` reattaches to its components)", err=True)
     return None
-
-
-def _which(number: int | None) -> dict[str, int]:
-    return {} if number is None else {"number": number}

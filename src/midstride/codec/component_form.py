@@ -28,7 +28,6 @@ from midstride.codec.contract_form import (
     Rate,
     WhereForm,
     predicate_keys,
-    predicate_of,
 )
 from midstride.codec.form import (
     LARGEST,
@@ -109,7 +108,7 @@ class AssumptionForm(ShapedForm, frozen=True):
     def assumption(self) -> Assumption:
         if self.any_of is not UNSET:
             return InputAlternatives(tuple(self.any_of))
-        return predicate_of(given(self.type), self.rate, self.qos, self.where)
+        return PredicateForm(given(self.type), self.rate, self.qos, self.where).predicate()
 
 
 AnyAssumption: TypeAlias = Annotated[

@@ -142,7 +142,12 @@ class PredicateForm(Form, frozen=True):
         return cls(**predicate_keys(predicate))
 
     def predicate(self) -> Predicate:
-        return predicate_of(self.type, self.rate, self.qos, self.where)
+        return Predicate(
+            type=self.type,
+            rate=given(self.rate),
+            qos=DEFAULT_QOS if self.qos is UNSET else self.qos.qos(),
+            fields=() if self.where is UNSET else tuple((path, form.value_set()) for path, form in self.where.items()),
+        )
 
 
 def predicate_keys(predicate: Predicate) -> dict[str, Any]:
@@ -153,14 +158,3 @@ def predicate_keys(predicate: Predicate) -> dict[str, Any]:
         "qos": UNSET if predicate.qos == DEFAULT_QOS else QoSForm.of(predicate.qos),
         "where": {path: ValuesForm.of(values) for path, values in predicate.fields} or UNSET,
     }
-
-
-def predicate_of(
-    type_: str, rate: float | UnsetType, qos: QoSForm | UnsetType, where: dict[str, ValuesForm] | UnsetType
-) -> Predicate:
-    return Predicate(
-        type=type_,
-        rate=given(rate),
-        qos=DEFAULT_QOS if qos is UNSET else qos.qos(),
-        fields=() if where is UNSET else tuple((path, values.value_set()) for path, values in where.items()),
-    )

@@ -7,7 +7,7 @@ import contextlib
 import os
 import signal
 import sys
-from asyncio.subprocess import PIPE, Process
+from asyncio.subprocess import PIPE
 from typing import Final
 
 import msgspec
@@ -29,11 +29,11 @@ class Rehearser:
     """Rehearses one change at a time."""
 
     def __init__(self) -> None:
-        self._busy = False
+        self._running = asyncio.Lock()
 
     async def rehearse(self, specification: Specification, asked: SubmittedRehearsal) -> Rehearsal:
         """What comes of the change. Raises ManagerError with the reason if that cannot be said, or not in time."""
-        if self._busy:
+        if self._running.locked():
             raise ManagerError("another change is being rehearsed; ask again when that is done")
         order = RehearsalOrder(
             specification=SpecificationForm.of(specification),
@@ -42,11 +42,8 @@ class Rehearser:
             first=asked.first,
             within=asked.seconds,
         )
-        self._busy = True
-        try:
+        async with self._running:
             return await _run(msgspec.json.encode(order), asked.seconds + _STARTING)
-        finally:
-            self._busy = False
 
 
 async def _run(order: bytes, limit: float) -> Rehearsal:
@@ -62,15 +59,11 @@ async def _run(order: bytes, limit: float) -> Rehearsal:
     except asyncio.TimeoutError:
         raise ManagerError(f"the rehearsal has not ended within {limit:g} s; ask for fewer seeds") from None
     finally:
-        await _end(process)
+        if process.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            await process.wait()
     if process.returncode != 0:
         last = words.decode(errors="replace").strip().rpartition("\n")[2]
         raise ManagerError(f"the change cannot be rehearsed: {last or f'exit status {process.returncode}'}")
     return msgspec.json.decode(out, type=Rehearsal)
-
-
-async def _end(process: Process) -> None:
-    if process.returncode is None:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        await process.wait()

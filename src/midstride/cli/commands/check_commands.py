@@ -8,7 +8,7 @@ import click
 
 from midstride.cli import shell_completion
 from midstride.cli.input_files import require_file, write_whole
-from midstride.cli.output import json_option, print_json, wants_json
+from midstride.cli.output import json_option, show
 from midstride.lang import format_text, load, render
 from midstride.lang.catalogue import CATALOGUE, explain
 from midstride.lang.diagnostic_text import Diagnostic
@@ -33,12 +33,8 @@ def check_command(files: tuple[Path, ...], strict: bool, no_types: bool) -> int:
         found += load(file, messages=messages).diagnostics
     found = list({str(diagnostic): diagnostic for diagnostic in found}.values())  # files may share an include
     bad = any(strict or diagnostic.severity == "error" for diagnostic in found)
-    if wants_json():
-        print_json({"ok": not bad, "diagnostics": [diagnostic.to_json() for diagnostic in found]})
-    elif found:
-        click.echo(render(found))
-    else:
-        click.echo(f"{', '.join(map(str, files))}: no problems found")
+    lines = [render(found) if found else f"{', '.join(map(str, files))}: no problems found"]
+    show({"ok": not bad, "diagnostics": [diagnostic.to_json() for diagnostic in found]}, lines)
     return int(bad)
 
 
@@ -67,14 +63,10 @@ def fmt_command(files: tuple[Path, ...], check: bool) -> int:
             if not check:
                 write_whole(file, formatted.text)
     bad = bool(found) or (check and bool(changed))
-    if wants_json():
-        diagnostics = [diagnostic.to_json() for diagnostic in found]
-        print_json({"ok": not bad, "changed": [str(file) for file in changed], "diagnostics": diagnostics})
-        return int(bad)
-    if found:
-        click.echo(render(found))
-    for file in changed:
-        click.echo(f"{file}: {'not formatted' if check else 'formatted'}")
+    lines = [render(found)] if found else []
+    lines += [f"{file}: {'not formatted' if check else 'formatted'}" for file in changed]
+    diagnostics = [diagnostic.to_json() for diagnostic in found]
+    show({"ok": not bad, "changed": [str(file) for file in changed], "diagnostics": diagnostics}, lines)
     return int(bad)
 
 
@@ -87,10 +79,8 @@ def explain_command(code: str) -> int:
         text = explain(code)
     except KeyError as error:
         raise click.UsageError(str(error.args[0])) from None
-    if wants_json():
-        entry = CATALOGUE[code.upper()]
-        explanation = " ".join(entry.explanation.split())
-        print_json({"code": entry.code, "severity": entry.severity, "title": entry.title, "explanation": explanation})
-    else:
-        click.echo(text)
+    entry = CATALOGUE[code.upper()]
+    explanation = " ".join(entry.explanation.split())
+    document = {"code": entry.code, "severity": entry.severity, "title": entry.title, "explanation": explanation}
+    show(document, [text])
     return 0

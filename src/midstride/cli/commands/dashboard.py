@@ -12,7 +12,7 @@ from threading import Thread
 import click
 
 from midstride.cli import shell_completion
-from midstride.cli.output import json_option, print_json, wants_json
+from midstride.cli.output import json_option, show
 from midstride.cli.running_systems import find, system_option
 from midstride.cli.staying import ended_by_signals
 from midstride.runtime.workspace import Workspace
@@ -47,10 +47,8 @@ def dashboard_command(named: str | None, port: int | None, no_browser: bool, sys
         # A browser without a window of its own would take this terminal.
         graphical = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"))
         opened = _open(workspace, url) if graphical and not no_browser else None
-        if wants_json():
-            print_json({"system": workspace.name, "url": url, "port": listening.getsockname()[1]})
-        else:
-            click.echo(f"The dashboard of {workspace.name}: {url}\nCtrl-C closes it; the system keeps running.")
+        words = f"The dashboard of {workspace.name}: {url}\nCtrl-C closes it; the system keeps running."
+        show({"system": workspace.name, "url": url, "port": listening.getsockname()[1]}, [words])
         try:
             asyncio.run(run_gateway(listening, workspace.socket, workspace.name, token))
         except KeyboardInterrupt:

@@ -9,7 +9,7 @@ import click
 from midstride.cli import graphviz, shell_completion
 from midstride.cli.changed_programs import changed_code, code_words
 from midstride.cli.input_files import load, read
-from midstride.cli.output import json_option, print_json, wants_json
+from midstride.cli.output import json_option, print_json, show, wants_json
 from midstride.cli.running_systems import find, system_option
 from midstride.codec.schema import specification_schema
 from midstride.codec.specification_form import encode_specification
@@ -40,14 +40,10 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
     drawn = view(load(file), annotate=annotate, collapse=collapse)
     if output is None:
         text = to_dot(drawn)
-        if wants_json():
-            print_json({"dot": text})
-        else:
-            click.echo(text, nl=False)
+        show({"dot": text}, [text.removesuffix("\n")])
         return 0
     graphviz.write(output, lambda: to_dot(drawn), lambda: to_mermaid(drawn))
-    if wants_json():
-        print_json({"file": str(output), "boxes": len(drawn.boxes), "topics": len(drawn.topics)})
+    show({"file": str(output), "boxes": len(drawn.boxes), "topics": len(drawn.topics)}, [])
     return 0
 
 
@@ -97,12 +93,7 @@ def diff_command(old: Path, new: Path | None, keep_code: bool, system: str | Non
         changed = {} if keep_code else changed_code(client, target.nodes)
         renewed = {role: code_words(files) for role, files in changed.items()}
         found = differences(client.specification(), target, renewed)
-    if wants_json():
-        print_json({"same": not found, "differences": found})
-    elif found:
-        click.echo("\n".join(str(difference) for difference in found))
-    else:
-        click.echo("No differences.")
+    show({"same": not found, "differences": found}, found or ["No differences."])
     return int(bool(found))
 
 

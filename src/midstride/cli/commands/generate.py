@@ -10,7 +10,7 @@ from typing import Final
 import click
 
 from midstride.cli.input_files import require_file, write, written
-from midstride.cli.output import json_option, print_json, wants_json
+from midstride.cli.output import json_option, show
 from midstride.errors import MidstrideError, SpecificationError
 from midstride.generate.merge import Merged, digest, merge_component, merge_copy, merge_empty, merge_whole
 from midstride.generate.project import GeneratedFile, project
@@ -55,16 +55,12 @@ def generate_command(file: Path, output: Path, ros: str) -> int:
             record[str(generated.path)] = digest(generated.text)
         done.append((str(generated.path), "written" if merged.text is not None else "kept", merged.note))
     _write(output / RECORD, json.dumps(record, indent=2, sort_keys=True) + "\n", False)
-    if wants_json():
-        files = [{"file": name, "state": state, "note": note or None} for name, state, note in done]
-        print_json({"folder": str(output), "files": files, "skipped": generated_project.skipped})
-        return 0
-    for name, state, note in done:
-        if state == "written" or note:
-            click.echo(f"{state} {output / name}" + (f" ({note})" if note else ""))
-    for component, reason in generated_project.skipped.items():
-        click.echo(f"no skeleton for {component}: {reason}")
-    click.echo(f"Start it with `midstride up {output / file.name}`.")
+    files = [{"file": name, "state": state, "note": note or None} for name, state, note in done]
+    noted = [(name, state, f" ({note})" if note else "") for name, state, note in done if state == "written" or note]
+    lines = [f"{state} {output / name}{note}" for name, state, note in noted]
+    lines += [f"no skeleton for {component}: {reason}" for component, reason in generated_project.skipped.items()]
+    lines.append(f"Start it with `midstride up {output / file.name}`.")
+    show({"folder": str(output), "files": files, "skipped": generated_project.skipped}, lines)
     return 0
 
 

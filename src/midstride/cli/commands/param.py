@@ -9,7 +9,7 @@ import click
 from midstride.cli import shell_completion
 from midstride.cli.change_options import misread, parse_value
 from midstride.cli.command_list import Group
-from midstride.cli.output import json_option, print_json, wants_json
+from midstride.cli.output import json_option, print_json, show, wants_json
 from midstride.cli.running_systems import find, not_running, system_option
 from midstride.errors import CommandRefused, ManagerError, PlanRefused
 from midstride.model.diagnostics import suggestion, unknown_name
@@ -63,10 +63,7 @@ def get_command(node: str, name: str, system: str | None) -> int:
     if name not in parameters:
         hint = suggestion(name, parameters)
         raise PlanRefused(unknown_name("parameter", name) + f" of {node}" + (f"; {hint}" if hint else ""))
-    if wants_json():
-        print_json(parameters[name])
-    else:
-        click.echo(_line(parameters[name]))
+    show(parameters[name], [_line(parameters[name])])
     return 0
 
 
@@ -98,11 +95,7 @@ def set_command(node: str, name: str, value: str, system: str | None) -> int:
         declared = {parameter.name: value_of(parameter.declared) for each in found for parameter in each.parameters}
         hint = misread(name, value, declared)
         raise CommandRefused(f"{error}; {hint}" if hint else str(error)) from None
-    if wants_json():
-        print_json(report)
-        return 0
-    for parameter in report.parameters:
-        click.echo(f"{report.instance}: {_line(parameter)}")
+    show(report, [f"{report.instance}: {_line(parameter)}" for parameter in report.parameters])
     return 0
 
 

@@ -12,7 +12,7 @@ import click
 from midstride.cli import shell_completion
 from midstride.cli.client import Client
 from midstride.cli.follow import last_event_number
-from midstride.cli.output import console, json_option, print_json, wants_json
+from midstride.cli.output import console, json_option, print_json, show, wants_json
 from midstride.cli.running_systems import find, not_running, system_option
 
 if TYPE_CHECKING:
@@ -70,18 +70,13 @@ def why_command(functionality: str, system: str | None) -> int:
     """Explain why a functionality is in its mode, and what to do: `midstride why listener.listen`."""
     client, _ = find(system)
     why = client.why(functionality)
-    if wants_json():
-        print_json(why)
-        return 0
     role, _, _ = why.functionality.rpartition(".")
     instance = "" if why.instance == role else f" ({why.instance})"
-    click.echo(f"{why.functionality}{instance} is in mode {why.mode}")
-    if why.because:
-        click.echo(f"  because: {why.because}")
-    for reason in why.chain:
-        click.echo(f"  {reason}")
-    for remedy in why.remedies:
-        click.echo(f"  next: {remedy}")
+    lines = [f"{why.functionality}{instance} is in mode {why.mode}"]
+    lines += [f"  because: {why.because}"] if why.because else []
+    lines += [f"  {reason}" for reason in why.chain]
+    lines += [f"  next: {remedy}" for remedy in why.remedies]
+    show(why, lines)
     return 0
 
 
@@ -195,8 +190,5 @@ def down_command(system: str | None) -> int:
     from midstride.cli.shutdown import shut_down
 
     name = shut_down(system)
-    if wants_json():
-        print_json({"outcome": "done", "system": name})
-    else:
-        click.echo(f"{name} is down.")
+    show({"outcome": "done", "system": name}, [f"{name} is down."])
     return 0

@@ -12,7 +12,7 @@ import click
 from click.core import ParameterSource
 
 from midstride.cli.input_files import load
-from midstride.cli.output import console, json_option, print_json, wants_json
+from midstride.cli.output import console, json_option, print_json, show, wants_json
 from midstride.cli.planned_change import planned_change, planned_change_options
 from midstride.codec.form import encode
 from midstride.plan.forms.request_form import decode_request
@@ -83,28 +83,21 @@ def _scenario(file: Path | None, change: dict[str, Any]) -> Scenario | None:
 
 
 def _show_nothing() -> int:
-    if wants_json():
-        from midstride.simulation.campaign import Summary
-        from midstride.simulation.rehearsal import rehearsal_of
+    from midstride.simulation.campaign import Summary
+    from midstride.simulation.rehearsal import rehearsal_of
 
-        print_json(encode(rehearsal_of(Summary())))
-    else:
-        click.echo("Nothing to do, and nothing was rehearsed: the system already matches the target.")
+    words = "Nothing to do, and nothing was rehearsed: the system already matches the target."
+    show(rehearsal_of(Summary()), [words])
     return 0
 
 
 def _show_one(run: SeedRun, same: bool) -> int:
-    if wants_json():
-        from midstride.simulation.rehearsal import rehearsed_seed
+    from midstride.simulation.rehearsal import rehearsed_seed
 
-        document = encode(rehearsed_seed(run))
-        print_json({**document, "deterministic": same, "digest": run.digest, "timeline": run.timeline})
-    else:
-        for line in run.timeline:
-            click.echo(line)
-        click.echo(f"seed {run.seed}: {'; '.join(run.problems) or 'no invariant is violated'}")
-        again = "again the same run" if same else "ANOTHER RUN the second time: the simulation is not deterministic"
-        click.echo(f"digest {run.digest}, {again}")
+    result = f"seed {run.seed}: {'; '.join(run.problems) or 'no invariant is violated'}"
+    again = "again the same run" if same else "ANOTHER RUN the second time: the simulation is not deterministic"
+    document = {**encode(rehearsed_seed(run)), "deterministic": same, "digest": run.digest, "timeline": run.timeline}
+    show(document, [*run.timeline, result, f"digest {run.digest}, {again}"])
     return int(bool(run.problems) or not same)
 
 
@@ -113,7 +106,7 @@ def _show(summary: Summary, seconds: float) -> int:
 
     result = rehearsal_of(summary)
     if wants_json():
-        print_json(encode(result))
+        print_json(result)
         return int(bool(result.failed))
     from midstride.cli import render
 
@@ -127,9 +120,7 @@ def _show(summary: Summary, seconds: float) -> int:
         click.echo(f"{rate}: no invariant is violated")
         return 0
     worst = summary.failed[0]
-    click.echo(f"\nSeed {worst.seed}:")
-    for line in worst.timeline:
-        click.echo(line)
+    click.echo("\n".join([f"\nSeed {worst.seed}:", *worst.timeline]))
     for run in summary.failed:
         click.echo(f"seed {run.seed}: {'; '.join(run.problems)}")
     click.echo(f"{rate}: {len(summary.failed)} violate an invariant; `--seed {worst.seed}` repeats the first")

@@ -13,6 +13,30 @@ from typing import Any
 from midstride.runtime.records.reports import Event
 
 
+class Wakers:
+    """The readers of a log or a view, each with an event that is set when there may be something new."""
+
+    def __init__(self) -> None:
+        self._events: set[asyncio.Event] = set()
+
+    def __len__(self) -> int:
+        return len(self._events)
+
+    @contextlib.contextmanager
+    def client(self) -> Iterator[asyncio.Event]:
+        """One more reader while the context is open."""
+        event = asyncio.Event()
+        self._events.add(event)
+        try:
+            yield event
+        finally:
+            self._events.discard(event)
+
+    def wake(self) -> None:
+        for event in self._events:
+            event.set()
+
+
 class EventLog:
     """The latest events of one manager; each listener is called with every one."""
 
@@ -20,7 +44,7 @@ class EventLog:
         self.listeners: list[Callable[[Event], object]] = []
         self._events: deque[Event] = deque(maxlen=10_000)
         self._count = 0
-        self._wakers: set[asyncio.Event] = set()
+        self.wakers = Wakers()
 
     def add(self, kind: str, words: str, **details: Any) -> Event:
         """A new event; ``details`` are further fields of :class:`Event`."""
@@ -29,8 +53,7 @@ class EventLog:
         self._events.append(event)
         for listener in self.listeners:
             listener(event)
-        for waker in self._wakers:
-            waker.set()
+        self.wakers.wake()
         return event
 
     @property
@@ -45,20 +68,10 @@ class EventLog:
 
     async def follow(self, n: int = 0) -> AsyncIterator[Event]:
         """The events after number ``n`` as in ``since``, then each new one. A slow reader loses the oldest."""
-        with self.client() as waker:
+        with self.wakers.client() as waker:
             while True:
                 waker.clear()
                 for event in self.since(n):
                     n = event.n
                     yield event
                 await waker.wait()
-
-    @contextlib.contextmanager
-    def client(self) -> Iterator[asyncio.Event]:
-        """One more reader while the context is open: its event is set by each new event of the log."""
-        waker = asyncio.Event()
-        self._wakers.add(waker)
-        try:
-            yield waker
-        finally:
-            self._wakers.discard(waker)

@@ -20,6 +20,7 @@ from midstride.codec.writing import to_json
 from midstride.model.configuration import Configuration
 from midstride.model.rules import Evaluator, violations
 from midstride.runtime.process.component_client import ComponentEvent
+from midstride.runtime.records.events import Wakers
 from midstride.runtime.records.reports import Event
 from midstride.runtime.records.status_forms import InstanceStatus, RunningCommand, SilenceFault, Status
 from midstride.runtime.view.instance_status import EntryShape, instance_status, is_sound, port_statuses
@@ -35,7 +36,7 @@ from midstride.server.view.noticeable_changes import (
     same_parameters_and_reasons,
 )
 from midstride.server.view.table import PartKey, ViewTable, encode_view
-from midstride.server.view.timing import LOOK, MEASURED_EVERY, SOON, TOGETHER, Alarm, Wakers, measurements_interval
+from midstride.server.view.timing import LOOK, MEASURED_EVERY, SOON, TOGETHER, Alarm, measurements_interval
 from midstride.server.view.view_forms import VERSION, SystemView, Timeline
 from midstride.server.view.view_history import ModeHistory, ViewRecording
 from midstride.wire.state import ComponentState

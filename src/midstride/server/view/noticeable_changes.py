@@ -10,6 +10,9 @@ from midstride.runtime.records.status_forms import InstanceStatus
 from midstride.wire.state import ComponentState, LinkState
 
 _NO_LINKS: Final[dict[str, LinkState]] = {}
+# What is not measured: of a report, of the entry of a port, and of the entry of an instance but for its ports.
+_of_component = attrgetter("waiting", "node", "answers", "differences", "undeclared")
+_of_port = attrgetter("name", "topic", "gate", "declared", "met")
 _others = attrgetter(*(name for name in InstanceStatus.__struct_fields__ if name != "ports"))
 
 
@@ -41,13 +44,7 @@ def reports_differ_in_measurements_only(before: ComponentState | None, state: Co
             known = former.get(topic)
             if known is None or known.gate != link.gate:
                 return False
-    return (before.waiting, before.node, before.answers, before.differences, before.undeclared) == (
-        state.waiting,
-        state.node,
-        state.answers,
-        state.differences,
-        state.undeclared,
-    )
+    return bool(_of_component(before) == _of_component(state))
 
 
 def same_parameters_and_reasons(before: ComponentState | None, state: ComponentState) -> bool:
@@ -75,12 +72,6 @@ def entries_differ_in_measurements_only(before: InstanceStatus, view: InstanceSt
     if len(before.ports) != len(view.ports):
         return False
     for earlier, port in zip(before.ports, view.ports, strict=True):
-        if earlier is not port and (earlier.name, earlier.topic, earlier.gate, earlier.declared, earlier.met) != (
-            port.name,
-            port.topic,
-            port.gate,
-            port.declared,
-            port.met,
-        ):
+        if earlier is not port and _of_port(earlier) != _of_port(port):
             return False
     return bool(_others(before) == _others(view))

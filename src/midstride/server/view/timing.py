@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Final
 
 from midstride.runtime.manager_clock import Clock
@@ -63,27 +62,3 @@ class Alarm:
     def _ring(self) -> None:
         self._timer, self._due = None, math.inf
         self._call()
-
-
-class Wakers:
-    """The clients of a view, each with an event that is set when there may be something to send."""
-
-    def __init__(self) -> None:
-        self._events: set[asyncio.Event] = set()
-
-    def __bool__(self) -> bool:
-        return bool(self._events)
-
-    @contextlib.contextmanager
-    def client(self) -> Iterator[asyncio.Event]:
-        """One more client while the context is open."""
-        event = asyncio.Event()
-        self._events.add(event)
-        try:
-            yield event
-        finally:
-            self._events.discard(event)
-
-    def wake(self) -> None:
-        for event in self._events:
-            event.set()

@@ -54,7 +54,7 @@ async def stream(live: LiveView, since: Position | None, *, log_only: bool = Fal
     lifecycle, table = live.lifecycle, live.table
     events = lifecycle.manager.watched.events
     known = since is not None and since.manager in {None, live.manager}
-    with events.client() if log_only else live.client() as waker:
+    with events.wakers.client() if log_only else live.client() as waker:
         sent = since.n if since is not None and known and table.knows(since.n) else 0
         unknown = 0 if log_only else events.last
         last = since.event if since is not None and known and since.event is not None else unknown
