@@ -8,11 +8,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from msgspec import structs
 
+from midstride.cli.client import Client
 from midstride.cli.dev.contents import FileContents, saves
 from midstride.cli.dev.session import DevSession
 from midstride.cli.dev.watched_specification import WatchedSpecification
@@ -45,7 +46,7 @@ class Robot:
         specification = WatchedSpecification(self.folder / "talker.stride")
         self.runs = specification.wanted
         self.code = {role: self._texts(role) for role in ("talker", "listener")}
-        self.session = DevSession(specification, self, self.carry_out, self, interval=0.0)
+        self.session = DevSession(specification, cast(Client, self), self.carry_out, self, interval=0.0)
 
     def edit(self, file: str, old: str, new: str) -> None:
         path = self.folder / file

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from itertools import accumulate
 from typing import Final
 
@@ -20,15 +19,6 @@ AT_LEVEL, DEGRADED, UNSERVED = "─", "▒", "█"
 LEGEND: Final = (
     f"one step after another: {AT_LEVEL} at its level or above   {DEGRADED} degraded   {UNSERVED} no instance serves it"
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Stretch:
-    """When a functionality is below its level (s since the plan began), and from when on no instance serves it."""
-
-    begin: float
-    end: float
-    unserved: float | None
 
 
 def comparison(found: Mapping[str, PlanForm | str], title: str) -> RenderableType:
@@ -63,37 +53,25 @@ def _axes(plans: Mapping[str, PlanForm]) -> Iterable[RenderableType]:
     for name in names:
         yield Text(name)
         for strategy, plan in plans.items():
-            yield Text(f"  {strategy:{width}}").append(_bar(stretches(plan, name), plan.seconds, scale))
+            yield Text(f"  {strategy:{width}}").append(_bar(plan, name, scale))
     yield Text(LEGEND, style="dim")
 
 
-def stretches(plan: PlanForm, functionality: str) -> list[Stretch]:
-    """When a functionality is below its level, if the steps run one after another."""
+def _bar(plan: PlanForm, functionality: str, scale: float) -> Text:
+    """One character for each part of the plan, if its steps run one after another.
+
+    Each time for which the functionality is below its level has at least one character, so that none is hidden.
+    """
     begins: list[float] = [0.0, *accumulate(step.seconds for step in plan.steps)]
-
-    def begin(step: int) -> float:
-        return begins[max(step - 1, 0)]
-
-    return [
-        Stretch(
-            begin(fall.since),
-            begins[-1] if fall.until is None else begins[fall.until],
-            None if fall.unserved is None else begin(fall.unserved),
-        )
-        for fall in plan.degradations
-        if fall.functionality == functionality
-    ]
-
-
-def _bar(found: Iterable[Stretch], total: float, scale: float) -> Text:
-    """One character for each part of the plan; a stretch has at least one, so that none is hidden."""
-    bar = [AT_LEVEL] * max(round(total * scale), 1)
-    for stretch in found:
-        first = min(int(stretch.begin * scale), len(bar) - 1)
-        last = max(first + 1, round(stretch.end * scale))
-        for place in range(first, min(last, len(bar))):
-            gone = stretch.unserved is not None and place >= int(stretch.unserved * scale)
-            bar[place] = UNSERVED if gone else DEGRADED
+    bar = [AT_LEVEL] * max(round(plan.seconds * scale), 1)
+    for fall in plan.degradations:
+        if fall.functionality == functionality:
+            end = begins[-1] if fall.until is None else begins[fall.until]
+            first = min(int(begins[max(fall.since - 1, 0)] * scale), len(bar) - 1)
+            last = max(first + 1, round(end * scale))
+            for place in range(first, min(last, len(bar))):
+                gone = fall.unserved is not None and place >= int(begins[max(fall.unserved - 1, 0)] * scale)
+                bar[place] = UNSERVED if gone else DEGRADED
     text = Text(" ")
     for mark in bar:
         text.append(mark, style={DEGRADED: "yellow", UNSERVED: "red"}.get(mark, "dim"))

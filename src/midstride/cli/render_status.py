@@ -25,7 +25,8 @@ def status(status: Status) -> RenderableType:
     live = table(["node", "component", "process", "functionality", "mode", "why"])
     for component in status.instances:
         first: list[str | Text] = [component.name, component.component, _process(component)]
-        for row in _functionalities(component):
+        rows = [_functionality(each, component) for each in component.functionalities]
+        for row in rows or [(Text("none", style="dim"), Text(""), Text(""))]:
             live.add_row(*first, *row)
             first = ["", "", ""]
     lines = [*_topics(status), *_unmet(status), *_programs(status), *_set(status), *_problems(status)]
@@ -50,14 +51,8 @@ def _process(component: InstanceStatus) -> Text:
     return Text(process, style="dim")
 
 
-def _functionalities(component: InstanceStatus) -> list[tuple[Text, Text, Text]]:
-    """The name of each, its mode and why."""
-    rows = [_functionality(each, component) for each in component.functionalities]
-    return rows or [(Text("none", style="dim"), Text(""), Text(""))]
-
-
 def _functionality(row: FunctionalityStatus, component: InstanceStatus) -> tuple[Text, Text, Text]:
-    """The mode is unknown while its component does not respond."""
+    """The name, the mode and why; the mode is unknown while its component does not respond."""
     name = Text(row.name)
     if not component.reachable:
         return name, Text(UNKNOWN, style="red"), Text(f"last known mode: {row.mode}")

@@ -23,13 +23,16 @@ _IGNORED: Final = frozenset({"log", "set_ros_log_dir"})
 
 
 class Interpreter(NodeElements):
-    """Notes in ``system`` what the launch files start, and in ``findings`` what was left out or assumed."""
+    """Notes in ``system`` what the launch files start, and in ``findings`` what was left out or assumed.
+
+    ``undeclared``: the given ``arguments`` that no launch file has declared.
+    """
 
     def __init__(
         self, files: ReadableFiles, findings: ImportFindings, arguments: Mapping[str, str], run_python: bool = False
     ) -> None:
         super().__init__(files, findings)
-        self._given = dict(arguments)
+        self.undeclared = dict(arguments)
         self._run_python = run_python
         self._depth = 0
         self._elements: Final[dict[str, tuple[str, Callable[[Entity, Context], None]]]] = {
@@ -81,15 +84,11 @@ class Interpreter(NodeElements):
         known = {name: value for name, value in context.variables.items() if isinstance(value, str)}
         found = carried_out(path, known, context.namespace, context.environment)
         self.system.files += 1
-        self._given.clear()  # which of them it declares is not known
+        self.undeclared.clear()  # which of them it declares is not known
         for kind, message in found["left"]:
             self.findings.add(kind, message, span)
         for node in found["nodes"]:
             self.python_node(node, span, context)
-
-    def undeclared(self) -> list[str]:
-        """The given arguments that no launch file declares."""
-        return list(self._given)
 
     def _children(self, entities: Sequence[Entity], context: Context) -> None:
         for entity in entities:
@@ -118,7 +117,7 @@ class Interpreter(NodeElements):
 
     def _arg(self, entity: Entity, context: Context) -> None:
         name = str(self.required(entity, "name"))
-        self._given.pop(name, None)
+        self.undeclared.pop(name, None)
         if name not in context.variables:
             if "default" in entity.attributes:
                 self._assign(name, entity, "default", context)

@@ -46,7 +46,7 @@ def import_launch_file(
     except UnknownValue as error:
         raise SpecificationError(f"cannot import {path}: {error}") from None
     start = Span(files.source(absolute), 0, 0)
-    for name in interpreter.undeclared():
+    for name in interpreter.undeclared:
         findings.add("argument", f"no launch file that was read declares `{name}`", start)
     reader = ParameterReader(files, findings, Bounds.of(folder.absolute() / "system.stride").contain)
     heading = (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 from msgspec import UNSET, UnsetType
 from starlette.responses import Response
@@ -57,10 +57,3 @@ class Failure(Form, frozen=True, forbid_unknown_fields=False):
 def answer(form: object, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
     """The HTTP response that has the form as its JSON."""
     return Response(to_json(form), status, headers, media_type="application/json")
-
-
-def in_one_line(faults: list[dict[str, Any]]) -> str:
-    """Pydantic's list of faults: where and what, each in a few words."""
-    return "; ".join(
-        f"/{'/'.join(str(part) for part in fault['loc'] if part != 'body')}: {fault['msg']}" for fault in faults
-    )

@@ -28,7 +28,7 @@ from midstride.runtime.records.rehearsal_forms import Rehearsal
 from midstride.runtime.records.reports import DownReport, Event, LiveConfiguration, Outcome, PlannedChange, UpReport
 from midstride.runtime.records.status_forms import ParametersReport, ProgramStatus, Service, Why
 from midstride.server.checked_text import CheckedText, checked
-from midstride.server.error_answers import Failure, answer, in_one_line, status_of
+from midstride.server.error_answers import Failure, answer, status_of
 from midstride.server.manager_lifecycle import Lifecycle
 from midstride.server.openapi import answers, document_forms, failures, request_body
 from midstride.server.rehearsing import Rehearser
@@ -88,24 +88,22 @@ async def _faulty(_: Request, error: Exception) -> Response:
 
 async def _invalid(_: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
-    return answer(Failure.named("SpecificationError", in_one_line(list(error.errors()))), 422)
+    places = ["/".join(str(part) for part in fault["loc"] if part != "body") for fault in error.errors()]
+    faults = [f"/{place}: {fault['msg']}" for place, fault in zip(places, error.errors(), strict=True)]
+    return answer(Failure.named("SpecificationError", "; ".join(faults)), 422)
 
 
 async def _http_error(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
     kind, message, headers = "TooLarge", error.detail, error.headers
     if error.status_code == 405:  # the first route of the path knows nothing of the others
-        headers = {"Allow": ", ".join(sorted(_methods(request)))}
+        operations = request.app.openapi()["paths"].get(request.url.path, {})
+        methods = {method.upper() for method in operations} or {"GET", "HEAD"}  # the dashboard's are not documented
+        headers = {"Allow": ", ".join(sorted(methods))}
     if error.status_code != 413:
         kind = "NoOperation"
         message = f"{request.method} {request.url.path}: {message}; /api/v1/openapi.json lists every operation"
     return answer(Failure.named(kind, message), error.status_code, headers)
-
-
-def _methods(request: Request) -> set[str]:
-    """The methods of all operations of the request's path, in capitals."""
-    operations = request.app.openapi()["paths"].get(request.url.path, {})
-    return {method.upper() for method in operations} or {"GET", "HEAD"}  # the dashboard's files are not documented
 
 
 async def _disconnected(_: Request, __: Exception) -> Response:

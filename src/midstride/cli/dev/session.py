@@ -19,25 +19,17 @@ from typing import Final, Protocol
 
 from msgspec import structs
 
+from midstride.cli.client import Client
 from midstride.cli.dev.contents import Contents, FileContents, remove_compiled
 from midstride.cli.dev.watched_specification import WatchedSpecification
 from midstride.codec.form import Document
 from midstride.codec.specification_form import encode_specification
 from midstride.errors import SpecificationError
-from midstride.model.specification import Specification
 from midstride.runtime.records.reports import Outcome
 from midstride.runtime.records.status_forms import ProgramStatus
 
 # For `_refused`: the specification as a whole. No node has this name.
 _SPECIFICATION: Final = ""
-
-
-class ManagerQueries(Protocol):
-    """The part of a client of the manager that is needed here."""
-
-    def specification(self) -> Specification: ...
-
-    def programs(self) -> list[ProgramStatus]: ...
 
 
 class Screen(Protocol):
@@ -62,7 +54,7 @@ class DevSession:
     """
 
     specification: WatchedSpecification
-    manager: ManagerQueries
+    manager: Client
     carry_out: Callable[[Document, Callable[[Outcome], None]], str | None]
     screen: Screen
     interval: float = 1.0
