@@ -7,6 +7,6 @@ PUBLIC = (
     "Observation Outcome OutcomeKind ParameterStatus ParametersReport Phase PlannedChange PortStatus ProgramStatus "
     "Rehearsal RehearsalOrder RehearsedSeed RespawnStatus RunningCommand SAME_MODE SavedInstance SavedState "
     "Service SilenceFault SilenceKind SpareStatus SpecificationVersion StateStore Statement Status StepTime SwapReport "
-    "TopicStatus UnixTime UpReport WINDOW_PERIODS Why closed_history closed_report in_order mode_level report reports "
-    "status_forms unknown_report"
+    "TopicStatus UnixTime UpReport WINDOW_PERIODS Wakers Why closed_history closed_report in_order mode_level report "
+    "reports status_forms unknown_report"
 )
