@@ -15,7 +15,7 @@ from midstride.errors import CommandRefused
 from midstride.foreign import gated_agent as agent_module
 from midstride.foreign.gated_agent import ForeignAgent
 from midstride.foreign.gates import Gates
-from midstride.foreign.graph_check import GraphEndpoint, differences, lacking, shown, undeclared
+from midstride.foreign.graph_check import DeclaredEndpoints, GraphEndpoint
 from midstride.foreign.page import Page
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.services import NoAnswer
@@ -57,11 +57,12 @@ def component(tmp_path: Path) -> ComponentSpec:
 
 
 def test_what_is_declared_is_accepted(component: ComponentSpec) -> None:
+    declared = DeclaredEndpoints(component, TOPICS, "/node")
     stronger = GraphEndpoint(True, "/chat", "std_msgs/msg/String", replace(LATCHED, deadline=0.1))
     for found in ([OUT, IN], [stronger, IN]):
-        assert shown(component, TOPICS, found)
-        assert differences(component, TOPICS, "/node", found) == []
-    assert not shown(component, TOPICS, [OUT, GraphEndpoint(True, "/image", IN.type, LOOSE)])
+        assert declared.shown(found)
+        assert declared.differences(found) == []
+    assert not declared.shown([OUT, GraphEndpoint(True, "/image", IN.type, LOOSE)])
 
 
 @pytest.mark.parametrize(
@@ -94,7 +95,7 @@ def test_what_is_declared_is_accepted(component: ComponentSpec) -> None:
 )
 def test_what_differs_is_named(component: ComponentSpec, found: GraphEndpoint, words: str) -> None:
     others = [IN if found.output else OUT]
-    assert differences(component, TOPICS, "/node", [*others, found]) == [words]
+    assert DeclaredEndpoints(component, TOPICS, "/node").differences([*others, found]) == [words]
 
 
 LACKING = "node /robot/node has no publisher on /chat, the topic of output out of Thing"
@@ -125,13 +126,15 @@ NUMBER = GraphEndpoint(True, "/number", "std_msgs/msg/Int32", LATCHED)
 def test_what_is_lacking_is_named_with_what_there_is_instead(
     component: ComponentSpec, found: list[GraphEndpoint], instead: str
 ) -> None:
-    assert lacking(component, TOPICS, "/robot/node", [IN, *found], ["out"]) == [LACKING + instead]
+    declared = DeclaredEndpoints(component, TOPICS, "/robot/node")
+    assert declared.lacking([IN, *found], ["out"]) == [LACKING + instead]
 
 
 def test_topics_that_are_no_ports_are_listed(component: ComponentSpec) -> None:
     clock = GraphEndpoint(False, "/clock", "rosgraph_msgs/msg/Clock", LOOSE)
     heard = GraphEndpoint(False, "/chat", OUT.type, LATCHED)  # its own output
-    assert undeclared(component, TOPICS, [IN, heard, NUMBER, ROSOUT, clock, OUT]) == [NUMBER, heard]
+    declared = DeclaredEndpoints(component, TOPICS, "/node")
+    assert declared.undeclared([IN, heard, NUMBER, ROSOUT, clock, OUT]) == [NUMBER, heard]
 
 
 class Services:

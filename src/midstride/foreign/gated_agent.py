@@ -18,17 +18,7 @@ from midstride.foreign.foreign_parameters import ForeignParameters
 from midstride.foreign.gated_outputs import GatedOutputs
 from midstride.foreign.gated_reflex import broken_assumptions
 from midstride.foreign.gates import Gates
-from midstride.foreign.graph_check import (
-    GraphEndpoint,
-    NodeGraph,
-    differences,
-    lacking,
-    misnamed,
-    shown,
-    undeclared,
-    unseen,
-    unseen_in_words,
-)
+from midstride.foreign.graph_check import DeclaredEndpoints, GraphEndpoint, NodeGraph
 from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.lifecycle_outputs import LifecycleOutputs, LifecyclePeers
 from midstride.foreign.node import WATCH, ForeignNode, without_ports
@@ -38,7 +28,7 @@ from midstride.foreign.reported_writes import ReportedWrites
 from midstride.foreign.services import NoAnswer, NodeServices
 from midstride.foreign.ungated_outputs import UngatedOutputs
 from midstride.node.handover.baton import BatonStep
-from midstride.wire import commands, frames, replies
+from midstride.wire import commands, frames
 from midstride.wire.command_server import CommandServer
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply, Request
@@ -86,6 +76,7 @@ class ForeignAgent:
             if gates is None:
                 outputs = LifecycleOutputs(self.lifecycle, peers or LifecyclePeers())
         self._graph = graph
+        self._declared = DeclaredEndpoints(self.node.component, record.topics, record.node)
         self._failed: str | None = None  # why it has not been configured, or is not what is declared
         self._replies: dict[str, asyncio.Task[Reply]] = {}
         self._lock = asyncio.Lock()
@@ -155,11 +146,11 @@ class ForeignAgent:
         the gate does not see; or the node answers requests, so its initialization is over, and has what is probably
         meant under other names.
         """
-        record, component, loop = self.node.record, self.node.component, asyncio.get_running_loop()
+        loop = asyncio.get_running_loop()
         begun = since = loop.time()
         before: set[GraphEndpoint] = set()
         while not await self.node.comes_true(lambda: not gates.missing(), HEARTBEAT):
-            found = set() if self._graph is None or record.welcomed else set(self._graph())
+            found = set() if self._graph is None or self.node.record.welcomed else set(self._graph())
             now = loop.time()
             if found != before:
                 before, since = found, now
@@ -168,9 +159,9 @@ class ForeignAgent:
                 break
             if now - since < SETTLED:
                 continue
-            if unseen(component, record.topics, list(found), missing):
+            if self._declared.unseen(list(found), missing):
                 break
-            if all(misnamed(component, record.topics, list(found), port) for port in missing) and await self._answers():
+            if all(self._declared.misnamed(list(found), port) for port in missing) and await self._answers():
                 break
         return gates.missing()
 
@@ -188,16 +179,16 @@ class ForeignAgent:
 
         What the graph does not show in time is not judged. A node that has been accepted keeps running.
         """
-        component, topics, node = self.node.component, self.node.record.topics, self.node.record.node
+        declared = self._declared
         if (graph := self._graph) is None or self.node.record.welcomed:
             return missing
         if not missing:
-            await self.node.comes_true(lambda: shown(component, topics, graph()), GRAPH_TIMEOUT, every=WATCH)
+            await self.node.comes_true(lambda: declared.shown(graph()), GRAPH_TIMEOUT, every=WATCH)
         found = graph()
-        past = unseen(component, topics, found, missing)
-        faults = unseen_in_words(component, topics, node, past)
-        faults += lacking(component, topics, node, found, [port for port in missing if port not in past])
-        faults += differences(component, topics, node, found)
+        past = declared.unseen(found, missing)
+        faults = declared.unseen_in_words(past)
+        faults += declared.lacking(found, [port for port in missing if port not in past])
+        faults += declared.differences(found)
         self._failed = "; ".join(faults) or None
         return []
 
@@ -206,12 +197,12 @@ class ForeignAgent:
         await self._registered.wait()
         while self._graph is not None:
             await asyncio.sleep(GRAPH_LOOK)
-            record, component, found = self.node.record, self.node.component, self._graph()
+            found = self._graph()
             seen = (
-                differences(component, record.topics, record.node, found),
+                self._declared.differences(found),
                 [
                     f"{'publishes on' if each.output else 'subscribes to'} {each}"
-                    for each in undeclared(component, record.topics, found)
+                    for each in self._declared.undeclared(found)
                 ],
             )
             if seen != (self.node.differences, self.node.undeclared):
@@ -240,8 +231,7 @@ class ForeignAgent:
                 if self.lifecycle.lifecycle.responsive:
                     await self._parameters.read()
                 if left:
-                    self.node.change_record(revision=self.node.record.revision + 1)
-                    self._report()
+                    self._changed()
 
     async def _watch_inputs(self) -> None:
         """Degrade what relies on a publisher that has fallen silent; the manager restores it once that is back."""
@@ -255,9 +245,7 @@ class ForeignAgent:
                     except CommandRefused as error:  # its gates are closed without its help
                         last = self.node.component.functionalities[name].modes[-1].name
                         self.node.enter_modes({name: last}, f"{because}; {error}")
-                    fallen = {**self.node.record.fallen, name: because}
-                    self.node.change_record(fallen=fallen, revision=self.node.record.revision + 1)
-                    self._report()
+                    self._changed(fallen={**self.node.record.fallen, name: because})
 
     # -- requests --------------------------------------------------------------------------------------
 
@@ -287,12 +275,15 @@ class ForeignAgent:
 
     async def _carry_out(self, request: Request, command: Command[Any]) -> Reply:
         try:
-            result = await self._result(command)
-            if command.kind == "changing":
-                self.node.change_record(revision=self.node.record.revision + 1)
-                self._report()
-                if isinstance(command, commands.WelcomeCommand):
-                    result = self.node.state()
+            if isinstance(command, commands.WelcomeCommand):
+                if self._failed is not None:
+                    raise CommandRefused(self._failed)
+                self._changed(welcomed=True)
+                result: WireValue = self.node.state()
+            else:
+                result = await self._commands.carry_out(command)
+                if command.kind == "changing":
+                    self._changed()
         except MidstrideError as error:
             return self._reply(request, error)
         return Reply(id=request.id, revision=self.node.record.revision, result=frames.encode_value(result))
@@ -300,13 +291,10 @@ class ForeignAgent:
     def _reply(self, request: Request, refused: MidstrideError) -> Reply:
         return Reply(id=request.id, revision=self.node.record.revision, refused=str(refused))
 
-    async def _result(self, command: Command[Any]) -> WireValue:
-        if not isinstance(command, commands.WelcomeCommand):
-            return await self._commands.carry_out(command)
-        if self._failed is not None:
-            raise CommandRefused(self._failed)
-        self.node.change_record(welcomed=True)
-        return replies.Done()
+    def _changed(self, **changes: Any) -> None:
+        """The node has changed: in these fields of its record, and in its revision."""
+        self.node.change_record(revision=self.node.record.revision + 1, **changes)
+        self._report()
 
     def _report(self) -> None:
         self._reported = self.node.gate_states()

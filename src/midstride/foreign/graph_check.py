@@ -29,155 +29,145 @@ class GraphEndpoint:
 NodeGraph: TypeAlias = Callable[[], Sequence[GraphEndpoint]]
 
 
-def shown(component: ComponentSpec, topics: Mapping[str, str], found: Sequence[GraphEndpoint]) -> bool:
-    """Whether the graph shows an endpoint for every port; ``topics`` has the full name of each one's topic."""
-    there = {(endpoint.output, endpoint.topic) for endpoint in found}
-    return all((component.has_output(port), topics[port]) in there for port in component.ports())
+@dataclass(frozen=True, slots=True)
+class DeclaredEndpoints:
+    """The endpoints of ``node`` (a full name) as ``component`` declares them.
 
-
-def differences(
-    component: ComponentSpec, topics: Mapping[str, str], node: str, found: Sequence[GraphEndpoint]
-) -> list[str]:
-    """Every endpoint of ``node`` whose type or QoS is not the declared one, in words.
-
-    A publisher must offer at least the QoS that is declared, and a subscription may request no more: else the
-    middleware would not match what the specification connects (docs/semantics.md section 1). What the graph does not
-    show yet is not judged.
+    ``topics`` has the full name of each port's topic. What is ``found`` is what the graph shows of the node.
     """
-    words = []
-    for port in component.ports():
-        output, declared = component.has_output(port), _declared(component, port)
+
+    component: ComponentSpec
+    topics: Mapping[str, str]
+    node: str
+
+    def shown(self, found: Sequence[GraphEndpoint]) -> bool:
+        """Whether the graph shows an endpoint for every port."""
+        there = {(endpoint.output, endpoint.topic) for endpoint in found}
+        return all((self.component.has_output(port), self.topics[port]) in there for port in self.component.ports())
+
+    def differences(self, found: Sequence[GraphEndpoint]) -> list[str]:
+        """Every endpoint of ``node`` whose type or QoS is not the declared one, in words.
+
+        A publisher must offer at least the QoS that is declared, and a subscription may request no more: else the
+        middleware would not match what the specification connects (docs/semantics.md section 1). What the graph does
+        not show yet is not judged.
+        """
+        component, topics, node = self.component, self.topics, self.node
+        words = []
+        for port in component.ports():
+            output, declared = component.has_output(port), self._declared(port)
+            for endpoint in found:
+                if declared is None or (endpoint.output, endpoint.topic) != (output, topics[port]):
+                    continue
+                does = f"node {node} {'publishes' if output else 'subscribes to'}"
+                kind = f"{'output' if output else 'input'} {port} of {component.name} is declared"
+                if canonical_type(endpoint.type) != declared.type:
+                    what = f"{endpoint.type} on {topics[port]}" if output else f"{topics[port]} as {endpoint.type}"
+                    words.append(f"{does} {what}, and {kind} as {declared.type}")
+                needed, offered = (declared.qos, endpoint.qos) if output else (endpoint.qos, declared.qos)
+                if clauses := needed.unmet_by(offered):
+                    words.append(
+                        f"{does} {'on ' if output else ''}{topics[port]} with {_in_words(endpoint.qos)}, and {kind} "
+                        f"with {_in_words(declared.qos)} ({', '.join(clauses)})"
+                    )
+        return words
+
+    def lacking(self, found: Sequence[GraphEndpoint], missing: Sequence[str]) -> list[str]:
+        """For each port that is ``missing``, what is declared, and what the node has instead."""
+        component, topics, node = self.component, self.topics, self.node
+        words = []
+        for port in missing:
+            output = component.has_output(port)
+            kind, verb = ("publisher on", "publishes on") if output else ("subscription to", "subscribes to")
+            others = [str(each) for each in self.undeclared(found) if each.output == output]
+            instead = f"; it {verb} {', '.join(others)}" if others else ""
+            port_kind = "output" if output else "input"
+            meant = self.misnamed(found, port)
+            if meant is not None and (own := _own_name(meant.topic, node)) != component.topic_of(port):
+                instead += f"; did you mean `{port_kind} {port} … as {own}`?"
+            words.append(
+                f"node {node} has no {kind} {topics[port]}, the topic of {port_kind} {port} of {component.name}"
+                + instead
+            )
+        return words
+
+    def unseen(self, found: Sequence[GraphEndpoint], missing: Sequence[str]) -> list[str]:
+        """The ports that are ``missing`` for the gate in the process, although the graph shows an endpoint of them."""
+        there = {(endpoint.output, endpoint.topic) for endpoint in found}
+        return [port for port in missing if (self.component.has_output(port), self.topics[port]) in there]
+
+    def unseen_in_words(self, ports: Sequence[str]) -> list[str]:
+        """For each of these ports, why `gate preload` is of no use, and what is."""
+        component, topics, node = self.component, self.topics, self.node
+        return [
+            f"node {node} {'publishes on' if component.has_output(port) else 'subscribes to'} {topics[port]}, and the "
+            "library of `gate preload` does not see it: the program does so without rcl, or it could not load the "
+            f"library (it is statically linked, for example); declare {component.name} with `gate relay`"
+            for port in ports
+        ]
+
+    def past_relay(self, real: Mapping[str, str], found: Sequence[GraphEndpoint]) -> list[str]:
+        """For each endpoint that the node can only have because it takes no notice of the names it was given, in words.
+
+        It publishes on the ``real`` topic of an output, past its relay; or it uses the own name of a port although
+        another was given for it.
+        """
+        component, topics, node = self.component, self.topics, self.node
+        given = {(component.has_output(port), topics[port]) for port in component.ports()}
+        own = {
+            (component.has_output(port), resolved(component.topic_of(port), node)): port for port in component.ports()
+        }
+        attached = {(True, topic): port for port, topic in real.items()}
+        words = []
         for endpoint in found:
-            if declared is None or (endpoint.output, endpoint.topic) != (output, topics[port]):
+            key = endpoint.output, endpoint.topic
+            if key in given or (port := own.get(key) or attached.get(key)) is None:
                 continue
-            does = f"node {node} {'publishes' if output else 'subscribes to'}"
-            kind = f"{'output' if output else 'input'} {port} of {component.name} is declared"
-            if canonical_type(endpoint.type) != declared.type:
-                what = f"{endpoint.type} on {topics[port]}" if output else f"{topics[port]} as {endpoint.type}"
-                words.append(f"{does} {what}, and {kind} as {declared.type}")
-            needed, offered = (declared.qos, endpoint.qos) if output else (endpoint.qos, declared.qos)
-            if clauses := needed.unmet_by(offered):
-                words.append(
-                    f"{does} {'on ' if output else ''}{topics[port]} with {_in_words(endpoint.qos)}, and {kind} with "
-                    f"{_in_words(declared.qos)} ({', '.join(clauses)})"
-                )
-    return words
+            kind, does = ("output", "publishes on") if endpoint.output else ("input", "subscribes to")
+            name = component.topic_of(port)
+            why = f"it takes no notice of the remapping `{name}:={topics[port]}`"
+            if key not in own:
+                why = f"{name} is remapped to {topics[port]}: did you mean `{kind} {port} as {endpoint.topic}`?"
+            words.append(f"node {node} {does} {endpoint.topic} itself, for {kind} {port} of {component.name}; {why}")
+        return words
 
-
-def lacking(
-    component: ComponentSpec,
-    topics: Mapping[str, str],
-    node: str,
-    found: Sequence[GraphEndpoint],
-    missing: Sequence[str],
-) -> list[str]:
-    """For each port that is ``missing``, what is declared, and what the node has instead."""
-    words = []
-    for port in missing:
-        output = component.has_output(port)
-        kind, verb = ("publisher on", "publishes on") if output else ("subscription to", "subscribes to")
-        others = [str(each) for each in undeclared(component, topics, found) if each.output == output]
-        instead = f"; it {verb} {', '.join(others)}" if others else ""
-        port_kind = "output" if output else "input"
-        meant = misnamed(component, topics, found, port)
-        if meant is not None and (own := _own_name(meant.topic, node)) != component.topic_of(port):
-            instead += f"; did you mean `{port_kind} {port} … as {own}`?"
-        words.append(
-            f"node {node} has no {kind} {topics[port]}, the topic of {port_kind} {port} of {component.name}{instead}"
+    def undeclared(self, found: Sequence[GraphEndpoint]) -> list[GraphEndpoint]:
+        """The endpoints that are no port of the component, by topic, and not ROS's own either."""
+        ports = {(self.component.has_output(port), self.topics[port]) for port in self.component.ports()}
+        return sorted(
+            (
+                each
+                for each in found
+                if (each.output, each.topic) not in ports and not is_infrastructure(each.topic, output=each.output)
+            ),
+            key=lambda each: (not each.output, each.topic),
         )
-    return words
 
+    def misnamed(self, found: Sequence[GraphEndpoint], port: str) -> GraphEndpoint | None:
+        """What ``port``, for which there is no endpoint, is probably called by the program.
 
-def unseen(
-    component: ComponentSpec, topics: Mapping[str, str], found: Sequence[GraphEndpoint], missing: Sequence[str]
-) -> list[str]:
-    """The ports that are ``missing`` for the gate in the process, although the graph shows an endpoint of the node."""
-    there = {(endpoint.output, endpoint.topic) for endpoint in found}
-    return [port for port in missing if (component.has_output(port), topics[port]) in there]
+        That is the undeclared endpoint of its type and direction with the most similar name, or the only one.
+        """
+        output, declared = self.component.has_output(port), self._declared(port)
+        alike = {
+            each.topic: each
+            for each in self.undeclared(found)
+            if each.output == output and declared is not None and canonical_type(each.type) == declared.type
+        }
+        near = nearest(self.component.topic_of(port), alike)
+        return alike[near] if near is not None else next(iter(alike.values())) if len(alike) == 1 else None
 
-
-def unseen_in_words(component: ComponentSpec, topics: Mapping[str, str], node: str, ports: Sequence[str]) -> list[str]:
-    """For each of these ports, why `gate preload` is of no use, and what is."""
-    return [
-        f"node {node} {'publishes on' if component.has_output(port) else 'subscribes to'} {topics[port]}, and the "
-        "library of `gate preload` does not see it: the program does so without rcl, or it could not load the library "
-        f"(it is statically linked, for example); declare {component.name} with `gate relay`"
-        for port in ports
-    ]
-
-
-def past_relay(
-    component: ComponentSpec,
-    topics: Mapping[str, str],
-    real: Mapping[str, str],
-    node: str,
-    found: Sequence[GraphEndpoint],
-) -> list[str]:
-    """For each endpoint that the node can only have because it takes no notice of the names it was given, in words.
-
-    It publishes on the ``real`` topic of an output, past its relay; or it uses the own name of a port although another
-    was given for it.
-    """
-    given = {(component.has_output(port), topics[port]) for port in component.ports()}
-    own = {(component.has_output(port), resolved(component.topic_of(port), node)): port for port in component.ports()}
-    attached = {(True, topic): port for port, topic in real.items()}
-    words = []
-    for endpoint in found:
-        key = endpoint.output, endpoint.topic
-        if key in given or (port := own.get(key) or attached.get(key)) is None:
-            continue
-        kind, does = ("output", "publishes on") if endpoint.output else ("input", "subscribes to")
-        name = component.topic_of(port)
-        why = f"it takes no notice of the remapping `{name}:={topics[port]}`"
-        if key not in own:
-            why = f"{name} is remapped to {topics[port]}: did you mean `{kind} {port} as {endpoint.topic}`?"
-        words.append(f"node {node} {does} {endpoint.topic} itself, for {kind} {port} of {component.name}; {why}")
-    return words
-
-
-def undeclared(
-    component: ComponentSpec, topics: Mapping[str, str], found: Sequence[GraphEndpoint]
-) -> list[GraphEndpoint]:
-    """The endpoints that are no port of the component, by topic, and not ROS's own either."""
-    ports = {(component.has_output(port), topics[port]) for port in component.ports()}
-    return sorted(
-        (
-            each
-            for each in found
-            if (each.output, each.topic) not in ports and not is_infrastructure(each.topic, output=each.output)
-        ),
-        key=lambda each: (not each.output, each.topic),
-    )
-
-
-def misnamed(
-    component: ComponentSpec, topics: Mapping[str, str], found: Sequence[GraphEndpoint], port: str
-) -> GraphEndpoint | None:
-    """What ``port``, for which there is no endpoint, is probably called by the program.
-
-    That is the undeclared endpoint of its type and direction with the most similar name, or the only one.
-    """
-    output, declared = component.has_output(port), _declared(component, port)
-    alike = {
-        each.topic: each
-        for each in undeclared(component, topics, found)
-        if each.output == output and declared is not None and canonical_type(each.type) == declared.type
-    }
-    near = nearest(component.topic_of(port), alike)
-    return alike[near] if near is not None else next(iter(alike.values())) if len(alike) == 1 else None
+    def _declared(self, port: str) -> Predicate | None:
+        if not self.component.has_output(port):
+            return self.component.inputs[port]
+        owner = self.component.find_owner(port)
+        guarantee = NOTHING if owner is None else owner.modes[0].guarantee(port)
+        return guarantee if isinstance(guarantee, Predicate) else None
 
 
 def _own_name(topic: str, node: str) -> str:
     """What a program in the namespace of ``node`` may call ``topic``."""
     return topic.removeprefix(node.rpartition("/")[0] + "/")
-
-
-def _declared(component: ComponentSpec, port: str) -> Predicate | None:
-    if not component.has_output(port):
-        return component.inputs[port]
-    owner = component.find_owner(port)
-    guarantee = NOTHING if owner is None else owner.modes[0].guarantee(port)
-    return guarantee if isinstance(guarantee, Predicate) else None
 
 
 def _in_words(qos: QoS) -> str:

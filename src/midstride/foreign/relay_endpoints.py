@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from midstride.errors import BackendError, NodeError
-from midstride.foreign.graph_check import GraphEndpoint, differences, lacking, past_relay
+from midstride.foreign.graph_check import DeclaredEndpoints, GraphEndpoint
 from midstride.foreign.relayed_program import RelayedProgram, RelayOrder
 from midstride.model.component import ComponentSpec
 
@@ -88,9 +88,12 @@ class ProgramEndpoints:
         except BackendError as error:
             return None, str(error)
 
+    @property
+    def _declared(self) -> DeclaredEndpoints:
+        return DeclaredEndpoints(self.component, self.order.topics, self.order.node)
+
     def _past(self, found: Sequence[GraphEndpoint]) -> str:
-        order = self.order
-        return "; ".join(past_relay(self.component, order.topics, order.real, order.node, found))
+        return "; ".join(self._declared.past_relay(self.order.real, found))
 
     def _remapped(self, found: Sequence[GraphEndpoint]) -> bool:
         """Whether every output is published on its private topic, so the program has taken notice of remappings."""
@@ -109,16 +112,16 @@ class ProgramEndpoints:
 
     def _faults(self, missing: Sequence[str], found: Sequence[GraphEndpoint] | None, unread: str) -> list[str]:
         """Why the program is not what is declared; ``missing``: the ports that it still lacks."""
-        node, topics = self.order.node, self.order.topics
         if unread:
-            return [f"what {node} has is not known: {unread}"]
+            return [f"what {self.order.node} has is not known: {unread}"]
         if found is None and (missing or self.late):
-            words = f"there is no node {node} {ENDPOINTS_TIMEOUT:g} s after `{self.order.command[0]}` was started"
+            program = self.order.command[0]
+            words = f"there is no node {self.order.node} {ENDPOINTS_TIMEOUT:g} s after `{program}` was started"
             return [f"{words}: a program behind a relay must accept ROS's arguments, its name among them"]
-        there = {(endpoint.output, endpoint.topic) for endpoint in found or ()}
-        absent = [port for port in missing if (self.component.has_output(port), topics[port]) not in there]
-        faults = lacking(self.component, topics, node, found or (), absent)
-        faults += differences(self.component, topics, node, found or ())
+        declared, shown = self._declared, found or ()
+        there = declared.unseen(shown, missing)
+        faults = declared.lacking(shown, [port for port in missing if port not in there])
+        faults += declared.differences(shown)
         if missing and not faults:
             faults = [f"the messages of {', '.join(missing)} cannot be received"]
         return faults
