@@ -6,8 +6,6 @@ That concerns parameters that are declared on the node itself, by the author or 
 
 from __future__ import annotations
 
-import math
-from array import array
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
@@ -16,6 +14,7 @@ from rclpy.exceptions import ParameterNotDeclaredException, ParameterUninitializ
 from rclpy.parameter import Parameter
 
 from midstride.backends.ros2.component.gated_node import GatedNode
+from midstride.backends.ros2.component.parameter_services import as_json
 from midstride.node.service_gate import ServiceGate
 
 # What ROS declares besides `use_sim_time` says how the node was made.
@@ -36,7 +35,7 @@ class NodeParameter:
     def value(self) -> Any:
         """None where it has none (any more), or one that cannot be written as JSON: of bytes, or not finite."""
         try:
-            return _plain(self._node.get_parameter(self.name).value)
+            return as_json(self._node.get_parameter(self.name).value)
         except (ParameterUninitializedException, ParameterNotDeclaredException):
             return None
 
@@ -84,7 +83,7 @@ class DataNode(GatedNode):
             name, before = parameter.name, parameter.value
             if name in self._parameters_set:
                 before = self._parameters_given.get(name, default[0] if default else None)
-            self._known[name] = NodeParameter(self, name, _plain(before), name in self._parameters_set)
+            self._known[name] = NodeParameter(self, name, as_json(before), name in self._parameters_set)
         return declared
 
     def held(self) -> dict[str, NodeParameter]:
@@ -105,13 +104,3 @@ class DataNode(GatedNode):
                 parameter.set_from_outside = True
             self.changed()
         return result
-
-
-def _plain(value: Any) -> Any:
-    """``value`` as in JSON, None where it cannot be written so."""
-    if isinstance(value, (list, tuple, array)):
-        members = [_plain(member) for member in value]
-        return None if None in members else members
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value if isinstance(value, (bool, int, str)) and not isinstance(value, Parameter.Type) else None

@@ -10,6 +10,8 @@ a reading request never waits for user code.
 
 from __future__ import annotations
 
+import math
+from array import array
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -152,6 +154,16 @@ class ParameterServices:
 
 def _value(name: str, value: Any) -> Any:
     return Parameter(name, value=value).get_parameter_value()
+
+
+def as_json(value: Any) -> Any:
+    """``value`` as in JSON, None where it cannot be written so."""
+    if isinstance(value, (list, tuple, array)):
+        members = [as_json(member) for member in value]
+        return None if None in members else members
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if isinstance(value, (bool, int, str)) and not isinstance(value, Parameter.Type) else None
 
 
 def _refused(reason: str) -> Any:

@@ -11,6 +11,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces import srv as parameter_srv
 from rclpy.parameter import Parameter, parameter_value_to_python
 
+from midstride.backends.ros2.component.parameter_services import as_json
 from midstride.foreign.services import NoAnswer
 
 # How often it looks for a service, or for an answer (s).
@@ -69,7 +70,7 @@ class RosNodeServices:
         names = (await self._call(parameter_srv.ListParameters, "list_parameters", timeout)).result.names
         request = parameter_srv.GetParameters.Request(names=names)
         values = (await self._call(parameter_srv.GetParameters, "get_parameters", timeout, request)).values
-        found = {name: _plain(value) for name, value in zip(names, values, strict=False)}
+        found = {name: as_json(parameter_value_to_python(value)) for name, value in zip(names, values, strict=False)}
         return {name: value for name, value in found.items() if value is not None}
 
     async def set_parameters(self, values: Mapping[str, Any], timeout: float) -> str | None:
@@ -131,11 +132,3 @@ class RosNodeServices:
             found = waiting.get(header.request_id.sequence_number)
             if found is not None and not found.done():
                 found.set_result(response)
-
-
-def _plain(value: Any) -> Any:
-    """None for a value that no specification can have, as bytes, or that is not set."""
-    found = parameter_value_to_python(value)
-    if isinstance(found, bytes) or (isinstance(found, list) and any(isinstance(each, bytes) for each in found)):
-        return None
-    return list(found) if found is not None and not isinstance(found, bool | int | float | str) else found
