@@ -208,7 +208,7 @@ class GatedOutputs(UngatedOutputs):
         gates.share(ports, baton)
         cut = self._cuts[command.cut] = _Cut(command.swaps, baton, before, old, own)
         self._node.set_links(dict.fromkeys(ports, "open"))
-        gates.page.step(baton, BatonStep.NAME_SUCCESSOR, old, gates.index, at_once=gates.timed(ports))
+        gates.page.step(baton, BatonStep.NAME_SUCCESSOR, old, gates.index, at_once=not any(map(gates.rate, ports)))
         gates.page.ring(gates.index)
         word = gates.page.word(baton)
         if gates.index + 1 not in (word.successor, word.holder):

@@ -89,9 +89,6 @@ class Gates:
         share_baton(self.page, [(self.entry(port), self.rate(port)) for port in ports], shared)
         return shared
 
-    def timed(self, ports: Iterable[str]) -> bool:
-        return not any(self.rate(port) for port in ports)
-
     def baton(self, port: str) -> int:
         return int(self.entry(port).baton)
 

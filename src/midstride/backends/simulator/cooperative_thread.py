@@ -27,9 +27,12 @@ class Killed(BaseException):
 
 @dataclass(frozen=True, slots=True)
 class Sleeps:
-    """The thread waits for ``seconds``."""
+    """The thread waits for ``seconds``, or the async mode function that awaits this."""
 
     seconds: float
+
+    def __await__(self) -> Any:
+        yield self
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from midstride.backends.common import KeptParameters
+from midstride.backends.simulator.cooperative_thread import Sleeps
 from midstride.backends.simulator.network import Network, SimulatedReader, SimulatedWriter
 from midstride.backends.simulator.simulated_process import SimulatedProcess
 from midstride.backends.simulator.virtual_clock import SimulatedTimer
@@ -24,16 +25,6 @@ from midstride.wire.state import ComponentState, Endpoint
 from midstride.wire.transport import Transport
 
 T = TypeVar("T")
-
-
-class SimulatedSleep:
-    """What an async mode function awaits to sleep."""
-
-    def __init__(self, seconds: float) -> None:
-        self.seconds = seconds
-
-    def __await__(self) -> Any:
-        yield self
 
 
 class SimulatedHost:
@@ -95,7 +86,7 @@ class SimulatedHost:
             except StopIteration:
                 done()
                 return
-            if isinstance(waited_for, SimulatedSleep):
+            if isinstance(waited_for, Sleeps):
                 self._clock.loop.call_later(waited_for.seconds, enqueue, step)
             elif isinstance(waited_for, asyncio.Future):
                 waited_for._asyncio_future_blocking = False
@@ -106,7 +97,7 @@ class SimulatedHost:
         step()
 
     def pause(self, seconds: float) -> Awaitable[None]:
-        return SimulatedSleep(seconds)
+        return Sleeps(seconds)
 
     def create_publisher(self, topic: str, type_: type, qos: QoS) -> SimulatedWriter:
         return self._network.create_writer(self._process, topic, type_name(type_), qos)
