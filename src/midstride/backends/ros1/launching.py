@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import urlsplit
 
-import psutil
-
 from midstride.backends.common import drop_paths
 from midstride.errors import BackendError
+from midstride.runtime.process.reaper import environment_value
 
 # Names the interpreter in which components run, and which has rospy, rosmaster and Midstride.
 ENV_PYTHON: Final = "MIDSTRIDE_ROS1_PYTHON"
@@ -69,10 +68,7 @@ def master_uri(environment: Mapping[str, str]) -> str:
 
 def master_of(pid: int) -> str:
     """The master that a component's process was started with."""
-    try:
-        return master_uri(psutil.Process(pid).environ())
-    except psutil.Error:
-        return master_uri({})
+    return environment_value(pid, MASTER_URI) or DEFAULT_MASTER
 
 
 def is_local(uri: str) -> bool:

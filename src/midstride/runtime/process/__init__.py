@@ -2,5 +2,5 @@
 
 PUBLIC = (
     "ComponentClient ComponentEvent Disconnected Launcher Process REPORTED Reaper STOP_GRACE adopting_orphans "
-    "end_orphans find have_answer process_info raise_limit reaper room_for_a_start shorten spawn tail"
+    "end_orphans environment_value find have_answer process_info raise_limit reaper room_for_a_start shorten spawn tail"
 )
