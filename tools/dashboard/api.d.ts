@@ -121,6 +121,12 @@ declare namespace Api {
     /** the one in its request */
     id: string | null;
     command: string;
+    /** seconds since 1970 */
+    began: number;
+    ended: number | null;
+    outcome: "done" | "failed" | "refused" | "rolled_back" | null;
+    /** how it ended, in words */
+    because: string | null;
     state: "ended" | "executing" | "measuring" | "planning" | "rolling_back" | "verifying";
     /** null until it is planned */
     plan: PlanPreview | null;
@@ -128,15 +134,9 @@ declare namespace Api {
     index: number | null;
     /** how many steps the plan has */
     total: number | null;
-    /** seconds since 1970 */
-    began: number;
-    ended: number | null;
     steps: StepView[];
     /** what each subscriber saw, as measured */
     swaps: SwapReport[];
-    outcome: "done" | "failed" | "refused" | "rolled_back" | null;
-    /** how it ended, in words */
-    because: string | null;
   }
 
   /** Whether the text can be applied: `request` is then what `/plan` and `/change` take. */
@@ -695,12 +695,14 @@ declare namespace Api {
 
   /** A change that this manager has carried out, or carries out. */
   interface PastChange {
+    /** the one in its request */
     id: string | null;
     command: string;
     /** seconds since 1970 */
     began: number;
     ended: number | null;
     outcome: "done" | "failed" | "refused" | "rolled_back" | null;
+    /** how it ended, in words */
     because: string | null;
   }
 

@@ -92,9 +92,8 @@ def make_server() -> LanguageServer:
             raise JsonRpcInvalidParams(str(error)) from None
         changes: dict[str, list[types.TextEdit]] = {}
         for span, text in edits:
-            changes.setdefault(_uri(span.source.path or Path(span.source.name)), []).append(
-                types.TextEdit(_range(span), text)
-            )
+            at = _location(span)
+            changes.setdefault(at.uri, []).append(types.TextEdit(at.range, text))
         return types.WorkspaceEdit(changes=changes)
 
     options = types.CompletionOptions(trigger_characters=[":", "<", ">", "-", ".", "/", " "])

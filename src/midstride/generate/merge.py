@@ -64,11 +64,6 @@ def merge_copy(existing: str | None, new: str, written: str | None) -> Merged:
     return Merged(None, "" if existing == new else "edited, left unchanged: generate from it instead")
 
 
-def merge_empty(existing: str | None) -> Merged:
-    """A file that only has to exist."""
-    return Merged("" if existing is None else None)
-
-
 def merge_component(existing: str | None, new: str) -> Merged:
     """The marked block is replaced, the rest kept, and methods for new modes are added."""
     if existing is None:

@@ -12,7 +12,7 @@ import click
 from midstride.cli.input_files import require_file, write, written
 from midstride.cli.output import json_option, show
 from midstride.errors import MidstrideError, SpecificationError
-from midstride.generate.merge import Merged, digest, merge_component, merge_copy, merge_empty, merge_whole
+from midstride.generate.merge import Merged, digest, merge_component, merge_copy, merge_whole
 from midstride.generate.project import GeneratedFile, project
 from midstride.lang import Loaded, load
 from midstride.lang.message_types import installed
@@ -82,7 +82,7 @@ def _merge(generated: GeneratedFile, existing: str | None, record: dict[str, str
     if generated.kind == "whole":
         return merge_whole(existing, generated.text)
     if generated.kind == "empty":
-        return merge_empty(existing)
+        return Merged("" if existing is None else None)  # it only has to exist
     return merge_copy(existing, generated.text, record.get(str(generated.path)))
 
 

@@ -34,7 +34,16 @@ def import_command(file: Path, arguments: tuple[str, ...], output: Path | None, 
     if output is not None:
         write(output, imported.text)
     if wants_json():
-        _print_document(imported, output)
+        print_json(
+            {
+                "file": None if output is None else str(output),
+                "specification": imported.text if output is None else None,
+                "nodes": imported.nodes,
+                "launch_files": imported.files,
+                "findings": [finding.to_json() for finding in imported.findings],
+                "counts": imported.findings.counts(),
+            }
+        )
         return 0
     if output is None:
         click.echo(imported.text, nl=False)
@@ -63,16 +72,3 @@ def _summary(imported: Imported, output: Path | None) -> str:
     where = f" in {output}" if output is not None else ""
     left = f"{counted(len(imported.findings), 'finding')} ({counts})" if counts else "no findings"
     return f"{counted(imported.nodes, 'node')}{where} from {counted(imported.files, 'launch file')}; {left}"
-
-
-def _print_document(imported: Imported, output: Path | None) -> None:
-    print_json(
-        {
-            "file": None if output is None else str(output),
-            "specification": imported.text if output is None else None,
-            "nodes": imported.nodes,
-            "launch_files": imported.files,
-            "findings": [finding.to_json() for finding in imported.findings],
-            "counts": imported.findings.counts(),
-        }
-    )

@@ -16,7 +16,8 @@ from midstride.server.view.view_stream import position, stream
 
 # The largest time that makes sense: the year 10000.
 _LATEST: Final = 253_402_300_800.0
-_Time = Annotated[float | None, Query(ge=0, le=_LATEST, allow_inf_nan=False, description="UNIX time (s)")]
+_TIME: Final = Query(ge=0, le=_LATEST, allow_inf_nan=False, description="UNIX time (s)")
+_Time = Annotated[float | None, _TIME]
 _NOT_STORED: Final = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
 
 
@@ -61,9 +62,7 @@ def viewing(live: LiveView) -> APIRouter:
         return answer(live.timeline(0.0 if since is None else since, live.now() if until is None else until))
 
     @router.get("/view/at", responses=answers(SystemView))
-    async def view_at(
-        at: Annotated[float, Query(ge=0, le=_LATEST, allow_inf_nan=False, description="UNIX time (s)")],
-    ) -> Response:
+    async def view_at(at: Annotated[float, _TIME]) -> Response:
         """The view as it was at a time, without what was measured meanwhile. 409 for a time that is not remembered."""
         live.start()
         live.refresh(measurements=False)

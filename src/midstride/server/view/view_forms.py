@@ -40,21 +40,26 @@ class StepView(Report, frozen=True, kw_only=True):
     failed: bool
 
 
-class ChangeView(Report, frozen=True, kw_only=True):
-    """The change in progress, or the last one that ended."""
+class PastChange(Report, frozen=True, kw_only=True):
+    """A change that this manager has carried out, or carries out."""
 
     id: Annotated[str | None, Meta(description="the one in its request")]
     command: str
+    began: UnixTime
+    ended: UnixTime | None
+    outcome: OutcomeKind | None
+    because: Annotated[str | None, Meta(description="how it ended, in words")]
+
+
+class ChangeView(PastChange, frozen=True, kw_only=True):
+    """The change in progress, or the last one that ended."""
+
     state: ChangeState
     plan: Annotated[PlanPreview | None, Meta(description="null until it is planned")]
     index: Annotated[int | None, Meta(description="the latest step that has begun, from 0")]
     total: Annotated[int | None, Meta(description="how many steps the plan has")]
-    began: UnixTime
-    ended: UnixTime | None
     steps: list[StepView]
     swaps: Annotated[list[SwapReport], Meta(description="what each subscriber saw, as measured")]
-    outcome: OutcomeKind | None
-    because: Annotated[str | None, Meta(description="how it ended, in words")]
 
 
 class SystemView(Status, frozen=True, kw_only=True):
@@ -94,17 +99,6 @@ class Patch(Report, frozen=True, kw_only=True):
     middleware: Middleware | UnsetType = UNSET
     spares: SpareStatus | UnsetType = UNSET
     change: ChangeView | UnsetType | None = UNSET
-
-
-class PastChange(Report, frozen=True, kw_only=True):
-    """A change that this manager has carried out, or carries out."""
-
-    id: str | None
-    command: str
-    began: UnixTime
-    ended: UnixTime | None
-    outcome: OutcomeKind | None
-    because: str | None
 
 
 class Timeline(Report, frozen=True, kw_only=True):
