@@ -1,4 +1,4 @@
-"""When the live view is built, and its clients are woken."""
+"""When the live view is built, and the alarms by which it is."""
 
 from __future__ import annotations
 
