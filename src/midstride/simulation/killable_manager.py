@@ -59,11 +59,6 @@ class Life:
         if self._over is not None and not self._over.done():
             self._over.set_result(None)
 
-    def require(self) -> None:
-        """Raises ManagerKilled once it has been killed."""
-        if not self.alive:
-            raise ManagerKilled
-
     async def breath(self) -> None:
         """Returns while it lives and is not cut off, and never again once it has been killed."""
         while self.cut_off is not None and not self.cut_off.done():

@@ -56,13 +56,6 @@ class Observer(Protocol):
     def check(self) -> None: ...
 
 
-class _Blind:
-    due: Final = False
-
-    def check(self) -> None:
-        pass
-
-
 class SeededLoop(asyncio.AbstractEventLoop):
     """Starts at 0. ``observer`` looks at the system after all that was ready at once has run.
 
@@ -71,7 +64,7 @@ class SeededLoop(asyncio.AbstractEventLoop):
 
     def __init__(self, seed: int) -> None:
         self.random = random.Random(seed)
-        self.observer: Observer = _Blind()
+        self.observer: Observer | None = None
         self._now = 0.0
         self._ready: list[_Callback] = []
         self._timers: list[tuple[float, float, int, _Callback]] = []
@@ -186,7 +179,7 @@ class SeededLoop(asyncio.AbstractEventLoop):
                         handle.context.run(handle.callback, *handle.args)
                     except Exception as error:
                         self.call_exception_handler({"message": f"{handle.callback!r} raised", "exception": error})
-            if observer.due:
+            if observer is not None and observer.due:
                 observer.check()
 
     def _jump(self) -> None:

@@ -52,8 +52,8 @@ class _Database(Database):
         self._life = disk.life
 
     def write(self, statements: Iterable[Statement], *args: Any, **named: Any) -> None:
-        if self._life is not None:
-            self._life.require()
+        if self._life is not None and not self._life.alive:
+            raise ManagerKilled
         if self._disk.full:
             super().write((), *args, **named)  # to look at the lease takes no room
             raise sqlite3.OperationalError("database or disk is full")

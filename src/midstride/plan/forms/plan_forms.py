@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from typing import Annotated, Any, ClassVar, TypeAlias
 
 from msgspec import UNSET, UnsetType, structs
@@ -65,13 +66,6 @@ class DetourForm(PlanPart, frozen=True, kw_only=True):
     role: str
     moved: Annotated[bool, field("a boolean", "a node that stays is replaced by one like it")]
     stand_in: Annotated[str | None, field("a component", "of the instance that exists during the plan only")]
-
-    @classmethod
-    def of(cls, detour: Detour) -> DetourForm:
-        return cls(role=detour.role, moved=detour.moved, stand_in=detour.stand_in)
-
-    def detour(self) -> Detour:
-        return Detour(self.role, self.moved, self.stand_in)
 
 
 class BoundPartForm(PlanPart, frozen=True, kw_only=True):
@@ -193,7 +187,7 @@ def _fields(plan: Plan) -> dict[str, Any]:
         "parameters": list(plan.parameters) or UNSET,
         "remarks": list(plan.remarks) or UNSET,
         "certificate": [BoundPartForm(roles=[*each.roles], bound=each.bound) for each in plan.certificate] or UNSET,
-        "detours": [DetourForm.of(detour) for detour in plan.change.detours] or UNSET,
+        "detours": [DetourForm(**asdict(detour)) for detour in plan.change.detours] or UNSET,
         "measured": _measured(plan) or UNSET,
         "own_state": left_behind(plan.change, (step.action for step in plan.steps)) or UNSET,
     }
@@ -243,7 +237,8 @@ def decode_plan(document: object) -> Plan:
     measured = {key: Estimate(*each) for key, each in (form.measured or {}).items()}
     change = change_between(origin, start, target, measured)
     try:
-        change = with_detours(change, (each.detour() for each in (form.detours or ())))
+        detours = (Detour(each.role, each.moved, each.stand_in) for each in form.detours or ())
+        change = with_detours(change, detours)
     except KeyError as error:
         raise PlanRefused(f"a detour is about {error.args[0]}, which is not there") from None
     known = dict(change.start.instances)

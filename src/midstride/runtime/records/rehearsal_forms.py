@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, TypeAlias
+from typing import Annotated
 
 from msgspec import Meta
 
@@ -32,16 +32,13 @@ class RehearsedSeed(Report, frozen=True):
     outcomes: list[str]
 
 
-FaultCounts: TypeAlias = Annotated[
-    dict[str, dict[str, int]],
-    Meta(description="by kind of fault: how often it struck, and how often each branch of recovery followed"),
-]
-
-
 class Rehearsal(Report, frozen=True, kw_only=True):
     """What came of the seeds, as `midstride simulate --json` prints it."""
 
     seeds: int
     outcomes: Annotated[dict[str, int], Meta(description="how often the change ended in each way")]
-    faults: FaultCounts
+    faults: Annotated[
+        dict[str, dict[str, int]],
+        Meta(description="by kind of fault: how often it struck, and how often each branch of recovery followed"),
+    ]
     failed: Annotated[list[RehearsedSeed], Meta(description="those that violate an invariant")]
