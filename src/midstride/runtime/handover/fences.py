@@ -92,20 +92,19 @@ class Fences:
         """
         links = [(port.port, topic) for port, topic in attachments]
         last: dict[str, int] = {}
-        killed = False
+        how: Literal["gate", "killed"] = "gate"
         try:
             if self.client.life.responsive(instance) is None:
                 raise CallTimeout(f"{instance} does not answer")
             last = (await self.client.read(instance, FenceCommand(attachments=links))).last
         except MidstrideError as error:
             await self._kill(instance, error)
-            killed = True
-        what = "its process was killed" if killed else "its outputs were closed inside a call"
+            how = "killed"
+        what = "its process was killed" if how == "killed" else "its outputs were closed inside a call"
         lost = ", and its state could not be exported" if keeps_state(self.client, instance) else ""
         words = f"{because}; {what}{lost}"
-        how: Literal["gate", "killed"] = "killed" if killed else "gate"
         fenced = FencedInstance(instance=instance, how=how, because=because, words=words)
-        self.client.life.fence(fenced, [] if killed else links)
+        self.client.life.fence(fenced, [] if how == "killed" else links)
         self.events.add("fenced", words, instance=instance)
         return {PortRef(instance, port): last.get(f"{port} {topic}") for port, topic in links}
 

@@ -95,7 +95,8 @@ class NewPublishers:
     async def detach(self) -> None:
         """Detach those that have been attached, as far as they can be reached."""
         for swap in self._begun:
-            await self.client.undo(swap.new.instance, self._detachment(swap))
+            detach = commands.DetachCommand(port=swap.new.port, topic=self._topic(swap), timeout=DETACH_TIMEOUT)
+            await self.client.undo(swap.new.instance, detach)
         self._begun, self._attached, self._proved = [], [], []
 
     async def await_probation(self, swap: Swap) -> None:
@@ -134,6 +135,3 @@ class NewPublishers:
 
     def _topic(self, swap: Swap) -> str:
         return self.configuration.topic(swap.connector)
-
-    def _detachment(self, swap: Swap) -> commands.DetachCommand:
-        return commands.DetachCommand(port=swap.new.port, topic=self._topic(swap), timeout=DETACH_TIMEOUT)
