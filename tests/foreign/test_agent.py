@@ -15,7 +15,7 @@ from msgspec import structs
 
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import CommandRefused, StepFailed
-from midstride.foreign import reported_clock
+from midstride.foreign import reported_states
 from midstride.foreign.gated_agent import ForeignAgent
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import NodeGraph
@@ -214,11 +214,11 @@ def test_one_that_hangs_on_a_clock_that_moves_is_fenced(
     tmp_path: Path, programs: Path, gate_library: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not while the simulation is paused, and not before it is known how its clock moves."""
-    monkeypatch.setattr(reported_clock, "UNNOTICED", 0.5)
+    monkeypatch.setattr(reported_states, "UNNOTICED", 0.5)
 
     async def scenario() -> None:
         async with nodes(tmp_path, programs, gate_library) as system:
-            agent, clock = system.agents["old"], system.agents["old"].node.clock
+            agent, clock = system.agents["old"], system.agents["old"].node.others
             agent.node.change_record(stated={"use_sim_time": True})
             os.kill(system.lab.processes[system.index("old")].pid, signal.SIGSTOP)
             for speed in (None, 0.0, 1.0):

@@ -17,7 +17,7 @@ from midstride.foreign.gates import Gates
 from midstride.foreign.node import ForeignNode
 from midstride.foreign.page import Page
 from midstride.foreign.record import ForeignRecord
-from midstride.foreign.reported_writes import FRESH, ReportedWrites
+from midstride.foreign.reported_states import FRESH, ReportedStates
 from midstride.lang.load import load
 from midstride.node.handover.baton import BatonStep
 from midstride.runtime.manager_clock import SystemClock
@@ -96,7 +96,7 @@ class Robot:
             links={"scan": "open", "cmd": "open"},
             welcomed=True,
         )
-        self.driver = ForeignNode(self.record, folder, self.gates["Driver"])
+        self.driver = ForeignNode(self.record, folder, self.gates["Driver"], ReportedStates())
         self.driver._since["drive"] -= 3600
 
     def wrote(self, seconds: float) -> None:
@@ -170,8 +170,8 @@ def report(
 
 def test_publishers_that_report_are_judged_as_well(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     """As relays do: the topic is silent if none of its publishers writes."""
-    writes = ReportedWrites()
-    robot.driver.reported = writes.silence
+    writes = ReportedStates()
+    robot.driver.others = writes
     robot.gates["Lidar"].set_gate("scan", False)
     robot.received(30)
     writes.note(report("relay", "/scan", 30.0))

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from midstride.foreign import reported_clock
-from midstride.foreign.reported_clock import UNNOTICED, ReportedClock
-from midstride.foreign.reported_writes import FRESH
+from midstride.foreign import reported_states
+from midstride.foreign.reported_states import FRESH, UNNOTICED, ReportedStates
 from midstride.wire.state import ComponentState
 
 
@@ -23,7 +22,7 @@ class Time:
 @pytest.fixture
 def time(monkeypatch: pytest.MonkeyPatch) -> Time:
     made = Time()
-    monkeypatch.setattr(reported_clock, "time", made)
+    monkeypatch.setattr(reported_states, "time", made)
     return made
 
 
@@ -42,7 +41,7 @@ def state(speed: float, *, simulated: bool = True) -> ComponentState:
     )
 
 
-def reports(clock: ReportedClock, time: Time, speed: float, seconds: float) -> None:
+def reports(clock: ReportedStates, time: Time, speed: float, seconds: float) -> None:
     """Twice a second, for so long."""
     for _ in range(int(2 * seconds)):
         clock.note(state(speed))
@@ -50,7 +49,7 @@ def reports(clock: ReportedClock, time: Time, speed: float, seconds: float) -> N
 
 
 def test_nothing_is_due_on_a_clock_of_which_nothing_is_known(time: Time) -> None:
-    clock = ReportedClock()
+    clock = ReportedStates()
     assert (clock.speed, clock.due(60.0)) == (0.0, None)
     clock.note(state(1.0, simulated=False))
     assert (clock.speed, clock.due(60.0)) == (0.0, None)
@@ -63,7 +62,7 @@ def test_nothing_is_due_on_a_clock_of_which_nothing_is_known(time: Time) -> None
 
 @pytest.mark.parametrize(("speed", "factor"), [(0.1, 0.1), (1.0, 1.0), (20.0, 1.0)])
 def test_time_counts_while_it_moves_and_longer_where_it_is_slow(time: Time, speed: float, factor: float) -> None:
-    clock = ReportedClock()
+    clock = ReportedStates()
     reports(clock, time, speed, 60.0)
     assert clock.due(1.0) == 0.0, "it may have been stopped just now"
     assert clock.due(20.0) == pytest.approx((20.0 - UNNOTICED) * factor)
@@ -71,7 +70,7 @@ def test_time_counts_while_it_moves_and_longer_where_it_is_slow(time: Time, spee
 
 
 def test_a_pause_does_not_count(time: Time) -> None:
-    clock = ReportedClock()
+    clock = ReportedStates()
     reports(clock, time, 1.0, 60.0)
     reports(clock, time, 0.0, 60.0)
     assert clock.due(60.0) is None

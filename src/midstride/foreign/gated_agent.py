@@ -23,8 +23,7 @@ from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.lifecycle_outputs import LifecycleOutputs, LifecyclePeers
 from midstride.foreign.node import WATCH, ForeignNode, without_ports
 from midstride.foreign.record import ForeignRecord
-from midstride.foreign.reported_clock import ReportedClock
-from midstride.foreign.reported_writes import ReportedWrites
+from midstride.foreign.reported_states import ReportedStates
 from midstride.foreign.services import NoAnswer, NodeServices
 from midstride.foreign.ungated_outputs import UngatedOutputs
 from midstride.node.handover.baton import BatonStep
@@ -59,12 +58,9 @@ class ForeignAgent:
         services: NodeServices | None = None,
         peers: LifecyclePeers | None = None,
         graph: NodeGraph | None = None,
-        reported: ReportedWrites | None = None,
-        clock: ReportedClock | None = None,
+        others: ReportedStates | None = None,
     ) -> None:
-        self.node = ForeignNode(record, folder, gates)
-        self.node.reported = (reported or ReportedWrites()).silence
-        self.node.clock = clock or ReportedClock()
+        self.node = ForeignNode(record, folder, gates, others or ReportedStates())
         outputs = UngatedOutputs(self.node) if gates is None else GatedOutputs(self.node, gates)
         self._services = services
         self.lifecycle: LifecycleNode | None = None

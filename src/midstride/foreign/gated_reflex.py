@@ -36,7 +36,7 @@ def _silence(node: ForeignNode, functionality: str, port: str) -> str | None:
     if gates is None or port not in node.record.links or not rate or (received := gates.age(port)) is None:
         return None
     topic, tolerates = node.record.topics[port], node.component.tolerates.get(port)
-    publishers = [age for age in (gates.page.silence(topic), node.reported(topic)) if age is not None]
+    publishers = [age for age in (gates.page.silence(topic), node.others.silence(topic)) if age is not None]
     if not publishers:
         return None
     tolerated = tolerated_periods(rate, tolerates, LONG_FLOOR) / rate

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from midstride.errors import BackendError, CommandRefused
 from midstride.foreign.gates import Gates
 from midstride.foreign.record import ForeignRecord
-from midstride.foreign.reported_clock import ReportedClock
+from midstride.foreign.reported_states import ReportedStates
 from midstride.model.component import ComponentSpec
 from midstride.node.author.message_times import window_of
 from midstride.wire.state import (
@@ -37,9 +37,12 @@ SAMPLE: Final = 0.2
 
 
 class ForeignNode:
-    """The node of ``record``, whose file is in ``folder``. ``gates`` is None for `gate none`."""
+    """The node of ``record``, whose file is in ``folder``. ``gates`` is None for `gate none`.
 
-    def __init__(self, record: ForeignRecord, folder: Path, gates: Gates | None) -> None:
+    ``others``: what the components with an agent inside report.
+    """
+
+    def __init__(self, record: ForeignRecord, folder: Path, gates: Gates | None, others: ReportedStates) -> None:
         self.record = record
         self.unwritten: str | None = None  # why its file has an earlier one
         self.gates = gates
@@ -49,9 +52,7 @@ class ForeignNode:
         self.declared: dict[str, Any] = {}
         self.differences: list[str] = []  # in which way the graph shows another node than the declared one
         self.undeclared: list[str] = []  # its topics that are no ports
-        # For how long (s) the components with an agent inside that may publish on a topic have written nothing there.
-        self.reported: Callable[[str], float | None] = lambda topic: None
-        self.clock = ReportedClock()
+        self.others = others
         self._folder = folder
         self._since = dict.fromkeys(record.modes, time.monotonic())
         self._because = dict.fromkeys(record.modes, "started")
@@ -112,7 +113,7 @@ class ForeignNode:
 
     def due(self, seconds: float) -> float | None:
         """How much of the last ``seconds`` counts on the node's ROS clock; None where that is not known."""
-        return self.clock.due(seconds) if self.record.simulated_time else seconds
+        return self.others.due(seconds) if self.record.simulated_time else seconds
 
     def enter_modes(self, modes: Mapping[str, str], because: str) -> None:
         fallen = {name: why for name, why in self.record.fallen.items() if name not in modes}
@@ -150,7 +151,7 @@ class ForeignNode:
             imported=1,
             host=THIS_HOST,
             simulated_time=record.simulated_time,
-            clock_speed=self.clock.speed if record.simulated_time else 1.0,
+            clock_speed=self.others.speed if record.simulated_time else 1.0,
         )
 
     def gate_states(self) -> dict[str, GateState | None]:

@@ -29,8 +29,7 @@ from midstride.foreign.mode_parameters import typed
 from midstride.foreign.page import PAGE, Page
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.relayed_program import RelayOrder, order_file, private_topics
-from midstride.foreign.reported_clock import ReportedClock
-from midstride.foreign.reported_writes import ReportedWrites
+from midstride.foreign.reported_states import ReportedStates
 from midstride.foreign.services import NodeServices
 from midstride.model.component import ComponentSpec
 from midstride.model.instance_names import split_name
@@ -62,8 +61,7 @@ class ForeignNodes:
         self._services = services
         self._graph = graph
         self._peers = LifecyclePeers()
-        self._reported = ReportedWrites()
-        self._clock = ReportedClock()
+        self._reported = ReportedStates()
         self._page: Page | None = None
         self._agents: dict[str, ForeignAgent] = {}
         self._relayed: dict[str, str] = {}  # by instance that has a relay, the full name of its program's node
@@ -143,9 +141,8 @@ class ForeignNodes:
 
     def note(self, state: ComponentState) -> None:
         """A component has reported this."""
-        self._reported.note(state)
-        if state.instance not in self._agents:  # else what it says of `/clock` comes from here
-            self._clock.note(state)
+        # With an agent here, what it says of `/clock` comes from here as well.
+        self._reported.note(state, has_agent=state.instance not in self._agents)
 
     def runs(self, node: str) -> bool:
         """Whether a process without Midstride's API has the ROS node of this full name."""
@@ -186,7 +183,7 @@ class ForeignNodes:
         self.names.add(record.node)
         services = self._services(record.node)
         graph = None if self._graph is None else partial(self._graph, record.node)
-        agent = ForeignAgent(record, self._folder, gates, services, self._peers, graph, self._reported, self._clock)
+        agent = ForeignAgent(record, self._folder, gates, services, self._peers, graph, self._reported)
         self._agents[record.instance] = agent
         await agent.open(self._transport)
 
