@@ -315,7 +315,7 @@ def test_a_lock_that_is_never_released_is_an_error(tmp_path: Path, monkeypatch: 
 def test_other_users_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, user: str, accepted: bool) -> None:
     monkeypatch.setattr(os, "getuid", lambda: 1234)
     uids = {"own": 1234, "root": 0, "folder's": tmp_path.stat().st_uid, "another": 4321}
-    monkeypatch.setattr(sockets, "_peer_uid", lambda _: uids[user])
+    monkeypatch.setattr(sockets, "_credentials", lambda _: (1, uids[user]))
 
     async def main(folder: SocketFolder) -> None:
         commands = server()
@@ -336,7 +336,7 @@ def test_other_users_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_the_kernel_names_the_peers_user() -> None:
     left, right = socket.socketpair()
     with left, right:
-        assert sockets._peer_uid(left) == os.getuid()
+        assert sockets._credentials(left) == (os.getpid(), os.getuid())
 
 
 # -- frames ----------------------------------------------------------------------------------------

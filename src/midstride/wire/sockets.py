@@ -123,7 +123,7 @@ class SocketFolder:
 
         async def accepted(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             try:
-                if _peer_uid(writer.get_extra_info("socket")) in allowed:
+                if _credentials(writer.get_extra_info("socket"))[1] in allowed:
                     await serve(SocketConnection(reader, writer))
             except asyncio.CancelledError:
                 pass  # the component ends
@@ -244,10 +244,6 @@ async def locked(folder: Path) -> AsyncIterator[None]:
         yield
     finally:
         os.close(descriptor)
-
-
-def _peer_uid(connection: socket.socket) -> int:
-    return _credentials(connection)[1]
 
 
 def _credentials(connection: socket.socket) -> tuple[int, int]:

@@ -17,6 +17,7 @@ from typing import Final
 
 from msgspec.structs import replace
 
+from midstride.backends.common import in_background
 from midstride.backends.naming import topics_of
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import BackendError, CommandRefused
@@ -203,9 +204,7 @@ class ForeignNodes:
             order_file(self._folder, instance).unlink(missing_ok=True)
         if (agent := self._agents.pop(instance, None)) is not None:
             record = agent.node.record
-            closing = asyncio.get_running_loop().create_task(agent.close())
-            self._closing.add(closing)
-            closing.add_done_callback(self._closing.discard)
+            in_background(agent.close(), self._closing)
         else:
             with suppress(BackendError):
                 if (found := ForeignRecord.read(self._folder, instance)) is None:
