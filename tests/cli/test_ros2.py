@@ -149,7 +149,8 @@ def test_nodes_whose_gates_another_version_has_made_can_be_ended(midstride: Mids
         file.write((VERSION + 1).to_bytes(4, sys.byteorder))
     refused = midstride("up", str(specification), "-d")
     assert refused.status == 1
-    assert "is the page of another version of Midstride; run `midstride down` first" in refused.err
+    assert f"has layout {VERSION + 1}, and this version uses {VERSION}" in refused.err
+    assert "end them by `midstride down`, and start the system again" in refused.err
     assert all(map(alive, before)), "it goes on"
     down = midstride("down")
     assert down.status == 0, down.err
