@@ -53,7 +53,7 @@ def test_dependants_of_a_publisher_that_is_stopped_and_continued_come_back(
 
             async def restored() -> bool:
                 status = await system.manager.status()
-                modes = [each.mode for component in status.components for each in component.functionalities]
+                modes = [each.mode for instance in status.instances for each in instance.functionalities]
                 return modes == ["normal"] * 4 and bool(status.valid)
 
             await until_async(restored, 120.0)

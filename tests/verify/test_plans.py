@@ -192,7 +192,7 @@ PLANTED = [
     ),
     Planted(
         "the start is not valid",
-        "large planner", lambda plan: plan.update(standing={"planner.plan": "degraded"}),
+        "large planner", lambda plan: plan.update(start_modes={"planner.plan": "degraded"}),
         None, "document", ("motor.drive in mode normal", "planner.cmd in mode degraded: nothing is guaranteed"),
         "its document",
     ),
