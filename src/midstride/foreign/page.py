@@ -204,7 +204,7 @@ class Page:
         return sorted(found, key=lambda port: int(port.number))
 
     def every_port(self) -> Iterator[PagePort]:
-        """Those of all nodes, and those that are free."""
+        """The ports of all nodes, and the free ones."""
         return (self._ports[number] for number in range(self.layout.room))
 
     def index_of(self, instance: str) -> int | None:

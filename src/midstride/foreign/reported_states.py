@@ -1,4 +1,4 @@
-"""What components with an agent of Midstride inside report: when they have written last, and how `/clock` moves.
+"""Reports of components with an agent of Midstride inside: when they have written last, and how `/clock` moves.
 
 Nodes with a preloaded library show the first in the page (:mod:`midstride.foreign.page`), which relays and components
 with the API do not write. Neither the page nor the manager has times on `/clock`. So a node without Midstride's API

@@ -1,4 +1,4 @@
-"""What holds back the outputs of a node without Midstride's API, as a value: chosen once, when its agent is made."""
+"""The way to hold back the outputs of a node without Midstride's API, a value chosen once, when its agent is made."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a change tells those that follow it while it is carried out."""
+"""Observers of a change: what they learn while it is carried out."""
 
 from __future__ import annotations
 

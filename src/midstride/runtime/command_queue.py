@@ -36,12 +36,12 @@ class CommandQueue:
 
     @property
     def is_changing(self) -> bool:
-        """Whether a command is changing the system. One that only measures does not prevent reconciling."""
+        """True while a command changes the system. One that only measures does not prevent reconciling."""
         return self.current is not None and not self.is_measuring
 
     @property
     def is_measuring(self) -> bool:
-        """Whether all that the command in progress is to change is done, and only the measurement is left."""
+        """True if the command in progress has changed all it is to change, and only the measurement is left."""
         return self.change is not None and self.change.phase is ChangePhase.MEASURING
 
     @property
@@ -76,7 +76,7 @@ class CommandQueue:
 
     @property
     def is_last(self) -> bool:
-        """Whether no command waits."""
+        """True if no command waits."""
         return not self._waiting
 
     def between(self) -> AbstractAsyncContextManager[Any]:

@@ -157,7 +157,7 @@ class LatestState:
 
 @dataclass(slots=True)
 class InstanceLife:
-    """What is known of one instance.
+    """The life of one instance: its states, and what belongs to them.
 
     ``handle``: how its process is found, if a manager started it. ``latest``: what it reported last, while it is
     connected. ``exit``: of one that has exited or is missing; ``role``: of one that is missing, or was. ``fenced``: of
@@ -178,12 +178,12 @@ class InstanceLife:
 
     @property
     def is_owned(self) -> bool:
-        """Whether a manager has started its process, so that this one may terminate it."""
+        """True if a manager has started the process, so that this one may terminate it."""
         return self.handle is not None
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing of it is left that matters."""
+        """True if the life need not be kept."""
         states = self.process is ProcessState.ABSENT, self.connection is ConnectionState.NONE
         return all(states) and self.fence is FenceState.NONE and not self.is_owned and self.role is None
 
@@ -230,35 +230,35 @@ class LifeTable:
             del self._lives[name]
 
     def started(self, name: str, handle: Handle | None) -> None:
-        """Its process was started, or, without ``handle``, is started by hand and awaited."""
+        """Record that a process was started or, without ``handle``, is started by hand and awaited."""
         self._of(name).handle = handle
         self.record(name, ProcessEvent.STARTED)
 
     def adopted(self, name: str, handle: Handle | None) -> None:
-        """It still runs; with ``handle``, an earlier manager has started it, and this one may terminate it."""
+        """Record that an instance still runs; with ``handle``, a manager started it and may end it."""
         self._of(name).handle = handle
         self.record(name, ProcessEvent.ADOPTED)
 
     def exited(self, exit: Exited, event: ProcessEvent = ProcessEvent.EXITED) -> None:
-        """It has exited without being asked to, or was ``KILLED``."""
+        """Record that an instance has exited without being asked to, or was ``KILLED``."""
         self._of(exit.instance).exit = exit
         self.record(exit.instance, event, why_exited(exit.instance))
 
     def missed(self, name: str, role: str | None, exit: Exited) -> None:
-        """Its role is without an instance, since it has exited unexpectedly."""
+        """Record that a role is without an instance, since ``name`` has exited unexpectedly."""
         life = self._of(name)
         life.role, life.exit = role, exit
         self.record(name, ProcessEvent.MISSED, why_exited(name))
 
     def miss_again(self, exits: Mapping[str, Exited], instances: Container[str]) -> None:
-        """What was to restore these missing ones has been undone: but for the ``instances`` of the model, they are."""
+        """Record that these are missing again, but for ``instances`` of the model: what restored them was undone."""
         for name, exit in exits.items():
             if name not in instances and self[name].process is not ProcessState.MISSING:
                 self.missed(name, self[name].role, exit)
         self._lives = {name: self._lives[name] for name in exits if name in self._lives} | self._lives
 
     def take_exited(self, instances: Mapping[str, Instance]) -> list[str]:
-        """Those that have exited, of the ``instances`` of the model, by name: their roles miss them from now on.
+        """Return the names of the exited ``instances`` of the model, whose roles miss them from now on.
 
         The caller takes them out of the model.
         """
@@ -272,7 +272,7 @@ class LifeTable:
         return sorted(found.keys() & instances.keys())
 
     def fence(self, fenced: FencedInstance, closed: list[tuple[str, str]]) -> None:
-        """The change in progress has fenced it; ``closed``: these of its outputs, or none where it was killed."""
+        """Record a fence of the change in progress; ``closed``: the outputs that were closed, none after a kill."""
         life = self._of(fenced.instance)
         life.fenced, life.closed = fenced, closed
         self.record(fenced.instance, FenceEvent.CLOSED if fenced.how == "gate" else FenceEvent.KILLED, fenced.words)
@@ -289,12 +289,12 @@ class LifeTable:
     # -- what is the case --------------------------------------------------------------------------------
 
     def __getitem__(self, name: str) -> InstanceLife:
-        """What is known of an instance; nothing of one that was never heard of."""
+        """The life of an instance; that of an unknown one is empty."""
         return self._lives.get(name, _UNKNOWN)
 
     @property
     def handles(self) -> dict[str, Handle]:
-        """Those of the processes that a manager started, which this one may terminate."""
+        """The handles of the processes that a manager started, which this one may terminate."""
         return {name: life.handle for name, life in self._lives.items() if life.handle is not None}
 
     @property
@@ -309,24 +309,24 @@ class LifeTable:
 
     @property
     def fenced(self) -> dict[str, FencedInstance]:
-        """What the change in progress has fenced, or the last one, and why."""
+        """The instances that the change in progress, or the last one, has fenced, and why."""
         return {name: life.fenced for name, life in self._lives.items() if life.fenced is not None}
 
     def is_ending(self, name: str) -> bool:
-        """Whether it has been asked to exit, and does not answer any more."""
+        """True once an instance has been asked to exit: it need not answer any more."""
         return self[name].process is ProcessState.STOPPING
 
     def has_exited(self, name: str) -> bool:
-        """Whether it is known to have exited unexpectedly, while the model may still have it."""
+        """True if an instance has exited unexpectedly, while the model may still have it."""
         return self[name].process is ProcessState.EXITED
 
     def is_gone(self, name: str) -> bool:
-        """Whether its process has exited, or is about to: the end of its connection is known first."""
+        """True if a process has exited, or is about to: the end of its connection is known first."""
         life = self[name]
         return life.process is ProcessState.EXITED or life.connection is ConnectionState.LOST
 
     def is_gone_or_fenced(self, name: str) -> bool:
-        """Whether nothing is asked of it any more."""
+        """True if an instance is sent no commands any more."""
         return self.is_gone(name) or self[name].fence is not FenceState.NONE
 
     def latest(self, name: str) -> LatestState | None:
@@ -339,12 +339,12 @@ class LifeTable:
         return None if latest is None or self.is_silent(name) else latest.state
 
     def is_silent(self, name: str) -> bool:
-        """Whether a component that is connected has not reported for over ``SILENCE``."""
+        """True if a component that is connected has not reported for over ``SILENCE``."""
         latest = self.latest(name)
         return latest is not None and self._clock.steady() - latest.at > SILENCE
 
     def is_stopped(self, name: str) -> bool:
-        """Whether a component that is connected has reported nothing for so long that it counts as stopped."""
+        """True if a connected component has reported nothing for so long that it counts as stopped."""
         latest = self.latest(name)
         return latest is not None and self._clock.steady() - latest.at >= STOPPED
 

@@ -1,4 +1,4 @@
-"""What each implementation of ROS 2's middleware interface (rmw) can tell, chosen once by its identifier.
+"""The capabilities of each implementation of ROS 2's middleware interface (rmw), chosen once by its identifier.
 
 What one cannot tell is unknown: None, an empty answer, and a sentence in :meth:`RmwImplementation.limits`, which
 `midstride status` shows. Nothing is guessed. The sources, as read in ros2/rmw_fastrtps, ros2/rmw_cyclonedds and
@@ -30,7 +30,7 @@ _NOTICE: Final = 5.0
 
 @dataclass(frozen=True, slots=True)
 class RmwImplementation:
-    """What one implementation can tell; the defaults are those of an unknown one.
+    """The capabilities of one implementation; the defaults are those of an unknown one.
 
     ``fast_dds``: Midstride has discovery settings for it (:mod:`.dds_profiles`). ``lease``: for how long the graph
     shows a process that was killed, by default (s); of an unknown one, the longest known. ``name_delay``: how late the
@@ -57,7 +57,7 @@ class RmwImplementation:
         return self.lease + _NOTICE
 
     def message_info(self, info: Any) -> MessageInfo:
-        """What rclpy's dictionary says of a message; what it does not say is None, never 0."""
+        """The facts of rclpy's dictionary about a message; one that is absent is None, never 0."""
         if not info:
             return _NOTHING
         number, gid = info.get("publication_sequence_number"), info.get("publisher_gid")
@@ -69,7 +69,7 @@ class RmwImplementation:
         )
 
     def limits(self) -> Iterator[str]:
-        """What it does not tell, and what follows from that, one sentence each."""
+        """Sentences, one for each thing that the implementation does not tell, with what follows from that."""
         if self.participant is None:
             yield (
                 f"processes: {self.identifier} does not tell which process an endpoint belongs to; where several "

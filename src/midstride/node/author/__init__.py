@@ -1,4 +1,4 @@
-"""What the author of a node declares and uses: components, ports, functionalities and their modes."""
+"""The API of node authors: components, ports, functionalities and their modes."""
 
 PUBLIC = (
     "Callbacks Component DeclaredMode DeclaredParts Driven Function Functionality GatePolicy Guarantee Input "

@@ -16,12 +16,12 @@ class Arbiter(Protocol):
     """``begin``, ``end`` and ``admits`` are for the data thread, the others for either. None of them waits."""
 
     def begin(self, output: int) -> bool:
-        """Whether a message may be published on this output of the cut now; if so, :meth:`end` must follow."""
+        """Return whether a message may be published on this output of the cut now; if so, :meth:`end` must follow."""
 
     def end(self) -> None: ...
 
     def admits(self) -> bool:
-        """Whether this side may write from now on. Where the right is free for it, it may take it."""
+        """Return whether this side may write from now on. Where the right is free for it, it may take it."""
 
     # -- of the new side -------------------------------------------------------------------------------
 
@@ -30,7 +30,7 @@ class Arbiter(Protocol):
 
     @property
     def refused(self) -> bool:
-        """Whether the old side has the right, and keeps it."""
+        """Return whether the old side has the right, and keeps it."""
 
     def renounce(self) -> bool:
         """Never take the right from now on, unless this side has it; whether it has not."""
@@ -40,22 +40,22 @@ class Arbiter(Protocol):
 
     @property
     def settled(self) -> bool:
-        """Whether this side needs nothing more of its arbiter to keep the right."""
+        """Return whether this side needs nothing more of its arbiter to keep the right."""
 
     # -- of the old side -------------------------------------------------------------------------------
 
     @property
     def passed_on(self) -> bool:
-        """Whether the new side is seen to have the right; where that cannot be seen, it reports it."""
+        """Return whether the new side is seen to have the right; where that cannot be seen, it reports it."""
 
     def share(self, place: str) -> None:
         """The new side reports that it has the right, in ``place``."""
 
     def reclaim(self) -> bool:
-        """Whether this side has the right, and keeps it: the new one can no longer take it."""
+        """Return whether this side has the right, and keeps it: the new one can no longer take it."""
 
     def inherit(self) -> bool:
-        """As :meth:`reclaim`, from a new side that had the right; False while that may still be writing."""
+        """Like :meth:`reclaim`, from a new side that had the right; False while that may still be writing."""
 
     # -- of both ---------------------------------------------------------------------------------------
 

@@ -22,7 +22,7 @@ class CutPhase(Enum):
 
 
 class CutProgress(Enum):
-    """What takes a side to its next phase."""
+    """The events that take a side to its next phase."""
 
     DUE = "T has come, or is no longer waited for"
     DECIDED = "the new side has written, or it is known that it will not"
@@ -40,7 +40,7 @@ class CutState(Enum):
 
 
 class CutEvent(Enum):
-    """What gives a side its outcome."""
+    """The events that give a side its outcome."""
 
     TAKEN_OVER = "the new side writes, and the old one does not"
     RECLAIMED = "the old side has the right to write, and writes again"

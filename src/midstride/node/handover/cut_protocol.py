@@ -38,7 +38,7 @@ LONGEST_WAIT: Final = 0.01
 
 @dataclass(eq=False)
 class _CutTask(abc.ABC):
-    """What both sides share: a phase, an outcome, and cancellation."""
+    """One side of a cut: a phase, an outcome, and cancellation."""
 
     new: ClassVar[bool]
     host: Host

@@ -1,4 +1,4 @@
-"""What decides which of two components may write at a hand-over: chosen once, from how their outputs are held back."""
+"""The arbiter of a hand-over, which decides which of two components may write: chosen once, from their gates."""
 
 from __future__ import annotations
 

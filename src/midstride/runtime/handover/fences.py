@@ -48,7 +48,7 @@ class StepBudget:
 
 @dataclass(slots=True)
 class Fences:
-    """Those of one change. ``wait``: how long it tries without (s)."""
+    """The fences of one change. ``wait``: how long it tries without (s)."""
 
     client: ComponentClient
     launcher: Launcher

@@ -1,4 +1,4 @@
-"""What a manager keeps and reports: the journal, the saved state, events, and their JSON forms."""
+"""The records of a manager: the journal, the saved state, events, and their JSON forms."""
 
 PUBLIC = (
     "ChangeRecord ChangeReport ChangeTimeline CrashedInstance DISK Database DegradedFunctionality Disk DownReport "

@@ -27,7 +27,7 @@ class Measurements(NamedTuple):
 
     @classmethod
     def of(cls, measured: Measured) -> Measurements:
-        """As measured."""
+        """The measurements, not rounded."""
         return cls(measured.rate, measured.age, measured.jitter, measured.longest)
 
 

@@ -1,4 +1,4 @@
-"""What the manager knows of the running system, for those that show it without asking its components."""
+"""The manager's knowledge of the running system, for views that are made without asking its components."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What of a view differs between two configurations."""
+"""The parts of a view that differ between two configurations."""
 
 from __future__ import annotations
 
