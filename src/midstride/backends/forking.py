@@ -49,13 +49,15 @@ def _follow_lttng() -> None:
     if "/liblttng-ust-fork.so" in maps:
         return
     libraries = map(ctypes.CDLL, dict.fromkeys(_LTTNG.findall(maps)))
-    library = next((each for each in libraries if hasattr(each, "lttng_ust_before_fork")), None)
-    if library is not None:
+    prefixes = ("lttng_ust_", "ust_")  # since version 2.13, and before
+    known = [(each, prefix) for each in libraries for prefix in prefixes if hasattr(each, f"{prefix}before_fork")]
+    if known:
+        (library, prefix), *_ = known
         saved = ctypes.create_string_buffer(_SIGNAL_SET)
         os.register_at_fork(
-            before=partial(library.lttng_ust_before_fork, saved),
-            after_in_parent=partial(library.lttng_ust_after_fork_parent, saved),
-            after_in_child=partial(library.lttng_ust_after_fork_child, saved),
+            before=partial(library[f"{prefix}before_fork"], saved),
+            after_in_parent=partial(library[f"{prefix}after_fork_parent"], saved),
+            after_in_child=partial(library[f"{prefix}after_fork_child"], saved),
         )
 
 
