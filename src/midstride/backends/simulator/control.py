@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Awaitable, Callable
-from functools import partial
 
 from midstride.backends.simulator.injected_faults import FailingCall, Faults
 from midstride.backends.simulator.simulated_process import SimulatedProcess
@@ -187,8 +186,16 @@ class ProcessControl:
     """Implements :class:`midstride.wire.transport.Transport` for one simulated process."""
 
     def __init__(self, control: SimulatedControl, process: SimulatedProcess) -> None:
+        self._control = control
+        self._process = process
         self.address = control.address
         self.present = control.present
-        self.claim = partial(control.claim_of, process)
-        self.listen = partial(control.listen, process=process)
-        self.connect = partial(control.connect, process=process)
+
+    def claim(self, cut: str) -> PipeClaim:
+        return self._control.claim_of(self._process, cut)
+
+    async def listen(self, instance: str, serve: Serve) -> StopListening:
+        return await self._control.listen(instance, serve, self._process)
+
+    async def connect(self, address: str) -> Connection:
+        return await self._control.connect(address, self._process)

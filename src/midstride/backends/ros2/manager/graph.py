@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, TypeAlias
 
 from rclpy.node import NodeNameNonExistentError
@@ -35,8 +35,6 @@ class Graph:
 
     def __init__(self, node: Any, rmw: RmwImplementation | None = None) -> None:
         self._node = node
-        self._publishers: Callable[[str], list[Any]] = node.get_publishers_info_by_topic
-        self._subscriptions: Callable[[str], list[Any]] = node.get_subscriptions_info_by_topic
         self._rmw = middleware.of_this_process() if rmw is None else rmw
         self._died: dict[str, float] = {}
         self._dead_endpoints: dict[bytes, float] = {}
@@ -182,6 +180,12 @@ class Graph:
 
     def _topics(self) -> Iterator[str]:
         return (topic for topic, _ in self._node.get_topic_names_and_types())
+
+    def _publishers(self, topic: str) -> list[Any]:
+        return list(self._node.get_publishers_info_by_topic(topic))
+
+    def _subscriptions(self, topic: str) -> list[Any]:
+        return list(self._node.get_subscriptions_info_by_topic(topic))
 
 
 def _node(info: Any) -> str:
