@@ -1,11 +1,13 @@
-"""suites.py MARKERS [--kilted] [--ros1] [--beside COMMAND;…] [-- ARGS…]: runs the tests, all suites at once.
+"""suites.py MARKERS [--kilted] [--ros1] [--beside COMMAND;…] [-- ARGS…]: runs the tests, several suites at once.
 
 - `computing`: in .venv, the tests in COMPUTING, one per processor, at a lower priority, so that they delay no message;
 - `waiting`: in .venv, all others, more tests than processors;
 - `kilted`: with the second ROS 2, those tests marked ros2 that concern a platform;
 - `ros1`: with ROS 1, those marked ros1.
 
-Those marked long, many of which measure, run one suite after another.
+Of the tests of every day, all suites run at once. Else those that watch live ROS 2 systems in real time (`waiting`,
+`kilted`) run after the others, with as many tests at once as there are processors and one more: a process that gets no
+processor for longer than a period misses it. Those marked long, many of which measure, run one suite after another.
 
 ARGS go to each pytest. The progress of each suite is shown as it comes, what it prints besides when it ends. A COMMAND,
 such as a linter, runs beside them, and counts as a suite.
@@ -91,6 +93,7 @@ class Suite:
     arguments: Sequence[str] = ()
     workers: int = 1
     variables: dict[str, str] = field(default_factory=dict)
+    watches: bool = False  # live ROS 2 systems, in real time
     status: int | None = None
     rounds: int = 0
     process: subprocess.Popen[str] | None = None
@@ -163,7 +166,8 @@ def suites(options: argparse.Namespace) -> list[Suite]:
     found = []
     if waiting or not paths:
         chosen = waiting or [f"--ignore={folder}" for folder in COMPUTING]
-        found.append(Suite("waiting", [tool["in-venv"]], [*first, *chosen], (processors * 3 + 1) // 2))
+        workers = (processors * 3 + 1) // 2 if daily else processors
+        found.append(Suite("waiting", [tool["in-venv"]], [*first, *chosen], workers, watches=True))
     if computing or not paths:
         niced = ["nice", "-n", "10", tool["in-venv"]]
         found.append(Suite("computing", niced, [*first, *(computing or COMPUTING)], processors))
@@ -171,7 +175,7 @@ def suites(options: argparse.Namespace) -> list[Suite]:
         folders = PLATFORM if daily else () if markers == "long" else SECOND_PLATFORM
         variables = {"MIDSTRIDE_NEEDS_ROS2": "1", "MIDSTRIDE_ROS2_ON_PATHS": "1"}
         arguments = ["-m", f"ros2 and ({markers})", *given, *(paths or folders)]
-        found.append(Suite("kilted", [tool["with-kilted"]], arguments, half, variables))
+        found.append(Suite("kilted", [tool["with-kilted"]], arguments, half, variables, watches=True))
     if options.ros1:
         arguments = ["-m", f"ros1 and ({markers})", *given, *(paths or (PLATFORM if daily else ()))]
         workers = half if daily else processors
@@ -224,10 +228,13 @@ def main(arguments: Sequence[str]) -> int:
     begun = time.monotonic()
     chosen = suites(options)
     if options.markers == "long":
-        for suite in chosen:
-            run_all([suite])
+        stages = [[suite] for suite in chosen]
+    elif "not full" in options.markers:
+        stages = [chosen]
     else:
-        run_all(chosen)
+        stages = [[suite for suite in chosen if suite.watches is watches] for watches in (False, True)]
+    for stage in filter(None, stages):
+        run_all(stage)
     again = run_quarantined_again(chosen)
     for suite in chosen:
         say(f"== {suite.name}: {'passed' if suite.has_passed else f'failed ({suite.status})'}")
