@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import uuid
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ from midstride.runtime.process.reaper import Reaper, remaining_groups
 from midstride.runtime.records.reports import Outcome
 from midstride.runtime.workspace import Workspace
 from tests.backends.ros1_support import own_master_uri
-from tests.backends.ros2_support import run
+from tests.backends.ros2_support import run, until_async
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "talker"
 OURS = "MIDSTRIDE_TEST_RUN"
@@ -26,6 +27,11 @@ pytestmark = [
     pytest.mark.full,
     pytest.mark.skipif(not ros1.available(), reason="no ROS 1 can be had here beside ROS 2"),
 ]
+
+
+async def only_talker_3_publishes(manager: Manager) -> bool:
+    seen = await manager._backend.endpoints()
+    return {node for node, topic in seen.publishers if topic == "/chatter"} == {"/talker_3"}
 
 
 def loaded(pid: int) -> str:
@@ -75,8 +81,8 @@ def test_each_replaces_its_talker_while_the_other_does(tmp_path: Path, monkeypat
                     assert (swap.subscriber, swap.lost) == ("listener.in", 0)
                     assert swap.duplicates in (0, None)  # not every ROS 2 tells the publisher's identity
             for manager in managers:
-                seen = await manager._backend.endpoints()
-                assert {node for node, topic in seen.publishers if topic == "/chatter"} == {"/talker_3"}
+                # A node's name may reach the graph seconds after its endpoints.
+                await until_async(partial(only_talker_3_publishes, manager), 10.0)
         finally:
             for manager in managers:
                 await manager.down()
