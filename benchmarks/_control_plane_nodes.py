@@ -15,6 +15,8 @@ from std_msgs.msg import String
 from midstride import Component
 
 RATE = 50.0
+# Imported by the first component of a process.
+HOSTS = {"ros2": "midstride.backends.ros2.component.host", "ros1": "midstride.backends.ros1.host"}
 
 
 def source() -> None:
@@ -80,7 +82,7 @@ def bare(number: str) -> None:
 
 if __name__ == "__main__":
     if path := os.environ.get("BENCHMARK_IMPORTS"):
-        importlib.import_module(f"midstride.backends.{os.environ['MIDSTRIDE_BACKEND']}.host")
+        importlib.import_module(HOSTS[os.environ["MIDSTRIDE_BACKEND"]])
         with open(path, "a", encoding="ascii") as file:
             file.write(f"{time.monotonic_ns()}\n")
     if sys.argv[1] == "bare":

@@ -516,11 +516,17 @@ def test_a_component_that_shuts_ros_down_says_so_and_ends(tmp_path: Path) -> Non
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("started_by", ["hand", "a manager of another system", "a manager of this system"])
+@pytest.mark.parametrize(
+    "started_by",
+    ["hand", "hand, discovered late", "a manager of another system", "a manager of this system"],
+)
 def test_a_second_component_of_the_same_name_says_so_and_ends(tmp_path: Path, started_by: str) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             await r.start("talker", TALKER)
+            if started_by == "hand, discovered late":  # after it has joined
+                blind = "import midstride.backends.ros2.component.node_threads as nodes\nnodes.LOOK_BEFORE = -1.0\n"
+                r.write("talker", blind + TALKER)
             from midstride.backends.ros2 import middleware
 
             await asyncio.sleep(

@@ -124,6 +124,8 @@ class Host(Protocol):
     # Where it listens for its manager, None where it belongs to no system; and the same in words, for a message.
     transport: Transport | None
     reachable: str
+    # Whether a manager has welcomed the component, which says so here.
+    managed: bool
     parameters: NodeParameters
     # Whether the component answers requests; a platform whose instances have one node name puts its services behind it.
     gate: ServiceGate

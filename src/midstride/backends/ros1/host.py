@@ -80,6 +80,7 @@ class Ros1Host:
         self._diagnostics: PortPublisher | None = None
         transport, self.reachable = common.control_transport(os.environ, sys.argv[1:])
         self.transport: Transport | None = transport
+        self.managed = False
         self._master = Master(uri, self._node)
         asyncio.run(self._must_be_alone())
         self.logger: Any = logging.getLogger("rosout")

@@ -38,6 +38,7 @@ class SimulatedHost:
     def __init__(self, process: SimulatedProcess, instance: str, network: Network, transport: Transport) -> None:
         self.instance = instance
         self.transport: Transport | None = transport
+        self.managed = False
         self.parameters: NodeParameters = KeptParameters()
         self.now = process.clock.ros_now
         self.message_now = process.clock.system_now

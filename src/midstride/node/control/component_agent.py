@@ -70,7 +70,6 @@ class Agent:
         self._replies: OrderedDict[str, asyncio.Task[Reply]] = OrderedDict()
         self._change_lock = asyncio.Lock()
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._welcomed = False
         self._ready = asyncio.Event()
         self._stopping = asyncio.Event()
         name, token = self.host.instance, self.start_token
@@ -268,16 +267,16 @@ class Agent:
             self._token = token
         elif not self._is_ours(token):  # of two managers that welcome it at once the first wins
             raise CommandRefused(_FOREIGN_TOKEN)
-        if not self._welcomed:
+        if not self.host.managed:
             self.host.logger.info(f"{self.host.instance} is managed by {manager}")
-        self._welcomed = True
+        self.host.managed = True
 
     async def _release(self, command: commands.ReleaseCommand) -> None:
         if self.start_token:
             raise CommandRefused("its manager started it and must end it: `release` is for components started by hand")
         await self._handlers.release(command.timeout)
         self._token = ""
-        self._welcomed = False
+        self.host.managed = False
 
     def state(self) -> ComponentState:
         """Read without waiting for the data thread."""
@@ -285,7 +284,7 @@ class Agent:
         return self._handlers.state(self.host.instance, self._uuid, self.pid, self._waiting(), imported)
 
     def _waiting(self) -> str | None:
-        if self.standalone is None and not self._welcomed:
+        if self.standalone is None and not self.host.managed:
             return NOT_WELCOMED
         if self.host.now() == 0:
             return "use_sim_time is on, and nothing has arrived on /clock yet: modes with a rate are not called"

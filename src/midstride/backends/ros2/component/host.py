@@ -56,6 +56,7 @@ class Ros2Host:
         self._name, _ = split_name(context.node or name, namespace)
         transport, self.reachable = control_transport(os.environ, sys.argv[1:])
         self.transport: Transport | None = transport
+        self.managed = False
         self.logger: Any = get_logger(dotted_name(self.node_name))
         self._context = context
         self._nodes: ComponentNodes | None = None
@@ -222,7 +223,7 @@ class Ros2Host:
                 self._post(function)
             set_back_watch = SetBackWatch()
             while True:
-                starting = nodes.check()
+                starting = nodes.check(managed=self.managed)
                 await asyncio.sleep(_CHECK_AT_FIRST if starting else _CHECK)
                 if set_back_watch.was_set_back() and not self.simulated_time:
                     self._post(self._follow_clock)

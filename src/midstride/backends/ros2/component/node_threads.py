@@ -157,11 +157,11 @@ class ComponentNodes:
         self._data_thread.start()
         self._control_thread.start()
 
-    def check(self) -> bool:
+    def check(self, *, managed: bool) -> bool:
         """Whether another node of its name may yet appear. To be repeated, soon as long as it may.
 
-        Raises NodeError where the component cannot go on: ROS was shut down, one of its threads has ended, or another
-        node has its name.
+        ``managed``: a manager knows the component, and may start more instances of its role. Raises NodeError where the
+        component cannot go on: ROS was shut down, one of its threads has ended, or another node has its name.
         """
         if not self._context.ok():
             raise NodeError("rclpy was shut down from within the component; leave that to start()")
@@ -171,7 +171,7 @@ class ComponentNodes:
         now = time.monotonic()
         if now >= self._checked_until and self._foreign_since is None:
             return False
-        if not self._is_foreign_in_graph():
+        if not self._is_foreign_in_graph(managed):
             self._foreign_since = None
         elif self._foreign_since is None:
             self._foreign_since = now
@@ -179,12 +179,14 @@ class ComponentNodes:
             self._refuse_name()
         return True
 
-    def _is_foreign_in_graph(self) -> bool:
-        """Whether there are more nodes of its name than its role has instances."""
+    def _is_foreign_in_graph(self, managed: bool) -> bool:
+        """Whether there are more nodes of its name than its role has instances: one until a manager starts others."""
         in_graph = self._control.get_node_names_and_namespaces()  # once, since others may come and go meanwhile
         nodes: int = in_graph.count(split_name(self._full_name)) - self._shares_name
         if nodes <= 1:
             return False
+        if not (self._system or managed):
+            return True
         full_names = [full_name(name, inside) for name, inside in in_graph]
         return nodes > max(1, names.instances_of(self._full_name, full_names, self._system))
 
