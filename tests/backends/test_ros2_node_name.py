@@ -15,7 +15,7 @@ import pytest
 
 from midstride.backends.ros2 import names
 from midstride.errors import StartFailed
-from midstride.node.service_gate import ServiceGate
+from midstride.node.request_admission import RequestAdmission
 from midstride.wire.commands import AnswerCommand
 from midstride.wire.environment import ENV_CONTROL
 from tests.backends.counting import COUNTING, Caller
@@ -174,13 +174,13 @@ def test_a_component_started_by_hand_is_replaced_under_its_name(tmp_path: Path) 
 
 def test_requests_to_a_ros_action_are_handled_by_one_server_each() -> None:
     """No package with a ROS action's type is part of the test environment, so the servers and requests are planted."""
-    from midstride.backends.ros2.component.gated_node import guard_action
+    from midstride.backends.ros2.component.admitting_node import guard_action
 
     class Server:
         def __init__(self, *, is_open: bool) -> None:
             self.handled: list[str] = []
-            self.gate = ServiceGate(time.monotonic_ns, is_open=is_open)
-            guard_action(self, self.gate, lambda work: asyncio.run(work()))
+            self.admission = RequestAdmission(time.monotonic_ns, is_open=is_open)
+            guard_action(self, self.admission, lambda work: asyncio.run(work()))
 
         async def execute(self, taken: dict[str, Any]) -> None:
             self.handled += taken
@@ -197,7 +197,7 @@ def test_requests_to_a_ros_action_are_handled_by_one_server_each() -> None:
         asyncio.run(new.execute(taken))
     assert (old.handled, new.handled) == (["goal", "cancel", "expired"], ["expired"])
     asyncio.run(new.execute({"goal": request(2, 2)}))
-    new.gate.open(old.gate.close())
+    new.admission.open(old.admission.close())
     asyncio.run(old.execute({"goal": request(2, 2), "result": request(1, 1)}))
     asyncio.run(new.execute({"result": request(1, 1)}))
     assert (old.handled, new.handled) == (["goal", "cancel", "expired"], ["expired", "goal", "result"])
@@ -208,11 +208,11 @@ def test_a_node_with_ros_actions_leaves_the_graph_when_it_is_destroyed() -> None
     actions = pytest.importorskip("test_msgs.action", reason="no package with a ROS action is installed")
     from rclpy.action import ActionClient, ActionServer
 
-    from midstride.backends.ros2.component.gated_node import GatedNode
+    from midstride.backends.ros2.component.admitting_node import AdmittingNode
 
     with Bare() as bare:
-        gate = ServiceGate(time.monotonic_ns)
-        node = GatedNode("with_actions", gate, context=bare.node.context)
+        admission = RequestAdmission(time.monotonic_ns)
+        node = AdmittingNode("with_actions", admission, context=bare.node.context)
         kept = ActionServer(node, actions.Fibonacci, "~/count", print), ActionClient(node, actions.Fibonacci, "/other")
         assert "with_actions" in bare.node.get_node_names()
         node.destroy_node()

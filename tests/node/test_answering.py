@@ -1,4 +1,4 @@
-"""Which instance of a role answers: the gate before its services, and the commands that open and close it."""
+"""Which instance of a role answers: the admission of its requests, and the commands that open and close it."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from hypothesis import strategies as st
 
 from midstride.errors import CallTimeout, CommandRefused, Unreachable
 from midstride.node.control.service_answering import YIELD_ATTEMPTS, Answering
-from midstride.node.service_gate import HELD, HOLD, REMEMBER, REMEMBERED, ServiceGate
+from midstride.node.request_admission import HELD, HOLD, REMEMBER, REMEMBERED, RequestAdmission
 from midstride.wire.commands import AnswerCommand, Command, YieldCommand
 from midstride.wire.frames import Reply, encode_value
 from midstride.wire.replies import Done
 
 
 class Server:
-    """A gate, with the requests that were handled behind it."""
+    """An admission, with the requests that were handled."""
 
     def __init__(self, *, is_open: bool) -> None:
         self.time = 0.0
         self.handled: list[str] = []
-        self.gate = ServiceGate(lambda: int(self.time * 1e9), is_open=is_open)
+        self.admission = RequestAdmission(lambda: int(self.time * 1e9), is_open=is_open)
 
     def receives(self, *requests: str) -> None:
         for request in requests:
-            if self.gate.admit(request, lambda request=request: self.handled.append(request)):  # type: ignore[misc]
+            if self.admission.admit(request, lambda request=request: self.handled.append(request)):  # type: ignore[misc]
                 self.handled.append(request)
 
 
@@ -42,7 +42,7 @@ def test_each_request_is_handled_exactly_once_however_the_two_receive_it(events:
     for event in [*events, *rest]:
         if event == "change":
             open_, closed = closed, open_
-            servers[open_].gate.open(servers[closed].gate.close())
+            servers[open_].admission.open(servers[closed].admission.close())
         elif event[1] not in received[event[0]]:
             received[event[0]].add(event[1])
             servers[event[0]].receives(str(event[1]))
@@ -53,7 +53,7 @@ def test_what_came_while_the_predecessor_closed_is_handled_in_order() -> None:
     new = Server(is_open=False)
     new.receives("1", "2", "3")
     assert new.handled == []
-    new.gate.open(["2"])
+    new.admission.open(["2"])
     assert new.handled == ["1", "3"]
     new.receives("4", "2", "1")
     assert new.handled == ["1", "3", "4"]
@@ -62,7 +62,7 @@ def test_what_came_while_the_predecessor_closed_is_handled_in_order() -> None:
 def test_what_a_predecessor_may_have_handled_before_it_exited_is_not_handled_again() -> None:
     new = Server(is_open=False)
     new.receives("1")
-    new.gate.open(None)
+    new.admission.open(None)
     new.receives("2")
     assert new.handled == ["2"]
 
@@ -72,7 +72,7 @@ def test_a_request_is_held_for_a_bounded_time_and_in_bounded_number() -> None:
     new.receives("old")
     new.time = HOLD + 1
     new.receives(*map(str, range(HELD + 1)))
-    new.gate.open([])
+    new.admission.open([])
     assert new.handled == list(map(str, range(1, HELD + 1)))
 
 
@@ -81,13 +81,13 @@ def test_handled_requests_are_remembered_longer_than_they_are_held_and_not_for_e
     old.receives("1")
     old.time = HOLD + 1
     old.receives("2")
-    assert old.gate.close() == ["1", "2"]
+    assert old.admission.close() == ["1", "2"]
     old.time = REMEMBER + 1
     old.receives("3")
-    assert old.gate.close() == ["2"]
-    old.gate.open(f"other {number}" for number in range(2 * REMEMBERED))
+    assert old.admission.close() == ["2"]
+    old.admission.open(f"other {number}" for number in range(2 * REMEMBERED))
     old.receives("last")
-    assert len(old.gate.close()) == REMEMBERED
+    assert len(old.admission.close()) == REMEMBERED
     assert old.handled == ["1", "2", "3", "last"]
 
 
@@ -95,7 +95,7 @@ def test_handled_requests_are_remembered_longer_than_they_are_held_and_not_for_e
 
 
 class Peer:
-    """The instance that answers, with its own gate; ``faults`` are raised by its next calls."""
+    """The instance that answers, with its own admission; ``faults`` are raised by its next calls."""
 
     def __init__(self, *faults: Exception) -> None:
         self.server = Server(is_open=True)
@@ -107,13 +107,13 @@ class Peer:
         self.calls.append(command)
         if self.faults:
             raise self.faults.pop(0)
-        result = await Answering(self.server.gate, self.call, lambda: None).stop(command)
+        result = await Answering(self.server.admission, self.call, lambda: None).stop(command)
         return Reply(id="1", revision=1, result=encode_value(result))
 
 
 def answer(server: Server, peer: Peer, address: str | None = "its address") -> Done:
     command = AnswerCommand(peer="talker", address=address)
-    return asyncio.run(Answering(server.gate, peer.call, lambda: None).answer(command))
+    return asyncio.run(Answering(server.admission, peer.call, lambda: None).answer(command))
 
 
 @pytest.mark.parametrize("lost", [0, YIELD_ATTEMPTS - 1])
@@ -141,6 +141,6 @@ def test_a_predecessor_that_may_still_answer_keeps_the_successor_closed() -> Non
     new, peer = Server(is_open=False), Peer(*[CallTimeout("it is busy")] * YIELD_ATTEMPTS)
     with pytest.raises(CommandRefused, match=r"talker did not respond within 1\.5 s"):
         answer(new, peer)
-    assert not new.gate.is_open
+    assert not new.admission.is_open
     answer(new, peer, address=None)
-    assert new.gate.is_open
+    assert new.admission.is_open

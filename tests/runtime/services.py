@@ -1,4 +1,4 @@
-"""Services on the simulator, planted behind the components' gates as rclpy's are, and a client that calls without end.
+"""Services on the simulator, which handle admitted requests as rclpy's do, and a client that calls without end.
 
 Every server of a service receives every request, each after its own latency.
 """
@@ -55,24 +55,24 @@ class PlantedNode:
     def receive(self, name: str, request: str, reply: Callable[[str, Any], None]) -> None:
         if name not in self._services:
             return
-        gate, serve = self._host.gate, self._services[name]
+        admission, serve = self._host.admission, self._services[name]
 
         def handle() -> None:
             result = serve(request)
             if not inspect.isawaitable(result):
-                gate.finished(request)
+                admission.finished(request)
                 reply(self._host.instance, result)
                 return
 
             async def finish() -> None:
                 value = await result
-                gate.finished(request)
+                admission.finished(request)
                 reply(self._host.instance, value)
 
             self._host.run_coroutine(finish(), lambda: None)
 
         def take() -> None:
-            if gate.admit(request, lambda: self._process.enqueue(handle)):
+            if admission.admit(request, lambda: self._process.enqueue(handle)):
                 handle()
 
         self._process.enqueue(take)

@@ -2,5 +2,5 @@
 
 PUBLIC = (
     "ClockHistory DiagnosticEntry HeldParameter Host MessageInfo NodeParameters ProcessContext ProgramFiles "
-    "ServiceGate find installed legible loaded_program process_context"
+    "RequestAdmission find installed legible loaded_program process_context"
 )

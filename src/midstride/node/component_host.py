@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeAlias, TypeVar
 from midstride.model.contract import QoS
 from midstride.node.clock_history import ClockHistory
 from midstride.node.diagnostic_status import DiagnosticEntry
-from midstride.node.service_gate import ServiceGate
+from midstride.node.request_admission import RequestAdmission
 from midstride.wire.state import ComponentState, Endpoint
 from midstride.wire.transport import Transport
 
@@ -127,8 +127,8 @@ class Host(Protocol):
     # Whether a manager has welcomed the component, which says so here.
     managed: bool
     parameters: NodeParameters
-    # Whether the component answers requests; a platform whose instances have one node name puts its services behind it.
-    gate: ServiceGate
+    # Which requests the component answers; a platform whose instances have one node name has its services ask it.
+    admission: RequestAdmission
 
     @property
     def node_name(self) -> str | None:

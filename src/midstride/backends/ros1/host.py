@@ -37,7 +37,7 @@ from midstride.node.clock_history import ClockHistory
 from midstride.node.component_host import MessageInfo
 from midstride.node.diagnostic_status import DiagnosticEntry
 from midstride.node.process_context import find
-from midstride.node.service_gate import ServiceGate
+from midstride.node.request_admission import RequestAdmission
 from midstride.wire.environment import ENV_TOKEN
 from midstride.wire.state import ComponentState, Endpoint
 from midstride.wire.transport import Transport
@@ -97,7 +97,7 @@ class Ros1Host:
         self.steady: Callable[[], int] = time.monotonic_ns
         self.read_info: Callable[[Any], MessageInfo] = lambda info: MessageInfo(*info)
         # No service is behind it: here each instance has a node, and a node's services, under its own name.
-        self.gate = ServiceGate(self.steady, is_open=not find().standby)
+        self.admission = RequestAdmission(self.steady, is_open=not find().standby)
 
     async def _must_be_alone(self) -> None:
         """Raises NodeError where the name is taken, BackendError where there is no master."""

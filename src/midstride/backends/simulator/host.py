@@ -20,7 +20,7 @@ from midstride.node.clock_history import ClockHistory
 from midstride.node.component_host import MessageInfo, NodeParameters
 from midstride.node.diagnostic_status import DiagnosticEntry
 from midstride.node.process_context import find
-from midstride.node.service_gate import ServiceGate
+from midstride.node.request_admission import RequestAdmission
 from midstride.wire.state import ComponentState, Endpoint
 from midstride.wire.transport import Transport
 
@@ -43,7 +43,7 @@ class SimulatedHost:
         self.now = process.clock.ros_now
         self.message_now = process.clock.system_now
         self.steady = process.clock.steady_ns
-        self.gate = ServiceGate(self.steady, is_open=not find().standby)
+        self.admission = RequestAdmission(self.steady, is_open=not find().standby)
         self.logger = logging.Logger(instance)
         self._process = process
         self._network = network

@@ -216,7 +216,7 @@ class CommandHandlers:
             waiting=waiting,
             simulated_time=self.host.simulated_time,
             node=self.host.node_name,
-            answers=self.host.gate.is_open,
+            answers=self.host.admission.is_open,
             imported=imported,
             clock_speed=self.host.clock_history.speed(self.host.steady()) if self.host.simulated_time else 1.0,
             declared={each.name: each.declared for each in parameters if _is_shown(each) and each.is_set},

@@ -65,7 +65,7 @@ class HandoverCommands:
     _channels: dict[str, Channel] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.answering = Answering(self.host.gate, self.call, self.changed)
+        self.answering = Answering(self.host.admission, self.call, self.changed)
 
     def close(self) -> None:
         """The component ends: stop all cuts."""

@@ -145,7 +145,7 @@ class StateExport(_Transfer):
 
     start: Callable[[Coroutine[Any, Any, None]], None]
     because: str | None = field(default=None, init=False)
-    # Whether its gate was open before the export.
+    # Whether it answered requests before the export.
     _answered: bool = field(default=False, init=False)
     _passed: set[object] = field(default_factory=set, init=False)
     _all_passed: bool = field(default=False, init=False)
@@ -203,7 +203,7 @@ class StateExport(_Transfer):
         self._decided.set()
 
     async def _requests_answered(self) -> None:
-        while self.answering.gate.busy:
+        while self.answering.admission.busy:
             await self.host.sleep(TICK)
 
     @property
@@ -228,7 +228,7 @@ class StateExport(_Transfer):
         await self._decided.wait()
         if self.because is not None:
             raise CommandRefused(self.because)
-        requests = self.answering.gate.handled if self._answered else None
+        requests = self.answering.admission.handled if self._answered else None
         return replies.FetchedState(state=self._state, handled=self._handled, since=self._since, requests=requests)
 
     def importing(self, done: bool) -> replies.Confirmed:
@@ -277,7 +277,7 @@ class StateImport(_Transfer):
     _decided: asyncio.Event = field(default_factory=asyncio.Event, init=False)
 
     def __post_init__(self) -> None:
-        self._yields = self.answering.gate.yields
+        self._yields = self.answering.admission.yields
 
     def arm(self, links: Iterable[OutputLink], side: OutgoingCut | IncomingCut) -> None:
         super().arm(links, side)

@@ -15,7 +15,7 @@ from typing import Final, Literal, TypeAlias
 from midstride.model.action import Swap
 from midstride.model.configuration import to_fraction
 from midstride.plan.change import PortAttachment
-from midstride.plan.core.search_state import OrderGate, SearchState
+from midstride.plan.core.search_state import SearchState, UnblockedRoles
 
 # Sets of instances to remove for one that needs room are searched up to this size, among this many instances.
 _SET_SIZE: Final = 3
@@ -44,9 +44,9 @@ class Move:
 
 def moves(state: SearchState) -> list[Move]:
     """The ways to go on, the least of each kind, in a stable order; empty where the user's orders leave none."""
-    gate = state.order_gate()
+    unblocked = state.unblocked_roles()
     kinds = (_hand_overs, _creations, _attachments, _finishes, _splits)
-    found = chain.from_iterable(kind(state, gate) for kind in kinds)
+    found = chain.from_iterable(kind(state, unblocked) for kind in kinds)
     return sorted(dict.fromkeys(found), key=lambda move: move.priority)
 
 
@@ -84,17 +84,17 @@ def _removed_early(state: SearchState, name: str) -> SearchState:
     return state.remove([name], [pair for pair in state.detaches if pair[0].instance == name])
 
 
-def _hand_overs(state: SearchState, gate: OrderGate) -> Iterator[Move]:
+def _hand_overs(state: SearchState, unblocked: UnblockedRoles) -> Iterator[Move]:
     for new, swaps in state.swaps.items():
-        if state.can_hand_over(new, swaps, gate):
+        if state.can_hand_over(new, swaps, unblocked):
             yield Move(3, "hand over", (new,))
 
 
-def _creations(state: SearchState, gate: OrderGate) -> Iterator[Move]:
+def _creations(state: SearchState, unblocked: UnblockedRoles) -> Iterator[Move]:
     known: dict[Need, list[tuple[str, ...]]] = {}
     fallen = {ref.instance for ref in state.builder.meter.below}
     for name, instance in state.creates.items():
-        if instance.role not in gate:
+        if instance.role not in unblocked:
             continue
         usage = instance.component.resource_usage
         shortages = ((resource, state.shortage(resource, to_fraction(usage[resource]))) for resource in sorted(usage))
@@ -103,14 +103,14 @@ def _creations(state: SearchState, gate: OrderGate) -> Iterator[Move]:
             yield Move(0 if instance.role in fallen else 2, "create", (name,))
             continue
         if need not in known:  # the same need is met in the same ways
-            known[need] = _making_room(state, need, gate)
+            known[need] = _making_room(state, need, unblocked)
             for names in known[need]:  # a small set in every order, since the first to be removed is absent longest
                 orders = permutations(names) if len(names) <= _SET_SIZE else (names,)
                 priority = 1 if all(state.is_superseded(name) for name in names) else 3 + len(names)
                 yield from (Move(priority, "remove", order) for order in orders)
 
 
-def _making_room(state: SearchState, need: Need, gate: OrderGate) -> list[tuple[str, ...]]:
+def _making_room(state: SearchState, need: Need, unblocked: UnblockedRoles) -> list[tuple[str, ...]]:
     """The least sets of instances whose removal frees what is needed."""
     configuration, change = state.builder.configuration, state.builder.change
 
@@ -121,7 +121,7 @@ def _making_room(state: SearchState, need: Need, gate: OrderGate) -> list[tuple[
     holders = [
         name
         for name in state.removes
-        if change.role_of(name) in gate
+        if change.role_of(name) in unblocked
         and any(resource in configuration.component(name).resource_usage for resource, _ in need)
     ]
     holders.sort(key=lambda name: (not state.is_superseded(name), change.role_of(name) in change.target.nodes))
@@ -142,45 +142,45 @@ def _making_room(state: SearchState, need: Need, gate: OrderGate) -> list[tuple[
     return [*found, *sets]
 
 
-def _attachments(state: SearchState, gate: OrderGate) -> Iterator[Move]:
+def _attachments(state: SearchState, unblocked: UnblockedRoles) -> Iterator[Move]:
     """Taking a slot of a capped topic; or freeing one, by handing over to the output that waits or by detaching."""
     configuration, change = state.builder.configuration, state.builder.change
     for port, connector in state.attaches:
-        if not state.may_attach(port, gate):
+        if not state.may_attach(port, unblocked):
             continue
         if state.free_slots(connector) >= 1:
             yield Move(1, "attach", attachments=((port, connector),))
         for other, on in state.detaches:
             if on not in (connector, change.sibling(connector)) or not configuration.is_output(other):
                 continue
-            if change.role_of(other.instance) not in gate:
+            if change.role_of(other.instance) not in unblocked:
                 continue
             if on == connector and state.satisfies_topic(port, connector):
                 yield Move(1, "exchange", swaps=(Swap(connector, other, port),))
             yield Move(2, "detach", attachments=((other, on),))
 
 
-def _finishes(state: SearchState, gate: OrderGate) -> Iterator[Move]:
+def _finishes(state: SearchState, unblocked: UnblockedRoles) -> Iterator[Move]:
     """Removing the rest of a role that the user's orders put before another, once nothing of it is to come."""
     role_of = state.builder.change.role_of
     coming = {role_of(name) for name in (*state.creates, *state.swaps)}
     coming |= {role_of(port.instance) for port, _ in state.attaches}
     for role in sorted({order.first for order in state.orders} & state.unfinished_roles()):
-        if role in gate and role not in coming:
+        if role in unblocked and role not in coming:
             yield Move(2, "finish", (role,))
 
 
-def _splits(state: SearchState, gate: OrderGate) -> Iterator[Move]:
+def _splits(state: SearchState, unblocked: UnblockedRoles) -> Iterator[Move]:
     """Attaching a replacement beside the old instance, where there is room, instead of handing over.
 
     For a replacement that does not satisfy all of its topics, that occupies a slot which another output needs, or
     whose role would fall by the hand-over.
     """
     for new, swaps in state.swaps.items():
-        if state.builder.change.role_of(new) not in gate:
+        if state.builder.change.role_of(new) not in unblocked:
             continue
         live = new in state.builder.configuration.instances
         if state.is_contended(swaps) or (
-            live and (not state.can_hand_over(new, swaps, gate) or state.lowers_role(swaps))
+            live and (not state.can_hand_over(new, swaps, unblocked) or state.lowers_role(swaps))
         ):
             yield Move(3, "split", (new,))

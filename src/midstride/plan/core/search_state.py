@@ -32,8 +32,8 @@ V = TypeVar("V")
 
 
 @dataclass(frozen=True, slots=True)
-class OrderGate:
-    """Membership test: do the user's orders allow structural actions of a role now?"""
+class UnblockedRoles:
+    """Membership test: does no order of the user hold back the structural actions of a role now?"""
 
     orders: tuple[Order, ...]
     unfinished: frozenset[str]
@@ -89,17 +89,18 @@ class SearchState:
         state, before = self.raise_touched(), None
         while state is not before and not state.only_removals_left:
             before = state
-            gate = state.order_gate()
-            state = state._create_what_fits(gate)._attach_what_fits(gate).raise_touched()._hand_over_for_free(gate)
+            unblocked = state.unblocked_roles()
+            state = state._create_what_fits(unblocked)._attach_what_fits(unblocked).raise_touched()
+            state = state._hand_over_for_free(unblocked)
         return state
 
     def raise_touched(self) -> SearchState:
         builder = self.builder.raise_touched()
         return self if builder is self.builder else replace(self, builder=builder)
 
-    def order_gate(self) -> OrderGate:
+    def unblocked_roles(self) -> UnblockedRoles:
         """The roles for which the user's orders allow structural actions now."""
-        return OrderGate(self.orders, self.unfinished_roles() if self.orders else frozenset())
+        return UnblockedRoles(self.orders, self.unfinished_roles() if self.orders else frozenset())
 
     def layers(self) -> list[list[str]] | None:
         """The unfinished roles in the order asked for; None where the orders contradict each other."""
@@ -111,7 +112,7 @@ class SearchState:
         role_of = self.builder.change.role_of
         return frozenset(role_of(name) for name in (*self.creates, *self.removes, *self.swaps, *ports))
 
-    def _create_what_fits(self, gate: OrderGate) -> SearchState:
+    def _create_what_fits(self, unblocked: UnblockedRoles) -> SearchState:
         """Create what fits beside everything else that is to come; not while something is below its baseline."""
         if self.builder.meter.below:
             return self
@@ -123,7 +124,7 @@ class SearchState:
         ready = [
             name
             for name, instance in self.creates.items()
-            if instance.role in gate and scarce.isdisjoint(instance.component.resource_usage)
+            if instance.role in unblocked and scarce.isdisjoint(instance.component.resource_usage)
         ]
         return self.create(*ready) if ready else self
 
@@ -142,7 +143,7 @@ class SearchState:
         capacity = to_fraction(configuration.context.capacity(resource))
         return configuration.held.get(resource, _NOTHING) + amount - capacity
 
-    def _attach_what_fits(self, gate: OrderGate) -> SearchState:
+    def _attach_what_fits(self, unblocked: UnblockedRoles) -> SearchState:
         """Attach what fits beside every other publisher that is, or may have to be, attached to the same topic."""
         is_output = self.builder.change.is_output
         wanted = Counter(connector for port, connector in self.attaches if is_output(port))
@@ -152,7 +153,8 @@ class SearchState:
         ready = [
             (port, connector)
             for port, connector in self.attaches
-            if self.may_attach(port, gate) and (not is_output(port) or self.free_slots(connector) >= wanted[connector])
+            if self.may_attach(port, unblocked)
+            and (not is_output(port) or self.free_slots(connector) >= wanted[connector])
         ]
         return self.attach(*ready) if ready else self
 
@@ -161,9 +163,9 @@ class SearchState:
             self, builder=self.builder.attach(*attachments), attaches=_minus(self.attaches, set(attachments))
         )
 
-    def may_attach(self, port: PortRef, gate: OrderGate) -> bool:
+    def may_attach(self, port: PortRef, unblocked: UnblockedRoles) -> bool:
         builder = self.builder
-        return port.instance in builder.configuration.instances and builder.change.role_of(port.instance) in gate
+        return port.instance in builder.configuration.instances and builder.change.role_of(port.instance) in unblocked
 
     def free_slots(self, connector: str) -> float:
         """How many more publishers the topic admits. Old and new contract of one topic count together."""
@@ -175,11 +177,11 @@ class SearchState:
         beside = 0 if sibling is None else len(configuration.publishers_on(sibling))
         return cap - publishers_count(configuration, connector) - beside
 
-    def _hand_over_for_free(self, gate: OrderGate) -> SearchState:
+    def _hand_over_for_free(self, unblocked: UnblockedRoles) -> SearchState:
         state = self
         for new, swaps in self.swaps.items():
             if (
-                state.can_hand_over(new, swaps, gate)
+                state.can_hand_over(new, swaps, unblocked)
                 and not state.lowers_role(swaps)
                 and not state._may_wait(new, swaps)
             ):
@@ -209,8 +211,8 @@ class SearchState:
     def _is_capped(self, connector: str) -> bool:
         return self.builder.configuration.context.connectors[connector].max_publishers is not None
 
-    def can_hand_over(self, new: str, swaps: Sequence[Swap], gate: OrderGate) -> bool:
-        return self.builder.change.role_of(new) in gate and all(self.can_take_over(swap) for swap in swaps)
+    def can_hand_over(self, new: str, swaps: Sequence[Swap], unblocked: UnblockedRoles) -> bool:
+        return self.builder.change.role_of(new) in unblocked and all(self.can_take_over(swap) for swap in swaps)
 
     def can_take_over(self, swap: Swap) -> bool:
         """Whether the new output, in its current mode, satisfies the topic."""

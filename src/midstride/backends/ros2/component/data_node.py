@@ -13,9 +13,9 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.exceptions import ParameterNotDeclaredException, ParameterUninitializedException
 from rclpy.parameter import Parameter
 
-from midstride.backends.ros2.component.gated_node import GatedNode
+from midstride.backends.ros2.component.admitting_node import AdmittingNode
 from midstride.backends.ros2.component.parameter_services import as_json
-from midstride.node.service_gate import ServiceGate
+from midstride.node.request_admission import RequestAdmission
 
 # What ROS declares besides `use_sim_time` says how the node was made.
 _FIXED: Final = ("qos_overrides.", "start_type_description_service")
@@ -52,7 +52,7 @@ class NodeParameter:
         return value  # the node checks it
 
 
-class DataNode(GatedNode):
+class DataNode(AdmittingNode):
     """``parameters`` are the values that it is to have, ``set_parameters`` those that had been set at run time.
 
     ``changed`` is called on the data thread when a parameter has been set from outside.
@@ -61,7 +61,7 @@ class DataNode(GatedNode):
     def __init__(
         self,
         name: str,
-        gate: ServiceGate,
+        admission: RequestAdmission,
         *,
         parameters: Mapping[str, Any],
         set_parameters: Mapping[str, Any],
@@ -74,7 +74,7 @@ class DataNode(GatedNode):
         # The type of an empty list is not known: it is set once the parameter is declared.
         begun = {name: value for name, value in {**parameters, **set_parameters}.items() if value != []}
         overrides = [Parameter(name, value=value) for name, value in begun.items()]
-        super().__init__(name, gate, parameter_overrides=overrides, **options)
+        super().__init__(name, admission, parameter_overrides=overrides, **options)
 
     def declare_parameters(self, namespace: str, parameters: Any, *arguments: Any, **options: Any) -> Any:
         parameters = list(parameters)

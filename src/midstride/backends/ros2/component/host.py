@@ -33,7 +33,7 @@ from midstride.node import process_context
 from midstride.node.clock_history import ClockHistory
 from midstride.node.component_host import MessageInfo, NodeParameters
 from midstride.node.diagnostic_status import DiagnosticEntry
-from midstride.node.service_gate import ServiceGate
+from midstride.node.request_admission import RequestAdmission
 from midstride.wire.environment import ENV_SHARED_NAME, ENV_TOKEN
 from midstride.wire.state import ComponentState, Endpoint
 from midstride.wire.transport import Transport
@@ -73,7 +73,7 @@ class Ros2Host:
         self.clock_history = ClockHistory()
         self._rmw = middleware.of_this_process()
         self.read_info: Callable[[Any], MessageInfo] = self._rmw.message_info
-        self.gate = ServiceGate(self.steady, is_open=not context.standby)
+        self.admission = RequestAdmission(self.steady, is_open=not context.standby)
 
     @property
     def node_name(self) -> str:
@@ -237,7 +237,7 @@ class Ros2Host:
             self._instance,
             self._name,
             self._namespace,
-            gate=self.gate,
+            admission=self.admission,
             system=names.system_tag(os.environ.get(ENV_TOKEN, "")),
             shares_name=bool(os.environ.get(ENV_SHARED_NAME)),
             # The node gets all that the manager gave, for ROS itself has parameters (``use_sim_time``).

@@ -19,15 +19,15 @@ from rclpy.signals import SignalHandlerOptions
 
 from midstride.backends.ros2 import middleware, names
 from midstride.backends.ros2.component import early_join
+from midstride.backends.ros2.component.admitting_node import AdmittingNode
 from midstride.backends.ros2.component.data_node import DataNode
 from midstride.backends.ros2.component.diagnostics_publisher import DiagnosticsPublisher
-from midstride.backends.ros2.component.gated_node import GatedNode
 from midstride.backends.ros2.component.parameter_services import ParameterServices
 from midstride.errors import NodeError
 from midstride.model.instance_names import full_name, split_name
 from midstride.node.data.functionality_runner import CAUGHT
 from midstride.node.legible import legible
-from midstride.node.service_gate import ServiceGate
+from midstride.node.request_admission import RequestAdmission
 
 # A node that was started by hand looks for another one of its name before it joins (s); each looks after it has joined.
 # So of two, the one that was started by hand gives way.
@@ -105,7 +105,7 @@ class ComponentNodes:
         name: str,
         namespace: str,
         *,
-        gate: ServiceGate,
+        admission: RequestAdmission,
         system: str,
         shares_name: bool = False,
         parameters: Mapping[str, Any],
@@ -117,7 +117,7 @@ class ComponentNodes:
             rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         self._context = rclpy.utilities.get_default_context()
         self._control = early_join.hidden_node(
-            names.control(instance, name, system), GatedNode, gate=gate, namespace=namespace
+            names.control(instance, name, system), AdmittingNode, admission=admission, namespace=namespace
         )
         early_join.leave()
         self._full_name = full_name(name, namespace)
@@ -132,7 +132,7 @@ class ComponentNodes:
         pinned = ["--ros-args", "-r", f"__node:={name}", "-r", f"__ns:={namespace}"] if system else None
         self.data: Any = DataNode(
             name,
-            gate,
+            admission,
             namespace=namespace,
             cli_args=pinned,
             start_parameter_services=False,

@@ -1,4 +1,4 @@
-"""A node whose services and ROS actions are behind a gate (:mod:`midstride.node.service_gate`).
+"""A node whose services and ROS actions handle admitted requests only (:mod:`midstride.node.request_admission`).
 
 The instances of a role have one node name, so every request to the node reaches each of them.
 """
@@ -13,26 +13,26 @@ from typing import Any
 from rclpy.action import ActionClient, ActionServer
 from rclpy.node import Node
 
-from midstride.node.service_gate import ServiceGate
+from midstride.node.request_admission import RequestAdmission
 
 
-class GatedNode(Node):  # type: ignore[misc]
-    """rclpy's node; whatever services and action servers it gets, at any time, are behind ``gate``."""
+class AdmittingNode(Node):  # type: ignore[misc]
+    """rclpy's node; ``admission`` decides for all its services and action servers, whenever they are made."""
 
-    def __init__(self, name: str, gate: ServiceGate, **options: Any) -> None:
-        self._gate = gate
+    def __init__(self, name: str, admission: RequestAdmission, **options: Any) -> None:
+        self._admission = admission
         super().__init__(name, **options)
         for service in self.services:  # those that ROS itself has made
-            guard_service(service, gate, self._later)
+            guard_service(service, admission, self._later)
 
     def create_service(self, *arguments: Any, **options: Any) -> Any:
         service = super().create_service(*arguments, **options)
-        guard_service(service, self._gate, self._later)
+        guard_service(service, self._admission, self._later)
         return service
 
     def add_waitable(self, waitable: Any) -> None:
         if isinstance(waitable, ActionServer):
-            guard_action(waitable, self._gate, self._later)
+            guard_action(waitable, self._admission, self._later)
         super().add_waitable(waitable)
 
     def destroy_node(self) -> None:
@@ -52,8 +52,8 @@ class GatedNode(Node):  # type: ignore[misc]
             executor.create_task(work)
 
 
-def guard_service(service: Any, gate: ServiceGate, later: Callable[[Callable[[], Any]], None]) -> None:
-    """Have rclpy's ``service`` call its callback, and answer, for what ``gate`` admits.
+def guard_service(service: Any, admission: RequestAdmission, later: Callable[[Callable[[], Any]], None]) -> None:
+    """Have rclpy's ``service`` call its callback, and answer, for what ``admission`` admits.
 
     The executor passes a request's identity to `send_response` only, so the callback is called there.
     """
@@ -73,7 +73,7 @@ def guard_service(service: Any, gate: ServiceGate, later: Callable[[Callable[[],
                     send(result, header)
             finally:
                 if not awaited:
-                    gate.finished(identity)
+                    admission.finished(identity)
             if awaited:
                 later(partial(finish, result))
 
@@ -81,17 +81,17 @@ def guard_service(service: Any, gate: ServiceGate, later: Callable[[Callable[[],
             try:
                 send(await result, header)
             finally:
-                gate.finished(identity)
+                admission.finished(identity)
 
-        if gate.admit(identity, lambda: later(handle)):
+        if admission.admit(identity, lambda: later(handle)):
             handle()
 
     service.callback = lambda request, response: (request, response)
     service.send_response = answer
 
 
-def guard_action(server: Any, gate: ServiceGate, later: Callable[[Callable[[], Any]], None]) -> None:
-    """Have rclpy's action ``server`` handle the requests that ``gate`` admits."""
+def guard_action(server: Any, admission: RequestAdmission, later: Callable[[Callable[[], Any]], None]) -> None:
+    """Have rclpy's action ``server`` handle the requests that ``admission`` admits."""
     execute = server.execute
 
     def identity(kind: str, entry: Any) -> str:
@@ -101,7 +101,9 @@ def guard_action(server: Any, gate: ServiceGate, later: Callable[[Callable[[], A
 
     def admits(kind: str, entry: Any) -> bool:
         # Expired are goals of this server: that is no request.
-        return kind == "expired" or gate.admit(identity(kind, entry), lambda: later(partial(handle, {kind: entry})))
+        if kind == "expired":
+            return True
+        return admission.admit(identity(kind, entry), lambda: later(partial(handle, {kind: entry})))
 
     async def handle(taken: dict[str, Any]) -> None:
         try:
@@ -109,7 +111,7 @@ def guard_action(server: Any, gate: ServiceGate, later: Callable[[Callable[[], A
         finally:
             for kind, entry in taken.items():
                 if kind != "expired":
-                    gate.finished(identity(kind, entry))
+                    admission.finished(identity(kind, entry))
 
     async def execute_admitted(taken: dict[str, Any]) -> None:
         await handle({kind: entry for kind, entry in taken.items() if admits(kind, entry)})

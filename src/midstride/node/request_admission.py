@@ -1,8 +1,8 @@
-"""The gate before a component's services: which instance of a role handles which request.
+"""The admission of requests to a component's services: which instance of a role handles which request.
 
 Every server of a service receives every request (on ROS 2, where the instances of a role have one node name). Of two
-instances one answers, and its gate is open. The other one holds what arrives until it is that one's turn: it is given
-the requests that its predecessor has handled, handles the rest, and so each request is handled exactly once. While the
+instances one answers, and its admission is open. The other one holds what arrives until it answers: it is given the
+requests that its predecessor has handled, handles the rest, and so each request is handled exactly once. While the
 state of the one that answers moves to the other, neither answers, and both hold what arrives.
 """
 
@@ -13,7 +13,8 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from typing import Final
 
-# For how long (s) a closed gate holds a request, and how many at most: a predecessor that answers has done so by then.
+# For how long (s) a request is held while admission is closed, and how many at most: a predecessor that answers has
+# done so by then.
 HOLD: Final = 5.0
 HELD: Final = 1000
 # For how long (s) a handled request is remembered, and how many at most: longer than any peer may hold it.
@@ -21,8 +22,8 @@ REMEMBER: Final = 2 * HOLD
 REMEMBERED: Final = 10 * HELD
 
 
-class ServiceGate:
-    """``steady`` is the steady clock (ns). May be used on any thread: services run on two.
+class RequestAdmission:
+    """Open, paused or closed. ``steady`` is the steady clock (ns). May be used on any thread: services run on two.
 
     ``yields`` counts how often another instance has asked to answer instead.
     """
@@ -39,7 +40,7 @@ class ServiceGate:
         self.yields = 0
 
     def admit(self, request: str, later: Callable[[], object]) -> bool:
-        """Whether to handle ``request`` now. Else ``later`` is called if the gate opens before a peer has handled it.
+        """Whether to handle ``request`` now. Else ``later`` is called if admission opens before a peer has handled it.
 
         ``request`` identifies it: the same for every server that receives it, and unique among all requests. Call
         :meth:`finished` once it has been handled, now or later.
