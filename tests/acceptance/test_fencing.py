@@ -71,8 +71,8 @@ def compare(outcome: Outcome, rows: list[Receipt]) -> None:
     empty = (first.source - last.source) / 1e9 / PERIOD - 1
     assert swap.missed is not None and swap.missed == pytest.approx(empty, abs=APART / PERIOD)
     if last.publisher is not None:
-        turn = rows.index(first)
-        assert {row.publisher for row in rows[:turn]}.isdisjoint({row.publisher for row in rows[turn:]})
+        cut = rows.index(first)
+        assert {row.publisher for row in rows[:cut]}.isdisjoint({row.publisher for row in rows[cut:]})
 
 
 async def hung(manager: Manager) -> bool:

@@ -56,12 +56,12 @@ async def _outcomes(lab: Lab, expected: str = "done", cut: str = "cut") -> tuple
     return old, new
 
 
-def _turn(words: list[str]) -> int:
+def _messages_of_old(words: list[str]) -> int:
     """The number of messages of the old side, all of which come before those of the new one."""
     sides = [word.split(" ")[0] for word in words]
-    turn = sides.index("new")
-    assert sides == ["old"] * turn + ["new"] * (len(sides) - turn), "their messages are interleaved"
-    return turn
+    of_old = sides.index("new")
+    assert sides == ["old"] * of_old + ["new"] * (len(sides) - of_old), "their messages are interleaved"
+    return of_old
 
 
 async def hands_over_on_the_grid(backend: Backend, workspace: Path) -> None:
@@ -92,10 +92,10 @@ async def _hand_over_on_the_grid(backend: Backend, workspace: Path) -> str | Non
         await lab.change("old", "detach", port="out", topic="/chatter", timeout=2.0)
         await lab.sleep(0.5)
         words = await lab.received("sink")
-        turn = _turn(words)
-        assert_unbroken(words[:turn])
-        assert_unbroken(words[turn:])
-        assert old["last"]["out /chatter"]["number"] == turn, (old, turn)
+        of_old = _messages_of_old(words)
+        assert_unbroken(words[:of_old])
+        assert_unbroken(words[of_old:])
+        assert old["last"]["out /chatter"]["number"] == of_old, (old, of_old)
         assert new["first"]["out /chatter"]["number"] == 1, new
         rows = await lab.rows("sink")
         return _fault_of_slots(rows, at, period) if all(row[1] is not None for row in rows) else None
@@ -212,7 +212,7 @@ async def hands_over_to_one_that_writes_once(lab: Lab) -> None:
     await _cut(lab, at, epoch, resume_after=2.0)
     await _outcomes(lab)
     await lab.eventually("it is received", lambda: lab.received("sink"), lambda words: words[-1:] == ["new normal 1"])
-    assert _turn(await lab.received("sink")) > 0
+    assert _messages_of_old(await lab.received("sink")) > 0
 
 
 @check
@@ -325,4 +325,4 @@ async def keeps_to_the_grid_across_a_busy_spell(lab: Lab) -> None:
     await _cut(lab, at, epoch, resume_after=2.0)
     await _outcomes(lab)
     await lab.sleep(0.3)
-    assert (await lab.port("old", "out", "/chatter"))["count"] == _turn(await lab.received("sink"))
+    assert (await lab.port("old", "out", "/chatter"))["count"] == _messages_of_old(await lab.received("sink"))

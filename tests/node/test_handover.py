@@ -251,8 +251,8 @@ def test_a_frozen_old_side_learns_late_and_does_not_take_up_again(tmp_path: Path
         await lab.sleep(2.0)
         assert await outcomes(lab) == ("done", "done")
         words = sides(await lab.received("sink"))
-        turn = words.index("new")
-        late = words[turn:].count("old")
+        first_new = words.index("new")
+        late = words[first_new:].count("old")
         assert late <= 1, "at most the call of a slot before the cut, which it was in when it froze"
 
     in_lab(tmp_path, main)

@@ -29,7 +29,7 @@ def test_commands_run_in_order_of_arrival_and_each_says_what_it_waits_for() -> N
         commands, ran = await queue(), list[str]()
 
         async def command(words: str) -> None:
-            async with commands.turn(words, id=words):
+            async with commands.run(words, id=words):
                 ran.append(words)
                 await asyncio.sleep(1)
 
@@ -51,10 +51,10 @@ def test_a_command_knows_whether_another_one_waits_also_one_that_is_given_up() -
         commands = await queue()
 
         async def second() -> None:
-            async with commands.turn("second"):
+            async with commands.run("second"):
                 pass
 
-        async with commands.turn("first"):
+        async with commands.run("first"):
             assert state(commands) == (True, False)
             waiting = asyncio.ensure_future(second())
             await asyncio.sleep(1)
@@ -75,7 +75,7 @@ def test_listeners_are_called_when_a_command_has_ended_and_before_the_next_one_b
         commands.listeners.append(lambda: seen.append((commands.current, commands.lock.locked())))
 
         async def fails() -> None:
-            async with commands.turn("fails"):
+            async with commands.run("fails"):
                 assert seen == []
                 raise ValueError("no such thing")
 
@@ -90,7 +90,7 @@ def test_between_commands_no_command_changes_the_system() -> None:
     async def main() -> None:
         commands = await queue()
         async with commands.between():
-            running = asyncio.ensure_future(commands.turn("waits").__aenter__())
+            running = asyncio.ensure_future(commands.run("waits").__aenter__())
             await asyncio.sleep(1)
             assert not running.done() and not commands.is_changing
         await running

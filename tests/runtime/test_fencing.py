@@ -242,8 +242,8 @@ def test_a_stopped_publisher_is_killed_and_never_continues(strategy: str, tmp_pa
         [swap] = outcome.swaps
         assert swap.gap == pytest.approx(heard.longest_gap(), abs=0.01)
         await asyncio.sleep(60)
-        turn = heard.words().index("new")
-        assert set(heard.words()[turn:]) == {"new"}
+        first_new = heard.words().index("new")
+        assert set(heard.words()[first_new:]) == {"new"}
         assert (await manager.status()).valid and (await manager.status()).crashed == []
 
     hanging(tmp_path, body, Old=_talker("old", 0, 0))

@@ -1,4 +1,4 @@
-"""The executor where a plan overlaps: several steps in one round, and processes that start before their turn."""
+"""The executor where a plan overlaps: several steps in one round, and processes that start before their step."""
 
 from __future__ import annotations
 
@@ -237,7 +237,7 @@ def test_where_one_attachment_of_a_round_fails_the_others_are_detached_again(tmp
     bench(unattached, tmp_path, body)
 
 
-# -- processes that start before their turn -------------------------------------------------------------
+# -- processes that start before their step -------------------------------------------------------------
 
 NEW = {name: instance(name, TALKER) for name in ("one", "two", "three")}
 ATTACH = Attach(build.port("one.out"), "/chatter")

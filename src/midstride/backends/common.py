@@ -153,7 +153,7 @@ def with_short_pauses() -> None:
     """Keep the pauses of this Python process short against a period of the data thread.
 
     A full garbage collection walks everything that was imported (25 ms with rclpy alone): what exists now is exempted.
-    And by default a busy thread runs for 5 ms before another one gets its turn.
+    And by default a busy thread runs for 5 ms before another one may run.
     """
     gc.collect()
     gc.freeze()

@@ -136,8 +136,8 @@ def planned_seconds(plan: AnyPlan) -> float:
 def _about_plan(plan: AnyPlan) -> str:
     """How long a plan takes as it is carried out, with its range; beside it the sum of its steps where they overlap."""
     taken, total = planned_seconds(plan), plan.seconds
-    in_turn = [] if seconds(taken) == seconds(total) else [f"{seconds(total)} one step after another"]
-    return _with_remarks(taken, [*_spread(plan.between), *in_turn])
+    in_sequence = [] if seconds(taken) == seconds(total) else [f"{seconds(total)} one step after another"]
+    return _with_remarks(taken, [*_spread(plan.between), *in_sequence])
 
 
 def _runtime_values(found: AnyPlan | Outcome) -> Iterable[Text]:

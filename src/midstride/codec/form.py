@@ -68,7 +68,7 @@ def field(
     """The constraints on a value, and the words for what it is, in a message that misses it and in the schema.
 
     ``check`` says in words what is wrong with a value that has the right type, or None. It must also raise ValueError
-    or reject when the form is turned into a value of the model, since msgspec does not call it.
+    or reject when the form becomes a value of the model, since msgspec does not call it.
     """
     extra = {"what": what, "help": help, "check": check}
     return Meta(description=description, extra=extra, **constraints)

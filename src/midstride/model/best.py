@@ -97,7 +97,7 @@ class MonotoneEvaluator(Evaluator):
 
 
 def _lower(configuration: Configuration, overlay: dict[FunctionalityRef, int], pending: list[FunctionalityRef]) -> None:
-    """Lower in ``overlay`` what is unsatisfied, and what becomes so in turn. ``pending`` holds every candidate."""
+    """Lower in ``overlay`` what is unsatisfied, and what becomes so by that. ``pending`` holds every candidate."""
     evaluator = MonotoneEvaluator(configuration, overlay)
     waiting = set(pending)
     lost: set[str] = set()

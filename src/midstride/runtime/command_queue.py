@@ -52,7 +52,7 @@ class CommandQueue:
         return RunningCommand(self.current, round(self.clock.steady() - self._since, 3))
 
     @contextlib.asynccontextmanager
-    async def turn(self, words: str, id: str | None = None) -> AsyncIterator[None]:
+    async def run(self, words: str, id: str | None = None) -> AsyncIterator[None]:
         """Wait until this command may run, and run it; an event says which command it waits for."""
         self._waiting += 1
         if self.current is not None:

@@ -104,7 +104,7 @@ class Invariants:
                 self._violation(f"{port} of both {names} is open on {topic}")
 
     def on_publish(self, writer: SimulatedWriter) -> None:
-        """A message is heard on a topic: two instances of one role must not take turns there."""
+        """A message is heard on a topic: two instances of one role must not alternate there."""
         owner = writer.owner
         assert isinstance(owner, StandIn)
         self.heard[owner.instance] = self.heard.get(owner.instance, 0) + 1

@@ -419,6 +419,6 @@ class Simulation:
 
 
 async def _refused(manager: Manager) -> None:
-    """Another client's command, which is refused when its turn comes."""
+    """Another client's command, which is refused once it is the next."""
     with contextlib.suppress(MidstrideError):
         await manager.set_parameters("no_such_node", {})

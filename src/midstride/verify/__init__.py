@@ -1,9 +1,9 @@
 """The evidence for "safe": the Alloy specification, exact dumps of configurations and plans, unbounded proofs.
 
 `alloy/` is the specification (read it first), `library` loads it and `specification` checks it. `alloy_atoms`,
-`world_encoder`, `formulas`, `alloy_text` and `export` turn model values into Alloy text; `run` runs the Alloy Analyzer;
-`trace`, `chain` and `diagram` turn its answer back into the names of the file; `verdict` holds the answers; `checking`
-puts these together. `prove/` has the proofs by SMT solvers.
+`world_encoder`, `formulas`, `alloy_text` and `export` translate model values to Alloy text; `run` runs the Alloy
+Analyzer; `trace`, `chain` and `diagram` translate its answer back to the names of the file; `verdict` holds the
+answers; `checking` puts these together. `prove/` has the proofs by SMT solvers.
 """
 
 PUBLIC = (

@@ -50,7 +50,7 @@ class SocketConnection:
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._reader = reader
         self._writer = writer
-        self._turn = asyncio.Lock()
+        self._sending = asyncio.Lock()
         # Nothing is buffered here: what the other end does not read is kept, and given up, by the sender.
         writer.transport.set_write_buffer_limits(0)
 
@@ -65,7 +65,7 @@ class SocketConnection:
 
     async def send(self, frame: bytes) -> None:
         try:
-            async with self._turn:
+            async with self._sending:
                 await self._writer.drain()  # of a send that was cancelled before the kernel had taken all of it
                 self._writer.write(frame + b"\n")
                 await self._writer.drain()

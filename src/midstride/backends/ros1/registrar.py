@@ -61,7 +61,7 @@ class Registrar(Generic[T]):
         self._kind = kind
         self._master = master
         self._identity = node, uri
-        self._turns: defaultdict[str, asyncio.Lock] = defaultdict(asyncio.Lock)
+        self._locks: defaultdict[str, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._tasks: set[asyncio.Task[None]] = set()
         self._leaving: set[asyncio.Task[None]] = set()
 
@@ -109,7 +109,7 @@ class Registrar(Generic[T]):
 
     async def _join(self, topic: T) -> None:
         expected = -1
-        async with self._turns[topic.resolved_name]:  # an earlier one that is being given up comes first
+        async with self._locks[topic.resolved_name]:  # an earlier one that is being given up comes first
             while expected < 0 and not topic.given_up:
                 try:
                     expected = await self._register(topic)
@@ -134,7 +134,7 @@ class Registrar(Generic[T]):
         return len(set(others))
 
     async def _leave(self, topic: T) -> None:
-        async with self._turns[topic.resolved_name]:
+        async with self._locks[topic.resolved_name]:
             await topic.leave()
             node, uri = self._identity
             with suppress(BackendError):  # a master that is gone lists nothing

@@ -115,7 +115,7 @@ class SimulatedProcess:
             return self._thread.resume(work)
 
     def enqueue(self, item: Callable[[], None]) -> None:
-        """Have the thread call ``item`` in its turn."""
+        """Have the thread call ``item`` after what is queued already."""
         if not self.dead:
             self._queue.append(item)
             self._schedule()

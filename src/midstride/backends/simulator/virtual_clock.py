@@ -172,7 +172,7 @@ class SimulatedTimer:
             self._handle = self._clock.loop.call_at(at, self._enqueue, partial(self._call, self._due))
 
     def _call(self, slot: int) -> None:
-        if self._cancelled or slot != self._due:  # cancelled, or put on another grid, while it waited its turn
+        if self._cancelled or slot != self._due:  # cancelled, or put on another grid, while it was queued
             return
         self._due = max(slot + self._period, self._next(slot, self._clock.ros_now() - 1))
         self._arm()

@@ -370,7 +370,7 @@ class Input(_Port[InputLink]):
         # Reads messages that stay serialised, where their fields are checked.
         self.decode: Callable[[Any], Any] | None = None
         # Called on the data thread when a message of a condition decides otherwise than the one before.
-        self.turned: Callable[[], object] = lambda: None
+        self.condition_changed: Callable[[], object] = lambda: None
         #: The newest message since the input was attached; None if there is none.
         self.latest: Any = None
         self.listeners: tuple[Listener, ...] = ()
@@ -410,7 +410,7 @@ class Input(_Port[InputLink]):
         before = fields.violated
         fields.check(message)
         if fields.violated != before:
-            self.turned()
+            self.condition_changed()
 
     @property
     def denied(self) -> bool:

@@ -59,7 +59,7 @@ class Revision:
 @dataclass
 class CommandHandlers:
     """``degraded`` is called on either thread when a functionality degrades by itself, ``changed`` after a cut, and
-    when a condition has turned.
+    when a condition has changed.
 
     ``token`` returns the token for connections to peers.
     """

@@ -22,13 +22,13 @@ from midstride.node.control.shortfall import FLOOR, LONG_FLOOR, Shortfall, Stopw
 from midstride.node.data.functionality_runner import FunctionalityRunner
 from midstride.node.data.mode_switch import ModeSwitch
 
-# How often it looks (s), unless a condition turns: a fraction of the shortest silence that is tolerated, within these;
-# or while nothing is due.
+# How often it looks (s), unless a condition changes: a fraction of the shortest silence that is tolerated, within
+# these; or while nothing is due.
 PART: Final = 0.2
 SHORTEST: Final = 0.01
 LONGEST: Final = 0.1
 IDLE: Final = 0.5
-# How long after a condition has turned it looks (s): a message that decides several inputs reaches them one by one.
+# How long after a condition has changed it looks (s): a message that decides several inputs reaches them one by one.
 SETTLING: Final = 0.003
 # A data thread that takes longer than that for a change has had no time for messages either (s).
 LATE: Final = 0.2
@@ -172,49 +172,50 @@ class Reflex:
     """Watches the functionalities of a component, on the control thread.
 
     ``commanded``: whether a command of the manager is being carried out, which may keep the data thread busy.
-    ``degraded`` is called once a functionality has degraded, or its state shows so; on either thread. ``turned`` is
-    called on the control thread when a condition has begun or ceased to hold. ``before`` is awaited before a
-    functionality enters a mode, by name; where it raises CommandRefused, the last mode is entered instead.
+    ``degraded`` is called once a functionality has degraded, or its state shows so; on either thread.
+    ``condition_changed`` is called on the control thread when a condition has begun or ceased to hold. ``before`` is
+    awaited before a functionality enters a mode, by name; where it raises CommandRefused, the last mode is entered
+    instead.
     """
 
     host: Host
     runners: Sequence[FunctionalityRunner]
     commanded: Callable[[], bool]
     degraded: Callable[[FunctionalityRunner], None]
-    turned: Callable[[], None]
+    condition_changed: Callable[[], None]
     before: Callable[[Mapping[str, str]], Awaitable[None]] | None = None
     _watches: dict[FunctionalityRunner, Watch] = field(default_factory=dict)
-    _turn: asyncio.Event = field(default_factory=asyncio.Event)
+    _changed: asyncio.Event = field(default_factory=asyncio.Event)
 
     async def run(self) -> None:
         stopwatch, pause = Stopwatch(self.host), IDLE
-        wake = partial(asyncio.get_running_loop().call_soon_threadsafe, self._turn.set)
+        wake = partial(asyncio.get_running_loop().call_soon_threadsafe, self._changed.set)
         for port in {port for runner in self.runners for port in runner.inputs}:
-            port.turned = wake
+            port.condition_changed = wake
         while True:
-            turned = await self._pause(pause)
+            changed = await self._pause(pause)
             seconds, speed = stopwatch.lap(pause), stopwatch.speed
             watches = self._look(None if stopwatch.grace else seconds, speed)
             shortest = [found for watch in watches if (found := watch.shortest(speed)) is not None]
             pause = min(LONGEST, max(SHORTEST, PART * min(shortest))) if shortest else IDLE
-            if turned:
-                self.turned()
+            if changed:
+                self.condition_changed()
 
     async def _pause(self, seconds: float) -> bool:
-        """Wait for so long, or until a condition turns; whether one did."""
+        """Wait for so long, or until a condition changes; whether one did."""
         if not any(port.condition for runner in self.runners for port in runner.inputs):
             await self.host.sleep(seconds)
             return False
-        waits = [asyncio.ensure_future(each) for each in (self._turn.wait(), self.host.sleep(min(seconds, LONGEST)))]
+        waits = [asyncio.ensure_future(each) for each in (self._changed.wait(), self.host.sleep(min(seconds, LONGEST)))]
         try:
             await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
         finally:
             for each in waits:
                 each.cancel()
-        if turned := self._turn.is_set():
+        if changed := self._changed.is_set():
             await self.host.sleep(SETTLING)
-            self._turn.clear()
-        return turned
+            self._changed.clear()
+        return changed
 
     def _look(self, seconds: float | None, speed: float) -> Iterator[Watch]:
         """``seconds`` have gone by; None: the process has been stopped, and what is lacking now says nothing."""

@@ -333,7 +333,7 @@ class IncomingSide(CutSide):
                 self._write(link, link.last_gated)
 
     def conclude(self) -> None:
-        self.latch()  # another output has written: that ended the cut before it was the turn of these
+        self.latch()  # another output has written: that ended the cut before these were due
         self._set_gates(True)
 
     def close(self) -> None:

@@ -152,8 +152,8 @@ class Reconciler:
 
     @contextlib.asynccontextmanager
     async def command(self, words: str, id: str | None = None) -> AsyncIterator[None]:
-        """Run one command in its turn, and reconcile before and after it."""
-        async with self.commands.turn(words, id):
+        """Run one command after those before it, and reconcile before and after it."""
+        async with self.commands.run(words, id):
             try:
                 await self.reconcile()
                 self._accept_reported()

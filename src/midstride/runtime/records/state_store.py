@@ -182,7 +182,7 @@ class StateStore:
         self._write({**parts, **_puts("changed_since", "yes")} if parts else {})
 
     def _parts(self, specification: Specification) -> _Statements:
-        """The statements that turn the specification that was written last into this one."""
+        """The statements that replace the specification that was written last by this one."""
         before, self._specification = self._specification, specification
         sections: list[tuple[str, Mapping[str, Any], Mapping[str, Any], Callable[[Any], object]]] = [
             ("topics", before.connectors, specification.connectors, TopicForm.of_connector),

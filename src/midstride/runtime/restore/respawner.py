@@ -1,6 +1,6 @@
 """Restarts nodes that have crashed, as their restart policies say.
 
-A restart is an ordinary plan, carried out as a command in its turn: it waits for the command in progress, and a user's
+A restart is an ordinary plan, carried out as a command in the queue: it waits for the command in progress, and a user's
 command waits for it. A command that has restored or removed the node, or changed its policy, cancels the delay
 (docs/protocols/faults.md).
 """
@@ -45,7 +45,7 @@ class _Record:
 
 @dataclass(slots=True)
 class Respawner(ReconciliationObserver):
-    """Restarts crashed nodes by ``session``, each as a command in its turn."""
+    """Restarts crashed nodes by ``session``, each as a command in the queue."""
 
     system: RunningSystem
     clock: Clock

@@ -1,7 +1,7 @@
 """Restores what the local reflex has degraded, once what it relies on is back.
 
 docs/protocols/reflex.md. A component degrades a functionality whose assumption breaks;
-to raise it again is up to the manager. It does so by an ordinary plan, as a command in its turn, once the input has
+to raise it again is up to the manager. It does so by an ordinary plan, as a command in the queue, once the input has
 kept what the assumption states for some time: the longer, the more often the functionality has fallen lately.
 """
 
@@ -69,7 +69,7 @@ class _Record:
 
 @dataclass(slots=True)
 class Restorer(ReconciliationObserver):
-    """Restores functionalities by ``session``, as commands in their turn.
+    """Restores functionalities by ``session``, as commands in the queue.
 
     ``enabled``: False where only commands are to restore them.
     """

@@ -85,8 +85,8 @@ export function plannedSeconds(plan) {
 /** The same in words, with its range; beside it the sum of its steps where they overlap. @param {import("../store.js").Plan} plan */
 export function aboutPlan(plan) {
   const taken = plannedSeconds(plan);
-  const inTurn = duration(taken) === duration(plan.seconds) ? [] : [`${duration(plan.seconds)} one step after another`];
-  return withRemarks(taken, [...spread(plan), ...inTurn]);
+  const inSequence = duration(taken) === duration(plan.seconds) ? [] : [`${duration(plan.seconds)} one step after another`];
+  return withRemarks(taken, [...spread(plan), ...inSequence]);
 }
 
 /** @param {Api.LevelShift} shift */
