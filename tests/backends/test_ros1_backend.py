@@ -164,7 +164,7 @@ def test_subscriptions_to_parameters_do_not_keep_a_dead_node_known(tmp_path: Pat
             master, nowhere = r.backend._master, f"http://127.0.0.1:{free_port()}/"
             await master.call("subscribeParam", "/ghost", nowhere, "/some/parameter")
             assert await master.address_of("/ghost") == nowhere
-            await master.forget("/ghost")
+            await master.unregister("/ghost")
             assert await master.address_of("/ghost") is None
 
     run(scenario())

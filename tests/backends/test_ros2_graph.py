@@ -120,7 +120,7 @@ def test_what_is_looked_up_by_name_is_what_a_look_at_every_endpoint_finds() -> N
         every = [info for infos in listed.infos.values() for info in infos]
         for name in rng.sample(sorted(known), 3):
             if rng.random() < 0.5:
-                graph.forget(name)
+                graph.ignore(name)
                 dead |= {bytes(info.endpoint_gid) for info in every if shown(info)[0] == name}
         for name in died:
             graph.died(name)

@@ -228,7 +228,7 @@ def test_a_manager_after_which_another_has_taken_over_saves_nothing_more(path: P
     assert found is not None and found.instances == (SavedInstance(TALKER, HANDLE),)
     assert (first.superseded, second.superseded) == (True, False)
     first.close()
-    second.forget()
+    second.delete()
     second.begin("sim", "another token", SPECIFICATION)
     assert second.unwritten is None
 
@@ -256,12 +256,12 @@ def test_a_file_is_created_whole_or_not_at_all(path: Path) -> None:
     database.close()
 
 
-def test_forgotten_means_gone(path: Path) -> None:
+def test_a_deleted_store_leaves_nothing_and_may_be_deleted_again(path: Path) -> None:
     store = begun(path)
-    store.forget()
+    store.delete()
     assert list(path.parent.iterdir()) == []
     assert StateStore(path).load() is None
-    store.forget()
+    store.delete()
 
 
 class FullDisk(sqlite3.Connection):

@@ -55,13 +55,13 @@ def _stop_left_components(workspace: Workspace) -> None:
     store = StateStore(workspace.state)
     saved = store.load()
     if saved is None:  # its manager was killed before it could start anything
-        store.forget()
+        store.delete()
         return
     handles = [entry.handle for entry in saved.instances if entry.handle is not None]
     backend = backends.make(saved.backend, workspace)
     if failures := asyncio.run(_stop(backend, handles, saved.token)):
         raise ManagerError("; ".join(failures))
-    store.forget()
+    store.delete()
 
 
 async def _stop(backend: Backend, handles: list[Handle], token: str) -> list[str]:

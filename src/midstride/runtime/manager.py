@@ -151,7 +151,7 @@ class Manager:
                     missing = await bring_up.restore_missing(absent, is_new=saved is None)
             except BaseException:
                 if saved is None and not self.system.life.handles:
-                    self._store.forget()
+                    self._store.delete()
                 raise
             for change in interrupted:
                 await self._journal.end_interrupted(change, None if saved is None else self.specification)
@@ -187,7 +187,7 @@ class Manager:
             if faults := [fault for fault in ended if fault is not None]:
                 raise ManagerError("; ".join(faults))
             self.system.configuration = Configuration(context=self.specification.context)
-            self._store.forget()
+            self._store.delete()
             self.events.add("down", f"{self.specification.name} is down")
 
     async def _end(self, name: str) -> str | None:

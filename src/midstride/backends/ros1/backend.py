@@ -174,7 +174,7 @@ class Ros1Backend(processes.ProcessBackend, Backend):
         with contextlib.suppress(BackendError, asyncio.TimeoutError):
             async with within(_TIDY):
                 for node in ended:
-                    await self._opened().forget(node)
+                    await self._opened().unregister(node)
                     self._dead.discard(node)
                 for name in given:  # the next program of its name would read them
                     await self._opened().delete_parameter(name)

@@ -89,7 +89,7 @@ class Master:
         except BackendError:
             pass  # it is not set any more
 
-    async def forget(self, node: str) -> None:
+    async def unregister(self, node: str) -> None:
         """Take back every registration of a node that has ended. Raises BackendError where that cannot be done."""
         for _ in range(_ROUNDS):
             where = await self.address_of(node)
@@ -107,10 +107,10 @@ class Master:
             await self.call("unsubscribeParam", node, where, _PARAMETER)
             if await self.address_of(node) is None:
                 return
-            await self._forget_parameters(node, where)
+            await self._unsubscribe_parameters(node, where)
         raise BackendError(f"the ROS master still lists {node}, which has ended")
 
-    async def _forget_parameters(self, node: str, where: str) -> None:
+    async def _unsubscribe_parameters(self, node: str, where: str) -> None:
         """What is left are subscriptions to parameters, which the master does not list.
 
         They go when the node is registered anew from elsewhere. The master then has the process at the old address
@@ -143,11 +143,11 @@ class Master:
         except CallTimeout:
             return True  # it may be frozen, which is not dead
         except Unreachable:
-            await self.forget(node)
+            await self.unregister(node)
             return False
         except BackendError:
             return True
         if isinstance(answer, list) and answer[:1] == [1] and answer[-1] != node:
-            await self.forget(node)
+            await self.unregister(node)
             return False
         return True

@@ -103,7 +103,7 @@ async def _still_running(workspace: Workspace) -> SavedState | None:
     ]
     if not any(running):
         await end_orphans(saved.token, (), STOP_GRACE)
-        store.forget()
+        store.delete()
         return None
     return saved
 

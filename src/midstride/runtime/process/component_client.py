@@ -190,7 +190,7 @@ class ComponentClient:
             channel.close()
 
     def _drop(self, instance: str, event: ConnectionEvent) -> None:
-        self.forget(instance)
+        self.forget_revision(instance)
         self.life.record(instance, event)
         self._channels.pop(instance, None)
         registration = self._registrations.pop(instance, None)
@@ -244,7 +244,7 @@ class ComponentClient:
         if self.life.is_silent(instance) or self.superseded():
             return
         for _ in range(UNDO_ATTEMPTS):
-            self.forget(instance)
+            self.forget_revision(instance)
             try:
                 await self.change(instance, command)
             except CommandRefused:
@@ -253,15 +253,15 @@ class ComponentClient:
                 pass
             return
 
-    def forget(self, instance: str) -> None:
-        """The component's revision is unknown: the next change observes it first."""
+    def forget_revision(self, instance: str) -> None:
+        """The component's revision is unknown from now on: the next change observes it first."""
         self._revisions.pop(instance, None)
 
     async def _send(self, instance: str, command: Command[R], revision: int | None) -> R:
         try:
             reply = await self._request(instance, command, revision)
         except CallTimeout as error:
-            self.forget(instance)  # the command may or may not have been carried out
+            self.forget_revision(instance)  # the command may or may not have been carried out
             if instance not in self._channels:
                 raise CallTimeout(f"{instance} cannot be reached for `{command.name}`: {error}") from None
             how = f"within {command.timeout + ANSWER_TIMEOUT:g} s and, asked again, {ANSWER_TIMEOUT:g} s more"
@@ -269,14 +269,14 @@ class ComponentClient:
                 how = f"and has reported nothing for {self.clock.steady() - latest.at:.1f} s"
             raise CallTimeout(f"{instance} did not answer `{command.name}` {how}") from None
         except Unreachable as error:
-            self.forget(instance)
+            self.forget_revision(instance)
             raise Unreachable(f"{instance} cannot be reached for `{command.name}`: {error}") from None
         if revision is not None:
             self._revisions[instance] = reply.revision
         try:
             return result_of(reply, command)
         except CommandRefused as error:
-            self.forget(instance)  # its state is not the expected one
+            self.forget_revision(instance)  # its state is not the expected one
             kind = CommandRefused if revision in (None, reply.revision) else RevisionChanged
             raise kind(f"{instance} refused `{command.name}`: {error}") from None
 

@@ -311,7 +311,7 @@ class Launcher:
         self._life.exited(Exited(name, None), ProcessEvent.KILLED)
 
     async def _end(self, name: str, grace: float) -> None:
-        self._client.forget(name)
+        self._client.forget_revision(name)
         self._life.record(name, ProcessEvent.END_BEGUN)
         try:
             await self._backend.end(name, grace)

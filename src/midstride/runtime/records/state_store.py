@@ -230,7 +230,7 @@ class StateStore:
         if self.unwritten is not None:
             raise ManagerError(self.unwritten)
 
-    def forget(self) -> None:
+    def delete(self) -> None:
         """Delete the database: the system is down, or was never up."""
         self.close()
         self._disk.remove(self.path)

@@ -158,11 +158,11 @@ class Ros2Host:
         self._ports.add(id(endpoint))
 
     def _destroy(self, destroy: Callable[[Any], object]) -> Callable[[Any], None]:
-        def forget(endpoint: Any) -> None:
+        def destroyed(endpoint: Any) -> None:
             self._ports.discard(id(endpoint))
             destroy(endpoint)
 
-        return forget
+        return destroyed
 
     def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> Ros2GridTimer:
         timer = Ros2GridTimer(self.ros_node, self._group, self.now, period, epoch, callback)

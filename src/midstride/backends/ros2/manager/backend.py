@@ -216,7 +216,7 @@ class Ros2Backend(ProcessBackend, Backend):
 
     def disconnected(self, instance: str) -> None:
         if self._context is not None:
-            self._graph.forget(full_name(instance))
+            self._graph.ignore(full_name(instance))
 
     def reported(self, state: ComponentState) -> None:
         self._foreign_nodes.note(state)

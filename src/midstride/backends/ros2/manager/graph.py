@@ -47,9 +47,9 @@ class Graph:
     def starts(self, full_name: str) -> None:
         """A process is about to start under the name of a node that is free."""
         if self._died.pop(full_name, None) is not None:
-            self.forget(full_name)
+            self.ignore(full_name)
 
-    def forget(self, full_name: str) -> None:
+    def ignore(self, full_name: str) -> None:
         """Ignore what the graph shows under a name now, and nothing that appears there later."""
         now = time.monotonic()
         self._dead_endpoints = {gid: at for gid, at in self._dead_endpoints.items() if now - at < self._rmw.linger}
