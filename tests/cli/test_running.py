@@ -51,7 +51,7 @@ def test_up_shows_its_progress(midstride: Midstride) -> None:
     assert midstride("status").status == 1
     up = midstride("up", TALKER, "--backend", "sim", "--json")
     assert (up.status, up.json["instances"], up.err) == (0, ["listener", "talker"], "")
-    assert midstride("down", "--json").json == {"outcome": "done", "system": "talker"}
+    assert midstride("down", "--json").json == {"outcome": "done", "killed": [], "system": "talker"}
 
 
 def test_status_shows_the_live_components(talker: Midstride) -> None:

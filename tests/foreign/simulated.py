@@ -150,13 +150,14 @@ class SimulatedRos(Simulator):
         await self._foreign.adopt(handle.instance)
         return True
 
-    async def end(self, instance: str, grace: float) -> None:
+    async def end(self, instance: str, grace: float) -> bool:
         if instance not in self.nodes:
             return await super().end(instance, grace)
         if grace:
             await self._foreign.finish(instance)
         self._gone(instance)
         self.events.append(f"{instance} {'ended' if grace else 'killed'}")
+        return False
 
     def unwritten(self) -> str | None:
         return self._foreign.unwritten()

@@ -318,11 +318,12 @@ class ScriptedBackend:
     async def adopt(self, handle: Handle) -> bool:
         return handle.instance in self.running
 
-    async def end(self, instance: str, grace: float) -> None:
+    async def end(self, instance: str, grace: float) -> bool:
         self.ended.append((instance, grace))
         if instance in self.fail_end:
             raise self.fail_end[instance]
         self.running.discard(instance)
+        return False
 
     async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
         return []

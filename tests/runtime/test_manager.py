@@ -456,9 +456,10 @@ def test_a_system_that_does_not_come_up_leaves_nothing_running(tmp_path: Path) -
 
 def test_a_system_that_does_not_come_up_and_cannot_be_taken_back_is_not_forgotten(tmp_path: Path) -> None:
     class Stuck(Simulator):
-        async def end(self, instance: str, grace: float) -> None:
+        async def end(self, instance: str, grace: float) -> bool:
             if instance in self.processes:
                 raise BackendError(f"the kernel does not let go of {instance}")
+            return False
 
     (tmp_path / "broken.py").write_text("raise RuntimeError('no camera')")
     specification = example("talker")
@@ -519,6 +520,32 @@ def test_a_component_has_the_time_to_stop_that_its_author_asked_for(tmp_path: Pa
     folder = tmp_path / "workspace"
     folder.mkdir()
     managed("talker", folder, body, specification=specification)
+
+
+def test_processes_that_do_not_end_in_order_are_named_by_event_report_and_down(tmp_path: Path) -> None:
+    (tmp_path / "slow.py").write_text(
+        "from midstride import Component\nfrom std_msgs.msg import String\nc = Component('talker')\n"
+        "o = c.create_output('out', String)\nf = c.create_functionality('talk', outputs=[o])\n"
+        "f.set_normal_mode(lambda: o.write(String(data='')), rate=10, outputs=[o])\n"
+        "f.set_degraded_mode(lambda: None)\n"
+        "import time\ndef stop():\n    time.sleep(60)\n"
+        "c.on_stop(stop, timeout=4)\nc.start()"
+    )
+    specification = example("talker")
+    slow = changed(specification.components["Talker"], run=f"python3 {tmp_path}/slow.py")
+    specification = changed(specification, components=specification.components.set("Talker", slow))
+
+    async def body(manager: Manager, _: Simulator) -> None:
+        outcome = await manager.change(PlanRequest(restart=("talker",)))
+        (killed,) = outcome.killed
+        assert outcome.outcome == "done" and killed.instance == "talker" and killed.seconds > 4
+        assert (
+            killed.words == f"talker had not ended {killed.seconds:g} s after it was asked to, and was killed (SIGKILL)"
+        )
+        assert [event.words for event in manager.log() if event.kind == "killed"] == [killed.words]
+        assert [each.instance for each in (await manager.down()).killed] == ["talker_2"]
+
+    managed("talker", tmp_path, body, specification=specification)
 
 
 def test_what_has_degraded_by_itself_is_raised_again_at_the_first_try(tmp_path: Path) -> None:

@@ -175,6 +175,22 @@ def test_ending_reaches_the_whole_group(tmp_path: Path, token: str, arguments: t
     assert not alive(child)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "grace", "killed"), [((), 5.0, False), (("stubborn",), 0.3, True), ((), 0, False)]
+)
+def test_ending_says_whether_sigkill_was_needed_after_the_time_given(
+    tmp_path: Path, token: str, arguments: tuple[str, ...], grace: float, killed: bool
+) -> None:
+    async def run() -> bool:
+        process = family(tmp_path, token, *arguments)
+        await child_of(process)
+        found = await process.end(grace)
+        process.close()
+        return found
+
+    assert asyncio.run(run()) is killed
+
+
 def test_a_killed_leader_takes_its_group_with_it(tmp_path: Path, token: str) -> None:
     async def run() -> int:
         process = family(tmp_path, token, "stubborn")

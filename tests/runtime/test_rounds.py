@@ -41,10 +41,10 @@ class Ending:
         self._backend = b.backend
         b.backend.end = self._end  # type: ignore[method-assign]
 
-    async def _end(self, instance: str, grace: float) -> None:
+    async def _end(self, instance: str, grace: float) -> bool:
         self.begun.append(instance)
         await self.may[instance].wait()
-        await ScriptedBackend.end(self._backend, instance, grace)
+        return await ScriptedBackend.end(self._backend, instance, grace)
 
     async def have_begun(self) -> None:
         while len(self.begun) < len(OLD):

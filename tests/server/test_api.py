@@ -24,7 +24,7 @@ from midstride.model.specification import initial
 from midstride.plan.forms.plan_forms import encode_plan
 from midstride.plan.strategies.registry import STRATEGIES
 from midstride.runtime.manager import Manager
-from midstride.runtime.records.reports import PlannedChange
+from midstride.runtime.records.reports import DownReport, PlannedChange
 from midstride.server import requests
 from midstride.server.http_app import create_app
 from midstride.server.manager_lifecycle import Lifecycle
@@ -452,8 +452,8 @@ def test_down_is_the_end() -> None:
         manager.answers["down"] = errors.ManagerError("talker: does not end")
         assert error_of(await client.post("/down"))[0] == 409
         assert not lifecycle.ended.is_set()
-        manager.answers["down"] = None
-        assert (await client.post("/down")).json() == {"outcome": "done"}
+        manager.answers["down"] = DownReport()
+        assert (await client.post("/down")).json() == {"outcome": "done", "killed": []}
         await lifecycle.until_over()
         assert (await client.get("http://manager/api/v1")).json()["phase"] == "down"
 

@@ -281,9 +281,10 @@ declare namespace Api {
     notes: NotePlace[];
   }
 
-  /** The system is down. */
+  /** The system is down. `killed`: the processes that did not end when they were asked to. */
   interface DownReport {
     outcome: "done";
+    killed: KilledProcess[];
   }
 
   /** An endpoint of the node that is not a port. */
@@ -327,8 +328,10 @@ declare namespace Api {
     outcome?: "done" | "failed" | "refused" | "rolled_back";
     /** degraded: which functionality */
     functionality?: string;
-    /** fenced: which instance */
+    /** fenced, killed: which instance */
     instance?: string;
+    /** killed: how long it had to end */
+    seconds?: number;
     /** exited: the last of the instance's output */
     log?: string;
   }
@@ -503,6 +506,14 @@ declare namespace Api {
     unknown_files?: string | null;
   }
 
+  /** A process that had not ended in the time that it had, and was killed: what it does at its end is lost. */
+  interface KilledProcess {
+    instance: string;
+    /** how long it had, from when it was asked to end */
+    seconds: number;
+    words: string;
+  }
+
   /** A functionality of a role that ends in another mode than it began in; null: no instance serves it. */
   interface LevelShift {
     functionality: string;
@@ -656,6 +667,8 @@ declare namespace Api {
     unexpected_degradations: string[];
     /** replaced although they hung */
     fenced: FencedInstance[];
+    /** processes that did not end when they were asked to */
+    killed: KilledProcess[];
     /** faults that began meanwhile, and last */
     silences: SilenceFault[];
     /** what is in a worse mode afterwards */

@@ -171,11 +171,13 @@ class ProcessBackend(abc.ABC):
         self._watch(instance, process)
         return process.running
 
-    async def end(self, instance: str, grace: float) -> None:
+    async def end(self, instance: str, grace: float) -> bool:
+        killed = False
         if (process := self._processes.get(instance)) is not None:
-            await process.end(grace)
+            killed = await process.end(grace)
             self._forget(instance, process)
         await self._died(instance)
+        return killed
 
     async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
         return await end_orphans(token, known, grace)

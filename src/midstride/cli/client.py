@@ -22,7 +22,14 @@ if TYPE_CHECKING:
     from midstride.model.specification import Specification
     from midstride.runtime.records.change_history import History, SpecificationVersion
     from midstride.runtime.records.change_report import ChangeReport
-    from midstride.runtime.records.reports import Event, LiveConfiguration, Outcome, PlannedChange, UpReport
+    from midstride.runtime.records.reports import (
+        DownReport,
+        Event,
+        LiveConfiguration,
+        Outcome,
+        PlannedChange,
+        UpReport,
+    )
     from midstride.runtime.records.status_forms import ParametersReport, ProgramStatus, Service, Status, Why
 
 F = TypeVar("F")
@@ -159,9 +166,11 @@ class Client:
 
         return self._form(Outcome, "POST", "/change", change, timeout=None)
 
-    def down(self) -> None:
+    def down(self) -> DownReport:
         """End every component, and then the manager."""
-        self._answer("POST", "/down", None, None)
+        from midstride.runtime.records.reports import DownReport
+
+        return self._form(DownReport, "POST", "/down", None, None)
 
     def log(self) -> list[Event]:
         """The events so far that the manager has kept."""

@@ -10,9 +10,11 @@ import click
 from midstride import backends
 from midstride.cli.running_systems import find
 from midstride.errors import BackendError, ManagerBusy, ManagerError, MidstrideError, NoManager
+from midstride.model import wording
 from midstride.runtime.backend_protocol import Backend, Handle
 from midstride.runtime.process.child_process import end_orphans
 from midstride.runtime.process.launcher import STOP_GRACE
+from midstride.runtime.records.reports import DownReport, KilledProcess
 from midstride.runtime.records.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 
@@ -21,8 +23,11 @@ MANAGER_EXIT_TIMEOUT = 10.0
 POLL = 0.02
 
 
-def shut_down(system: str | None) -> str:
-    """Stop a system and return its name. Raises NoManager if none is running, ManagerError if parts remain."""
+def shut_down(system: str | None) -> tuple[str, DownReport]:
+    """Stop a system; its name, and what had to be killed.
+
+    Raises NoManager if none is running, ManagerError if parts remain.
+    """
     try:
         client, workspace = find(system)
     except NoManager:
@@ -30,13 +35,12 @@ def shut_down(system: str | None) -> str:
         if len(left) != 1:
             raise
         with left[0].lock():
-            _stop_left_components(left[0])
-        return left[0].name
+            return left[0].name, DownReport(killed=_stop_left_components(left[0]))
     if (running := client.status().running) is not None:
         click.echo(f"{workspace.name} is carrying out `{running.command}` and will stop afterwards …", err=True)
-    client.down()
+    report = client.down()
     wait_for_manager_exit(workspace)
-    return workspace.name
+    return workspace.name, report
 
 
 def wait_for_manager_exit(workspace: Workspace) -> None:
@@ -51,22 +55,26 @@ def wait_for_manager_exit(workspace: Workspace) -> None:
     raise ManagerError(f"{workspace.name} is down, but its manager has not exited within {MANAGER_EXIT_TIMEOUT:g} s")
 
 
-def _stop_left_components(workspace: Workspace) -> None:
+def _stop_left_components(workspace: Workspace) -> list[KilledProcess]:
     store = StateStore(workspace.state)
     saved = store.load()
     if saved is None:  # its manager was killed before it could start anything
         store.delete()
-        return
+        return []
     handles = [entry.handle for entry in saved.instances if entry.handle is not None]
     backend = backends.make(saved.backend, workspace)
-    if failures := asyncio.run(_stop(backend, handles, saved.token)):
+    killed, failures = asyncio.run(_stop(backend, handles, saved.token))
+    if failures:
         raise ManagerError("; ".join(failures))
     store.delete()
+    return [KilledProcess(instance=name, seconds=STOP_GRACE, words=wording.killed(name, STOP_GRACE)) for name in killed]
 
 
-async def _stop(backend: Backend, handles: list[Handle], token: str) -> list[str]:
+async def _stop(backend: Backend, handles: list[Handle], token: str) -> tuple[list[str], list[str]]:
+    """The instances that had to be killed, and what failed."""
     await backend.open(lambda _: None)
-    failures = []
+    killed: list[str] = []
+    failures: list[str] = []
     try:
         for handle in handles:
             try:
@@ -74,8 +82,8 @@ async def _stop(backend: Backend, handles: list[Handle], token: str) -> list[str
                     runs = await backend.adopt(handle)
                 except BackendError:  # it runs, but cannot be controlled: ending it needs no more than its process
                     runs = True
-                if runs:
-                    await backend.end(handle.instance, STOP_GRACE)
+                if runs and await backend.end(handle.instance, STOP_GRACE):
+                    killed.append(handle.instance)
             except MidstrideError as error:
                 failures.append(f"{handle.instance}: {error}")
         try:
@@ -84,4 +92,4 @@ async def _stop(backend: Backend, handles: list[Handle], token: str) -> list[str
             failures.append(str(error))
     finally:
         await backend.close()
-    return failures
+    return killed, failures

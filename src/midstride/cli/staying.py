@@ -52,6 +52,7 @@ def stay(client: Client, system: str) -> int:
         pass
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # a terminal and a launch may both send one
         signal.signal(number, signal.SIG_IGN)
-    shut_down(system)
-    click.echo(f"{system} is down.")
+    _, report = shut_down(system)
+    for words in (f"{system} is down", *(each.words for each in report.killed)):
+        click.echo(f"{words}.")
     return 0

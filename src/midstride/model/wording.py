@@ -51,6 +51,11 @@ def parameters(instance: str, values: Mapping[str, object]) -> str:
     return f"set {', '.join(f'{name} = {value!r}' for name, value in sorted(values.items()))} on {instance}"
 
 
+def killed(instance: str, seconds: float) -> str:
+    """``camera had not ended 3 s after it was asked to, and was killed (SIGKILL)``"""
+    return f"{instance} had not ended {seconds:g} s after it was asked to, and was killed (SIGKILL)"
+
+
 def counted(count: int, what: str) -> str:
     """``1 step``, ``2 steps``."""
     return f"{count} {what}" if count == 1 else f"{count} {what}s"

@@ -98,8 +98,10 @@ class Backend(Protocol):
     async def adopt(self, handle: Handle) -> bool:
         """Take over a component that an earlier manager started. False if it is no longer running."""
 
-    async def end(self, instance: str, grace: float) -> None:
+    async def end(self, instance: str, grace: float) -> bool:
         """Terminate a started component, and kill it after ``grace`` seconds (0: at once). Returns once it has exited.
+
+        The value says whether it had to be killed, since it had not exited within ``grace``.
 
         What the graph still shows of it is ignored from then on, even if its process had exited before.
         """

@@ -18,6 +18,7 @@ from typing import Literal
 
 from midstride.codec.configuration_form import ConfigurationForm
 from midstride.errors import BackendError, ManagerError, MidstrideError
+from midstride.model import wording
 from midstride.model.component import ParameterValue
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification, initial
@@ -38,7 +39,14 @@ from midstride.runtime.records.change_report import ChangeReport
 from midstride.runtime.records.disk import DISK, Disk
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.journal import Journal
-from midstride.runtime.records.reports import Event, LiveConfiguration, Outcome, UpReport
+from midstride.runtime.records.reports import (
+    DownReport,
+    Event,
+    LiveConfiguration,
+    Outcome,
+    UpReport,
+    killed_processes,
+)
 from midstride.runtime.records.state_store import StateStore
 from midstride.runtime.records.status_forms import ParametersReport, ProgramStatus, Status, Why
 from midstride.runtime.restore.bring_up import BringUp
@@ -97,6 +105,9 @@ class Manager:
         self._respawner = Respawner(system, clock, events, reconciler, session)
         self._restorer = Restorer(system, client, clock, events, reconciler, session, not options.keep_degraded)
         self.watched = WatchedSystem(session, self._respawner, self._restorer, options.spares)
+        launcher.on_killed = lambda name, seconds: events.add(
+            "killed", wording.killed(name, seconds), instance=name, seconds=seconds
+        )
         # What each of them learns of the others.
         events.listeners.append(journal.note)
         commands.listeners += [self._watch.look_soon, self._keep_spares]
@@ -176,8 +187,9 @@ class Manager:
         self._journal.close()
         await self._backend.close()
 
-    async def down(self) -> None:
+    async def down(self) -> DownReport:
         """Terminate every component and delete the saved state. Raises ManagerError naming those that still run."""
+        before = self.events.last
         self._restorer.stop()
         self._respawner.stop()  # also a restart in progress: it is rolled back
         async with self._reconciler.command("down"):
@@ -189,6 +201,7 @@ class Manager:
             self.system.configuration = Configuration(context=self.specification.context)
             self._store.delete()
             self.events.add("down", f"{self.specification.name} is down")
+            return DownReport(killed=killed_processes(self.events.since(before)))
 
     async def _end(self, name: str) -> str | None:
         if not self.system.life[name].is_owned:

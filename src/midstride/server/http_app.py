@@ -246,7 +246,6 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
     @router.post("/down", responses=answers(DownReport))
     async def down() -> Response:
         """Stop every component, and then the manager."""
-        await lifecycle.carry_out(lifecycle.take_down(), breakable=False)
-        return answer(DownReport())
+        return answer(await lifecycle.carry_out(lifecycle.take_down(), breakable=False))
 
     return router

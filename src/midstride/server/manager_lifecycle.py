@@ -14,7 +14,7 @@ from typing import Any, Final, TypeVar
 
 from midstride.errors import ManagerError, MidstrideError
 from midstride.runtime.manager import Manager
-from midstride.runtime.records.reports import UpReport
+from midstride.runtime.records.reports import DownReport, UpReport
 from midstride.runtime.records.status_forms import Phase
 from midstride.runtime.timeouts import within
 
@@ -114,12 +114,13 @@ class Lifecycle:
         if self.phase == "down":
             raise ManagerError("the system is down")
 
-    async def take_down(self) -> None:
+    async def take_down(self) -> DownReport:
         """Stop the system and then the manager. Raises ManagerError if a component would not exit."""
-        await self.manager.down()
+        report = await self.manager.down()
         self.phase = "down"
         self.on_phase()
         self.ended.set()
+        return report
 
     async def until_over(self) -> None:
         """Wait until the system is down, the manager shall leave it, or a client has read why it did not come up."""

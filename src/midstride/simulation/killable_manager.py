@@ -122,11 +122,12 @@ class _Backend(_Guarded):
         handle: Handle = await self._life.call(self._inner.start, launch)
         return handle
 
-    async def end(self, instance: str, grace: float) -> None:
+    async def end(self, instance: str, grace: float) -> bool:
         await self._life.breath()
         self._life.on_change(f"ends {instance}")
         end = self._inner.end if self._life.cut_off is None else self._inner.end_unexpectedly
-        await self._life.call(end, instance, grace)
+        killed: bool = await self._life.call(end, instance, grace)
+        return killed
 
 
 class _Clock(_Guarded):

@@ -37,15 +37,17 @@ class Platform(Simulator):
             self.time.loop.call_later(self.starting / 2, self.processes[launch.instance].kill, 1)
         return handle
 
-    async def end_unexpectedly(self, instance: str, grace: float) -> None:
+    async def end_unexpectedly(self, instance: str, grace: float) -> bool:
         """As :meth:`end`, by a manager that another one has superseded: that one does not expect the exit."""
         if (process := self.standing(instance)) is None:
-            return
+            return False
         process.terminate()
         deadline = self.time.steady() + grace
         while not process.dead and self.time.steady() < deadline:
             await self.time.sleep(0.01)
+        killed = grace > 0 and not process.dead
         process.kill()
+        return killed
 
     def heal(self) -> None:
         """End every fault of the platform. A middleware that finds no endpoints any more needs a new process."""

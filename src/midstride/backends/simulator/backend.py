@@ -123,16 +123,18 @@ class Simulator(Backend):
     async def adopt(self, handle: Handle) -> bool:
         return handle.instance in self.processes
 
-    async def end(self, instance: str, grace: float) -> None:
+    async def end(self, instance: str, grace: float) -> bool:
         process = self.processes.get(instance)
         if process is None:
-            return
+            return False
         process.exit_expected = True
         process.terminate()
         deadline = self.time.steady() + grace
         while not process.dead and self.time.steady() < deadline:
             await self.time.sleep(min(0.01, grace))
+        killed = grace > 0 and not process.dead
         process.kill()
+        return killed
 
     async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
         started = {name for name, process in self.processes.items() if process.token == token}

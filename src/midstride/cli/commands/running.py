@@ -188,7 +188,9 @@ def _follow(client: Client, since: int) -> int:
 def down_command(system: str | None) -> int:
     """Stop all components of a system, and its manager."""
     from midstride.cli.shutdown import shut_down
+    from midstride.codec.form import encode
 
-    name = shut_down(system)
-    show({"outcome": "done", "system": name}, [f"{name} is down."])
+    name, report = shut_down(system)
+    lines = [f"{name} is down.", *(f"{each.words}." for each in report.killed)]
+    show({**encode(report), "system": name}, lines)
     return 0

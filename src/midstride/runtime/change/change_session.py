@@ -50,7 +50,7 @@ from midstride.runtime.records.journal import Journal
 from midstride.runtime.records.journal_records import NewChange
 from midstride.runtime.records.measure import SwapReport
 from midstride.runtime.records.mode_recorder import ModeRecorder
-from midstride.runtime.records.reports import Outcome, StepTime
+from midstride.runtime.records.reports import Outcome, StepTime, killed_processes
 from midstride.runtime.watch.degradation_report import degradations_in_words, remaining_degradations
 from midstride.runtime.watch.degradation_timer import DegradationTimer
 from midstride.runtime.watch.subscriber_recording import Recording
@@ -233,6 +233,7 @@ class ChangeSession:
 
     async def _carry_out(self, change: RunningChange) -> Outcome:
         system, plan, recording = self.system, change.plan, change.recording
+        events_before = self.events.last
         silent_before = {fault.words for fault in self.monitor.faults(system.configuration)}
         afterwards = "".join(
             f"; afterwards {wording.lowered(shift.functionality, shift.after, shift.before)}"
@@ -275,6 +276,7 @@ class ChangeSession:
                 name: words for name, words in driver.own_state.items() if name in system.configuration.instances
             },
             fenced=[fenced[name] for name in sorted(fenced)],
+            killed=killed_processes(self.events.since(events_before)),
             because=change.because,
             parameters=change.parameters.report(change.outcome == "done"),
             unexpected_exits=sorted(exited | missing),

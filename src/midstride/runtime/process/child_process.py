@@ -112,16 +112,16 @@ class Process:
         if self.on_exit is not None:
             self.on_exit(self.status)
 
-    async def end(self, grace: float) -> None:
+    async def end(self, grace: float) -> bool:
         """End the process and its group: with SIGTERM, and after ``grace`` seconds with SIGKILL.
 
         With a ``grace`` of 0 with SIGKILL at once: one that is stopped does not run again, not for an instant. Returns
-        when all of them have exited. Raises BackendError if the kernel does not remove a killed process; then
-        ``on_exit`` is called as soon as it has.
+        when all of them have exited: whether some had not after ``grace`` seconds, and were killed. Raises BackendError
+        if the kernel does not remove a killed process; then ``on_exit`` is called as soon as it has.
         """
         self._ending = True
         try:
-            await self._end(grace)
+            killed = await self._end(grace)
         except BaseException:
             self._ending = False
             if not self.running:  # but one of its group is
@@ -129,19 +129,24 @@ class Process:
             raise
         if self.running and self._fd >= 0:  # a debugger keeps one of its threads: the pidfd does not tell
             self._ended()
+        return killed and grace > 0
 
-    async def _end(self, grace: float) -> None:
+    async def _end(self, grace: float) -> bool:
+        """Whether SIGKILL was needed."""
         if grace > 0:
             deadline = self._loop.time() + grace
             self._signal(signal.SIGTERM)
             self._signal(signal.SIGCONT)  # a stopped process must run to handle SIGTERM
             await self._gone(deadline)
         deadline = self._loop.time() + KILL_PATIENCE
+        killed = False
         while self._remaining():
             if self._loop.time() > deadline:
                 raise BackendError(f"process {self.pid} was killed, but {self._remaining()} did not exit")
+            killed = True
             self._signal(signal.SIGKILL)
             await self._gone(self._loop.time() + 0.5)
+        return killed
 
     async def _gone(self, deadline: float) -> None:
         try:

@@ -68,6 +68,8 @@ class Launcher:
         self._graces: dict[str, float] = {}
         self._last_registration = -REGISTRATION_TIMEOUT  # steady s
         self._life = client.life
+        # Called with the name of an instance that had to be killed, and the seconds that it had to end in order.
+        self.on_killed: Callable[[str, float], object] | None = None
 
     def exited(self, event: Exited) -> None:
         """A process has exited: if its registration is awaited, the start fails."""
@@ -300,9 +302,11 @@ class Launcher:
     async def end(self, name: str) -> None:
         """Terminate a component that a manager started. Raises BackendError; then its handle is kept.
 
-        It is killed if it has not ended after as long as it asks for.
+        It is killed if it has not ended after as long as it asks for; ``on_killed`` is called then.
         """
-        await self._end(name, self._graces.get(name, STOP_GRACE))
+        grace = self._graces.get(name, STOP_GRACE)
+        if await self._end(name, grace) and self.on_killed is not None:
+            self.on_killed(name, grace)
         self._life.record(name, ProcessEvent.ENDED)
 
     async def kill(self, name: str) -> None:
@@ -310,16 +314,18 @@ class Launcher:
         await self._end(name, 0.0)
         self._life.exited(Exited(name, None), ProcessEvent.KILLED)
 
-    async def _end(self, name: str, grace: float) -> None:
+    async def _end(self, name: str, grace: float) -> bool:
+        """Whether it had to be killed although it had ``grace`` seconds."""
         self._client.forget_revision(name)
         self._life.record(name, ProcessEvent.END_BEGUN)
         try:
-            await self._backend.end(name, grace)
+            killed = await self._backend.end(name, grace)
         except BaseException:
             self._life.record(name, ProcessEvent.END_FAILED)
             raise
         self._client.disconnect(name)
         self._graces.pop(name, None)
+        return killed
 
     async def release(self, name: str) -> None:
         """Release a component that was started by hand: degraded and unattached, it waits for the next manager.

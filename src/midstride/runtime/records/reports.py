@@ -7,6 +7,7 @@ some.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, Literal, TypeAlias
 
 from msgspec import UNSET, Meta, UnsetType, field
@@ -45,10 +46,19 @@ class UpReport(Report, frozen=True):
     missing: Annotated[dict[str, str], Meta(description="why nodes could not be restored")] = {}
 
 
+class KilledProcess(Report, frozen=True, kw_only=True):
+    """A process that had not ended in the time that it had, and was killed: what it does at its end is lost."""
+
+    instance: str
+    seconds: Annotated[float, Meta(description="how long it had, from when it was asked to end")]
+    words: str
+
+
 class DownReport(Report, frozen=True):
-    """The system is down."""
+    """The system is down. `killed`: the processes that did not end when they were asked to."""
 
     outcome: Literal["done"] = "done"
+    killed: list[KilledProcess] = []
 
 
 class FencedInstance(Report, frozen=True, kw_only=True):
@@ -99,6 +109,7 @@ class Outcome(Report, frozen=True, kw_only=True):
     unexpected_exits: Annotated[list[str], Meta(description="of instances, meanwhile")] = []
     unexpected_degradations: Annotated[list[str], Meta(description="of functionalities, meanwhile")] = []
     fenced: Annotated[list[FencedInstance], Meta(description="replaced although they hung")] = []
+    killed: Annotated[list[KilledProcess], Meta(description="processes that did not end when they were asked to")] = []
     silences: Annotated[list[SilenceFault], Meta(description="faults that began meanwhile, and last")] = []
     remaining_degradations: Annotated[
         list[DegradedFunctionality], Meta(description="what is in a worse mode afterwards")
@@ -120,6 +131,15 @@ class LiveConfiguration(Report, frozen=True):
     configuration: ConfigurationForm
 
 
+def killed_processes(events: Iterable[Event]) -> list[KilledProcess]:
+    """The processes that were killed, by the events of a change or of the end of a system."""
+    return [
+        KilledProcess(instance=event.instance, seconds=event.seconds, words=event.words)
+        for event in events
+        if event.kind == "killed" and event.instance is not UNSET and event.seconds is not UNSET
+    ]
+
+
 class Event(Form, frozen=True, kw_only=True, forbid_unknown_fields=False):
     """What happened: numbered from 1, at a time (unix seconds), its kind, in words, with the details of that kind."""
 
@@ -137,5 +157,6 @@ class Event(Form, frozen=True, kw_only=True, forbid_unknown_fields=False):
     verdict: Annotated[Verdict | UnsetType, Meta(description="verified: what Alloy found")] = UNSET
     outcome: Annotated[OutcomeKind | UnsetType, Meta(description="outcome, parameters: how the command ended")] = UNSET
     functionality: Annotated[str | UnsetType, Meta(description="degraded: which functionality")] = UNSET
-    instance: Annotated[str | UnsetType, Meta(description="fenced: which instance")] = UNSET
+    instance: Annotated[str | UnsetType, Meta(description="fenced, killed: which instance")] = UNSET
+    seconds: Annotated[float | UnsetType, Meta(description="killed: how long it had to end")] = UNSET
     log: Annotated[str | UnsetType, Meta(description="exited: the last of the instance's output")] = UNSET

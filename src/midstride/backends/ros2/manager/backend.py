@@ -173,10 +173,10 @@ class Ros2Backend(ProcessBackend, Backend):
             self._foreign_nodes.gone(handle.instance)
         return runs
 
-    async def end(self, instance: str, grace: float) -> None:
+    async def end(self, instance: str, grace: float) -> bool:
         if grace:
             await self._foreign_nodes.finish(instance)
-        await super().end(instance, grace)
+        return await super().end(instance, grace)
 
     def _services_of(self, node: str) -> RosNodeServices:
         return RosNodeServices(self._node, node)
