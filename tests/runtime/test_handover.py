@@ -87,12 +87,12 @@ def only(b: Bench, kind: type[C], instance: str) -> C:
     return command
 
 
-def test_state_that_a_node_without_the_api_cannot_import_is_reported_lost(tmp_path: Path) -> None:
+def test_state_that_a_node_without_the_api_cannot_import_is_reported(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.client.reply("talker_2", PrepareStateCommand, StateOffer(exports="nothing"))
         states = StateTransfers(b.client, b.events, [("talker", "talker_2")], keeping={"talker"})
         await states.prepare()
-        assert "does not use Midstride's API" in states.lost["talker_2"]
+        assert "does not use Midstride's API" in states.own_state["talker_2"]
         assert states.agreed == {}
 
     bench(CONFIGURATION, tmp_path, body)

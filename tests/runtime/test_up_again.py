@@ -1,4 +1,4 @@
-"""`up` after the manager and components have died: what lives is found, what has lost its support is degraded, and the
+"""`up` after the manager and components have died: what lives is found, what is without support is degraded, and the
 rest is restored by a plan."""
 
 from __future__ import annotations
@@ -218,7 +218,7 @@ def test_a_component_that_answers_and_cannot_be_degraded_is_named(tmp_path: Path
         simulator.faults.fail_next("listener", "modes", "refused", times=9)
         second = Manager(example("talker"), simulator, Workspace(tmp_path), EXAMPLES / "talker")
         with pytest.raises(
-            ManagerError, match=r"listener\.listen has lost its input and could not be degraded: .*kill -9"
+            ManagerError, match=r"listener\.listen is without its input and could not be degraded: .*kill -9"
         ):
             await second.up()
         await second.close()

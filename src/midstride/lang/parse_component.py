@@ -32,11 +32,11 @@ class ComponentParser(ContractParser):
         allows: list[syntax.AllowedEndpoint] = []
         functionalities: list[syntax.FunctionalityDeclaration] = []
         topics: list[syntax.OwnTopic] = []
-        lost_parameters: set[str] = set()
+        unread_parameters: set[str] = set()
         handlers: Handlers = {
             "run": lambda start: runs.append(self._run(start)),
             "holds": lambda _: holds.append(self._holds()),
-            "parameters": lambda start: lost_parameters.update(self.parameters(start, parameters, files)),
+            "parameters": lambda start: unread_parameters.update(self.parameters(start, parameters, files)),
             "input": lambda _: inputs.append(self._input(topics)),
             "output": lambda _: outputs.append(self._output(topics)),
             "allows": lambda _: allows.append(self._allows()),
@@ -57,7 +57,7 @@ class ComponentParser(ContractParser):
             tuple(allows),
             tuple(functionalities),
             tuple(topics),
-            skipped | {"parameters"} if lost_parameters else skipped,
+            skipped | {"parameters"} if unread_parameters else skipped,
         )
 
     def _run(self, start: int) -> syntax.Run:
@@ -170,14 +170,14 @@ class ComponentParser(ContractParser):
         assumptions: list[syntax.AssumptionExpression] = []
         guarantees: list[syntax.GuaranteeStatement] = []
         parameters: list[syntax.ParameterEntry] = []
-        lost: set[str] = set()
+        unread: set[str] = set()
         handlers: Handlers = {
             "assume": lambda _: self._each("assume", assumptions, self._assumption),
             "guarantee": lambda _: self._each("guarantee", guarantees, self._guarantee),
-            "parameters": lambda start: lost.update(self._mode_parameters(start, parameters)),
+            "parameters": lambda start: unread.update(self._mode_parameters(start, parameters)),
         }
         skipped = self.block(f"mode `{name.text}`", first, handlers)
-        incomplete = bool(skipped or lost)
+        incomplete = bool(skipped or unread)
         return syntax.ModeDeclaration(name, tuple(assumptions), tuple(guarantees), tuple(parameters), incomplete)
 
     def _each(self, word: str, found: list[_Stated], parse: Callable[[], _Stated]) -> None:
@@ -201,12 +201,12 @@ class ComponentParser(ContractParser):
     def _mode_parameters(self, start: int, parameters: list[syntax.ParameterEntry]) -> frozenset[str]:
         if self.kinds[self.i] == "string":
             raise self.fail("`{` after `parameters`", "a mode states its parameters here, not in a file")
-        lost = self.parameters(start, parameters, [])
+        unread = self.parameters(start, parameters, [])
         for entry in parameters:
             if entry.changeable:
                 help = "omit `changeable`"
                 self.reporter.report("E120", entry.name.span, "a mode sets the value of a parameter only", help=help)
-        return lost
+        return unread
 
     def _assumption(self) -> syntax.AssumptionExpression:
         start = self.i

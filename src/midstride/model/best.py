@@ -100,7 +100,7 @@ def _lower(configuration: Configuration, overlay: dict[FunctionalityRef, int], p
     """Lower in ``overlay`` what is unsatisfied, and what becomes so by that. ``pending`` holds every candidate."""
     evaluator = MonotoneEvaluator(configuration, overlay)
     waiting = set(pending)
-    lost: set[str] = set()
+    unsatisfied: set[str] = set()
     while pending:
         ref = pending.pop()
         waiting.discard(ref)
@@ -110,9 +110,9 @@ def _lower(configuration: Configuration, overlay: dict[FunctionalityRef, int], p
             continue
         overlay[ref] = after
         for name in affected_connectors(configuration, ref, before, after):
-            if name in lost or evaluator.connector_satisfied(name):
+            if name in unsatisfied or evaluator.connector_satisfied(name):
                 continue
-            lost.add(name)
+            unsatisfied.add(name)
             for consumer in configuration.consumers(name):
                 if consumer not in waiting:
                     waiting.add(consumer)

@@ -68,7 +68,7 @@ class ConnectionState(Enum):
     NONE = "there is no control connection"
     OPEN = "the control connection is open"
     CLOSED = "it has closed, and is being reopened"
-    LOST = "it has closed, and the component has exited, as far as that shows"
+    GONE = "it has closed, and the component has exited, as far as that shows"
 
 
 class ConnectionEvent(Enum):
@@ -116,10 +116,10 @@ CONNECTIONS: Final = Transitions.read(
     ConnectionState,
     ConnectionEvent,
     """
-    event         none   open   closed lost
+    event         none   open   closed gone
     opened        open   open   open   open
-    broken        .      closed .      lost
-    refused       .      lost   lost   lost
+    broken        .      closed .      gone
+    refused       .      gone   gone   gone
     disconnected  none   none   none   none
     """,
 )
@@ -323,7 +323,7 @@ class LifeTable:
     def is_gone(self, name: str) -> bool:
         """True if a process has exited, or is about to: the end of its connection is known first."""
         life = self[name]
-        return life.process is ProcessState.EXITED or life.connection is ConnectionState.LOST
+        return life.process is ProcessState.EXITED or life.connection is ConnectionState.GONE
 
     def is_gone_or_fenced(self, name: str) -> bool:
         """True if an instance is sent no commands any more."""

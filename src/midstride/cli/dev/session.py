@@ -100,12 +100,14 @@ class DevSession:
         """
         known, self._programs = self._programs, self.manager.programs()
         running = {program.role for program in self._programs}
-        lost = [program for program in known if program.role not in running]
-        if not lost:
+        ended = [program for program in known if program.role not in running]
+        if not ended:
             return
         nodes = self.manager.specification().nodes  # what was removed is not missing
-        self._programs += [structs.replace(program, changed=program.files) for program in lost if program.role in nodes]
-        for role in (program.role for program in lost):
+        self._programs += [
+            structs.replace(program, changed=program.files) for program in ended if program.role in nodes
+        ]
+        for role in (program.role for program in ended):
             if role not in self._refused:
                 self._refused.add(role)
                 related = self._related(role)

@@ -352,7 +352,7 @@ class ActionDriver:
         """Hand over what is swapped, and the state of ``replaced``, pairs of old and new."""
         self._keeping.update(old for old, _ in replaced if keeps_state(self.client, old))
         states = StateTransfers(
-            self.client, self.events, replaced, not self.rolling_back, keeping=self._keeping, lost=self.own_state
+            self.client, self.events, replaced, not self.rolling_back, keeping=self._keeping, own_state=self.own_state
         )
         handover = LiveHandover(
             self.client,

@@ -42,7 +42,7 @@ log = logging.getLogger(__name__)
 
 # After how long a component that has refused to degrade a functionality is asked again (s).
 REFUSED_INTERVAL: Final = 1.0
-_LOST_BEFORE: Final = "its input was lost before it could be degraded"
+_GONE_BEFORE: Final = "its input was gone before it could be degraded"
 
 
 class ReconciliationObserver:
@@ -76,7 +76,7 @@ class Reconciler:
     observers: list[ReconciliationObserver] = field(default_factory=list)
     degraded: set[FunctionalityRef] = field(default_factory=set)
     pending: dict[FunctionalityRef, MidstrideError | None] = field(default_factory=dict)  # could not be degraded yet
-    _why_pending: str = _LOST_BEFORE
+    _why_pending: str = _GONE_BEFORE
     _reconciled_at: float = 0.0  # when a functionality was last degraded, or refused to be (steady s)
     _reconciling: asyncio.Lock = field(default_factory=asyncio.Lock)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
@@ -211,7 +211,7 @@ class Reconciler:
         """The same for the whole system: after an earlier manager, any assumption may no longer hold."""
         self.pending, self._why_pending = dict.fromkeys(self.system.configuration.modes), because
         await self.reconcile()
-        self._why_pending = _LOST_BEFORE
+        self._why_pending = _GONE_BEFORE
 
     async def reconcile(self) -> None:
         """Update the model to the actual state, and degrade functionalities whose assumptions no longer hold.

@@ -101,8 +101,8 @@ class Fences:
             await self._kill(instance, error)
             how = "killed"
         what = "its process was killed" if how == "killed" else "its outputs were closed inside a call"
-        lost = ", and its state could not be exported" if keeps_state(self.client, instance) else ""
-        words = f"{because}; {what}{lost}"
+        state = ", and its state could not be exported" if keeps_state(self.client, instance) else ""
+        words = f"{because}; {what}{state}"
         fenced = FencedInstance(instance=instance, how=how, because=because, words=words)
         self.client.life.fence(fenced, [] if how == "killed" else links)
         self.events.add("fenced", words, instance=instance)

@@ -34,12 +34,12 @@ def keeps_state(client: ComponentClient, instance: str) -> bool:
 
 
 def own_state(old: str, new: str, because: str, bulk: float | None = None) -> str:
-    """That ``new`` continues with its own state, and what of ``old`` is lost; ``bulk``: when its bulk had moved."""
+    """That ``new`` continues with its own state, and which of ``old`` it lacks; ``bulk``: when its bulk had moved."""
     if bulk is None:
-        lost = f"all that {old} had kept until {_time_of_day(time.time())}"
+        lacking = f"all that {old} had kept until {_time_of_day(time.time())}"
     else:
-        lost = f"what changed in the state of {old} from {_time_of_day(bulk)} to {_time_of_day(time.time())}"
-    return f"{new} continues with its own state ({because}); lost is {lost}"
+        lacking = f"what changed in the state of {old} from {_time_of_day(bulk)} to {_time_of_day(time.time())}"
+    return f"{new} continues with its own state ({because}); lost is {lacking}"
 
 
 def _time_of_day(at: float) -> str:
@@ -63,7 +63,7 @@ class StateTransfers:
     late: dict[str, float] = field(default_factory=dict)
     keeping: Container[str] = ()  # the components that keep state
     # By new component: what state of the old one it continues without, and why.
-    lost: dict[str, str] = field(default_factory=dict)
+    own_state: dict[str, str] = field(default_factory=dict)
     _bulks: dict[str, float] = field(default_factory=dict)  # by new component: when the bulk had moved (Unix time, s)
 
     async def prepare(self) -> None:
@@ -101,7 +101,7 @@ class StateTransfers:
             self.note_own_state(old, new, "it does not use Midstride's API")
 
     def note_own_state(self, old: str, new: str, because: str) -> None:
-        self.lost[new] = own_state(old, new, because, self._bulks.get(new))
+        self.own_state[new] = own_state(old, new, because, self._bulks.get(new))
         self.events.add("note", f"{new} keeps its own state: {because}")
 
     def note_exit(self, old: str, new: str, *, hangs: bool) -> None:

@@ -73,33 +73,33 @@ class Lease:
     """The right to write to a database of a system, kept in its ``table``: the manager that took it last has it."""
 
     def __init__(self, table: str) -> None:
-        self._lost = False  # another manager has taken it
-        self._taken = False
+        self._superseded = False  # another manager has taken it
+        self._acquired = False
         self._holder = (f"{os.getpid()} {secrets.token_hex(8)}",)
-        self._take: Statement = (f"INSERT OR REPLACE INTO {table} VALUES ('holder', ?)", self._holder)
+        self._acquire: Statement = (f"INSERT OR REPLACE INTO {table} VALUES ('holder', ?)", self._holder)
         self._held: Statement = (f"SELECT 1 FROM {table} WHERE key = 'holder' AND value = ?", self._holder)
 
     def write(self, database: Database, statements: Iterable[Statement]) -> None:
-        """As :meth:`Database.write`; the first write takes the lease. Raises Superseded if it has been lost since."""
-        if not self._taken:
-            database.write([self._take, *statements])
-            self._taken = True
+        """As :meth:`Database.write`; the first write takes the lease. Raises Superseded if another manager has taken it since."""
+        if not self._acquired:
+            database.write([self._acquire, *statements])
+            self._acquired = True
             return
         try:
             database.write(statements, only_if=self._held)
         except Superseded:
-            self._lost = True
+            self._superseded = True
             raise
 
     def superseded(self, database: Database | None) -> bool:
         """Whether another manager has taken it, as a look at the database shows, or a write before."""
-        if self._taken and not self._lost and database is not None:
-            self._lost = database.peek(*self._held) == []
-        return self._lost
+        if self._acquired and not self._superseded and database is not None:
+            self._superseded = database.peek(*self._held) == []
+        return self._superseded
 
     def renew(self) -> None:
         """The database is a new one: the next write takes the lease."""
-        self._taken = False
+        self._acquired = False
 
 
 class Disk:

@@ -111,7 +111,7 @@ class BringUp:
             self.system.configuration = change.in_target_context(self.system.configuration)
 
     async def recover(self, saved: SavedState, interrupted: Iterable[Interrupted]) -> set[str]:
-        """Find what an earlier manager left, and degrade what has lost its support.
+        """Find what an earlier manager left, and degrade what is without support.
 
         Returns the roles of components that are started by hand and do not run: nothing can restore these. Raises
         ManagerError if a component hangs, or the earlier manager ran another system.
@@ -138,11 +138,13 @@ class BringUp:
         self.system.forget_filled_roles()
         self.reconciler.save_values()
         names = ", ".join(instance.name for instance in gone)
-        await self.reconciler.reconcile_all(f"{names} exited" if names else "its input was lost")
+        await self.reconciler.reconcile_all(f"{names} exited" if names else "its input was gone")
         if any(isinstance(error, CommandRefused) for error in self.reconciler.pending.values()):
             await self.reconciler.reconcile()  # its state had just changed
         if pending := self.reconciler.pending:
-            words = "; ".join(f"{ref} has lost its input and could not be degraded: {e}" for ref, e in pending.items())
+            words = "; ".join(
+                f"{ref} is without its input and could not be degraded: {e}" for ref, e in pending.items()
+            )
             raise ManagerError(f"{words}. End the process that hangs with `kill -9`, then run `midstride up` again")
         present = self.system.configuration.instances_by_role
         return {each.role for each in gone if each.component.run is None and not present.get(each.role)}

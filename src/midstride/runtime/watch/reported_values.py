@@ -34,7 +34,7 @@ class ReportedValues:
         return self._of_instance.get(instance, _NONE)
 
     def by_role(self, configuration: Configuration) -> dict[str, Values]:
-        """The values of each role: of its live instance, else those of the one that it has lost."""
+        """The values of each role: of its live instance, else those of the one that has exited."""
         live = {
             role: self.of(next(iter(names)))
             for role, names in configuration.instances_by_role.items()

@@ -19,7 +19,8 @@ TOLERANCE: Final = 200_000
 # Two readings of clocks that lie further apart than this (ns) are not of one moment: they are taken again.
 _ONE_MOMENT: Final = 50_000
 _ATTEMPTS: Final = 5
-# The system's clock has been set back if it has lost more than this against the steady one (ns); it is slewed by less.
+# The system's clock has been set back if it has fallen behind the steady one by more than this (ns); it is slewed by
+# less.
 _SET_BACK: Final = 5_000_000
 
 
