@@ -65,7 +65,7 @@ class _Inserter:
             for item, _ in self._items(self.file.items, "")
             if isinstance(item, ComponentDeclaration)
         }
-        self.taken = set(self.components)
+        self.used = set(self.components)
         self.edits: list[tuple[int, int, str]] = []
 
     def _items(self, items: tuple[Item, ...], namespace: str) -> Iterator[tuple[Item, str]]:
@@ -164,8 +164,8 @@ class _Inserter:
                 self._insert_before(close, lines)
                 continue
             body = _edited(self.file.tokens.source.text[start:close], commands)
-            name = free_name(component.name.text, self.taken)
-            self.taken.add(name)
+            name = free_name(component.name.text, self.used)
+            self.used.add(name)
             self.edits.append((close + 1, close + 1, "\n".join([f"\n\ncomponent {name}{body}", *lines, "}"])))
             for node, _ in members:
                 if node.component is not None:

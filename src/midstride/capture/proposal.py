@@ -86,11 +86,11 @@ def ports_of(
 ) -> list[ProposedPort]:
     """The ports of a node; ``remaps`` has what its program calls topics, by their full names."""
     ports: list[ProposedPort] = []
-    taken: set[str] = set()
+    used: set[str] = set()
     endpoints = graph.of_node(node)
     for endpoint in endpoints:
-        name = _port_name(endpoint, endpoints, taken)
-        taken.add(name)
+        name = _port_name(endpoint, endpoints, used)
+        used.add(name)
         own = remaps.get(endpoint.topic) or _relative(endpoint.topic, node)
         rate, note = _measured(graph, endpoint) if endpoint.output else (None, "")
         ports.append(ProposedPort(name, endpoint, own, rate, note))
@@ -148,13 +148,13 @@ def _measured(graph: ObservedGraph, endpoint: ObservedEndpoint) -> tuple[Measure
     return rate, str(rate)
 
 
-def _port_name(endpoint: ObservedEndpoint, all_: Iterable[ObservedEndpoint], taken: set[str]) -> str:
+def _port_name(endpoint: ObservedEndpoint, all_: Iterable[ObservedEndpoint], used: set[str]) -> str:
     parts = [_NOT_IN_NAMES.sub("_", part) for part in endpoint.topic.strip("/").split("/")]
     twice = sum(each.topic == endpoint.topic for each in all_) > 1
     ending = ("_out" if endpoint.output else "_in") if twice else ""
     names = ["_".join(parts[-count:]) + ending for count in range(1, len(parts) + 1)]
-    names += [f"{names[-1]}_{number}" for number in range(2, len(taken) + 3)]
-    return next(name for name in names if name not in taken and name not in RESERVED and not name[0].isdigit())
+    names += [f"{names[-1]}_{number}" for number in range(2, len(used) + 3)]
+    return next(name for name in names if name not in used and name not in RESERVED and not name[0].isdigit())
 
 
 def _relative(topic: str, node: str) -> str:
@@ -283,8 +283,6 @@ def _needed(profiles: list[QoS]) -> QoS:
     )
 
 
-def free_name(base: str, taken: Collection[str], ending: str = "") -> str:
-    """``base``, or with the first number after ``ending`` that makes it a name that is not taken."""
-    return next(
-        name for number in count(1) if (name := base if number == 1 else f"{base}{ending}{number}") not in taken
-    )
+def free_name(base: str, used: Collection[str], ending: str = "") -> str:
+    """``base``, or with the first number after ``ending`` that makes it a name that is not in ``used``."""
+    return next(name for number in count(1) if (name := base if number == 1 else f"{base}{ending}{number}") not in used)

@@ -124,8 +124,8 @@ def _spread(between: tuple[float, float] | UnsetType) -> list[str]:
     return [] if longest - shortest < SPREAD else [f"{seconds(shortest)} to {seconds(longest)}"]
 
 
-def _with_remarks(taken: float | None, remarks: list[str]) -> str:
-    return seconds(taken) + (f" ({'; '.join(remarks)})" if remarks else "")
+def _with_remarks(planned: float | None, remarks: list[str]) -> str:
+    return seconds(planned) + (f" ({'; '.join(remarks)})" if remarks else "")
 
 
 def planned_seconds(plan: AnyPlan) -> float:
@@ -135,9 +135,9 @@ def planned_seconds(plan: AnyPlan) -> float:
 
 def _about_plan(plan: AnyPlan) -> str:
     """How long a plan takes as it is carried out, with its range; beside it the sum of its steps where they overlap."""
-    taken, total = planned_seconds(plan), plan.seconds
-    in_sequence = [] if seconds(taken) == seconds(total) else [f"{seconds(total)} one step after another"]
-    return _with_remarks(taken, [*_spread(plan.between), *in_sequence])
+    planned, total = planned_seconds(plan), plan.seconds
+    in_sequence = [] if seconds(planned) == seconds(total) else [f"{seconds(total)} one step after another"]
+    return _with_remarks(planned, [*_spread(plan.between), *in_sequence])
 
 
 def _runtime_values(found: AnyPlan | Outcome) -> Iterable[Text]:

@@ -712,7 +712,7 @@ EXPORT int rcl_publish_loaned_message(const void *publisher, void *message, void
 }
 
 /* The result of taking a message: where the gate is closed, as if there had been none. */
-static int taken(const void *subscription, int result)
+static int take_result(const void *subscription, int result)
 {
   struct entry *entry = result == 0 ? find(subscription) : NULL;
   if (!entry)
@@ -726,22 +726,22 @@ static int taken(const void *subscription, int result)
 
 EXPORT int rcl_take(const void *subscription, void *message, void *info, void *allocation)
 {
-  return taken(subscription, real_rcl_take()(subscription, message, info, allocation));
+  return take_result(subscription, real_rcl_take()(subscription, message, info, allocation));
 }
 
 EXPORT int rcl_take_sequence(const void *subscription, size_t number, void *messages, void *infos, void *allocation)
 {
-  return taken(subscription, real_rcl_take_sequence()(subscription, number, messages, infos, allocation));
+  return take_result(subscription, real_rcl_take_sequence()(subscription, number, messages, infos, allocation));
 }
 
 EXPORT int rcl_take_serialized_message(const void *subscription, void *message, void *info, void *allocation)
 {
-  return taken(subscription, real_rcl_take_serialized_message()(subscription, message, info, allocation));
+  return take_result(subscription, real_rcl_take_serialized_message()(subscription, message, info, allocation));
 }
 
 EXPORT int rcl_take_loaned_message(const void *subscription, void **message, void *info, void *allocation)
 {
-  int result = taken(subscription, real_rcl_take_loaned_message()(subscription, message, info, allocation));
+  int result = take_result(subscription, real_rcl_take_loaned_message()(subscription, message, info, allocation));
   if (result == TAKE_FAILED && *message) {
     real_rcl_return_loaned_message_from_subscription()(subscription, *message);
     *message = NULL;

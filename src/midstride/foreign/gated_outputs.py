@@ -226,7 +226,7 @@ class GatedOutputs(UngatedOutputs):
         old = cut.other + 1 if cut.other is not None else gates.index + 1
         ports = [swap.port for swap in cut.swaps]
 
-        def taken() -> bool:
+        def moved() -> bool:
             return gates.page.word(cut.baton).holder != old
 
         def over() -> bool:
@@ -234,7 +234,7 @@ class GatedOutputs(UngatedOutputs):
             return word.holder == old and not word.successor
 
         def done() -> bool:
-            return taken() and (not new or any(gates.entry(port).passed > cut.before[port] for port in ports))
+            return moved() and (not new or any(gates.entry(port).passed > cut.before[port] for port in ports))
 
         await self._node.comes_true(lambda: done() or over(), command.timeout)
         if not done():

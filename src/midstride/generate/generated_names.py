@@ -53,16 +53,16 @@ def snake(name: str) -> str:
 class AttributeNames:
     """Assigns unique attribute names: the preferred one, or one with a hint and underscores appended."""
 
-    def __init__(self, taken: Iterable[str]) -> None:
-        self._taken = set(taken)
+    def __init__(self, used: Iterable[str]) -> None:
+        self._used = set(used)
 
     def take(self, preferred: str, hint: str = "") -> str:
         name = re.sub(r"[^A-Za-z0-9_]", "_", preferred)
         if keyword.iskeyword(name) or keyword.issoftkeyword(name) or name.startswith("__"):
             name = f"{name.lstrip('_') or 'name'}_"
-        if name in self._taken and hint:
+        if name in self._used and hint:
             name = f"{name.rstrip('_')}_{hint}"
-        while name in self._taken:
+        while name in self._used:
             name += "_"
-        self._taken.add(name)
+        self._used.add(name)
         return name

@@ -121,10 +121,10 @@ def _value(template: Template, context: Context) -> str:
 
 
 def _performed(call: SubstitutionCall, context: Context) -> str:
-    if call.name == "if" and 2 <= len(call.arguments) <= 3:  # only the branch that is taken needs a value
+    if call.name == "if" and 2 <= len(call.arguments) <= 3:  # only the branch that is chosen needs a value
         condition = truth(_value(call.arguments[0], context))
-        taken = call.arguments[1:2] if condition else call.arguments[2:]
-        return "".join(_value(argument, context) for argument in taken)
+        chosen = call.arguments[1:2] if condition else call.arguments[2:]
+        return "".join(_value(argument, context) for argument in chosen)
     values = [_value(argument, context) for argument in call.arguments]
     function = _FUNCTIONS.get(call.name)
     if function is None:

@@ -65,14 +65,14 @@ def system_name(path: str) -> str:
 
 def _with_own_names(nodes: Iterable[LaunchedNode], findings: ImportFindings) -> Iterable[LaunchedNode]:
     """The nodes, each with a name that no other node has and that is not a word of the language."""
-    taken: set[str] = set()
+    used: set[str] = set()
     for node in nodes:
         name, number = node.name, 1
-        while replace(node, name=name).role in taken or name in RESERVED:
+        while replace(node, name=name).role in used or name in RESERVED:
             number += 1
             name = f"{node.name}_{number}"
         renamed = replace(node, name=name)
-        taken.add(renamed.role)
+        used.add(renamed.role)
         if number > 1:
             why = "is a word of the Stride language" if node.name in RESERVED else "has another node already"
             findings.add("name", f"`{node.role}` {why}; this node is named `{renamed.role}`", node.span)
@@ -85,17 +85,17 @@ def _component_names(nodes: Sequence[LaunchedNode], bodies: dict[str, list[str]]
     for node in nodes:
         of_program.setdefault(node.program, set()).add(tuple(bodies[node.role]))
     of_body: dict[tuple[str, ...], str] = {}
-    taken: set[str] = set()
+    used: set[str] = set()
     names = {}
     for node in nodes:
         body = tuple(bodies[node.role])
         if body not in of_body:
             base = _camel(node.program if len(of_program[node.program]) == 1 else node.name)
             name, number = base, 1
-            while name in taken:
+            while name in used:
                 number += 1
                 name = f"{base}{number}"
-            taken.add(name)
+            used.add(name)
             of_body[body] = name
         names[node.role] = of_body[body]
     return names

@@ -12,10 +12,10 @@ from collections.abc import Container
 from itertools import count
 
 
-def fresh_name(role: str, *taken: Container[str]) -> str:
-    """The name of a further instance of ``role``: the first of ``camera_2``, ``camera_3``, … that is not ``taken``."""
+def fresh_name(role: str, *used: Container[str]) -> str:
+    """A name for a further instance of ``role``: the first of ``camera_2``, ``camera_3``, … that is not ``used``."""
     names = (f"{role}_{number}" for number in count(2))
-    return next(name for name in names if not any(name in some for some in taken))
+    return next(name for name in names if not any(name in some for some in used))
 
 
 def is_named_after(instance: str, role: str) -> bool:

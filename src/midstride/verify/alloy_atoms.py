@@ -62,7 +62,7 @@ class Names:
     """Identifiers of Alloy that read like the names of the file, and what each stands for."""
 
     def __init__(self) -> None:
-        self._taken = set(_RESERVED.split()) | declared_names()
+        self._used = set(_RESERVED.split()) | declared_names()
         self.meanings: dict[str, object] = {}
 
     def assign(self, base: str, meaning: object) -> str:
@@ -71,10 +71,10 @@ class Names:
         if not stem[0].isalpha():
             stem = f"x{stem}"
         name, number = stem, 1
-        while name in self._taken or name.endswith(("_may", "_holds")):  # names of the predicates of steps
+        while name in self._used or name.endswith(("_may", "_holds")):  # names of the predicates of steps
             number += 1
             name = f"{stem}_{number}"
-        self._taken.add(name)
+        self._used.add(name)
         self.meanings[name] = meaning
         return name
 

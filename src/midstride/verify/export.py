@@ -128,7 +128,7 @@ class _PlanWalk:
         self.impossible: set[int] = set()
         configuration = plan.change.start
         encoder.instances(configuration)
-        taken = [configuration]
+        configurations = [configuration]
         for number, step in enumerate(plan.steps, start=1):
             action = step.action
             try:
@@ -149,8 +149,8 @@ class _PlanWalk:
                 # If it cannot be applied, its precondition fails, and Alloy reports that.
                 with suppress(KeyError):
                     configuration = action.effect(configuration)
-            taken.append(configuration)
-        self.configurations = tuple(taken)
+            configurations.append(configuration)
+        self.configurations = tuple(configurations)
 
 
 def _encodable(configuration: Configuration) -> tuple[Configuration, tuple[Unencodable, ...]]:

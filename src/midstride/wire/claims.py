@@ -28,7 +28,7 @@ class FileClaim:
         self._byte = int.from_bytes(hashlib.blake2b(cut.encode(), digest_size=7).digest(), "big")
         self._descriptor: int | None = None
         self._held = self._renounced = self._shared = False
-        self._holder = 0  # the process that has taken it
+        self._holder = 0  # the process that holds it
         self._mutex = threading.Lock()
 
     def take(self) -> bool:

@@ -66,7 +66,7 @@ def pipe() -> tuple[PipeEnd, PipeEnd]:
 
 
 class PipeClaim:
-    """Implements :class:`midstride.wire.transport.CutClaim`. ``holders`` has, by cut, the claim that is taken."""
+    """Implements :class:`midstride.wire.transport.CutClaim`. ``holders`` has, by cut, the claim that holds it."""
 
     def __init__(self, holders: dict[str, PipeClaim], cut: str, place: str = MEMORY) -> None:
         self._holders = holders
@@ -83,9 +83,9 @@ class PipeClaim:
     def take(self) -> bool:
         if self._renounced:
             return False
-        taken = self._holders.setdefault(self._cut, self) is self
-        self._shared = self._shared or not taken
-        return taken
+        held = self._holders.setdefault(self._cut, self) is self
+        self._shared = self._shared or not held
+        return held
 
     def renounce(self) -> bool:
         self._renounced = self._holders.get(self._cut) is not self

@@ -262,12 +262,12 @@ class PartSearch:
         """The seconds below the baseline that the limits count, after one more step."""
         if not spent:
             return spent
-        taken = sum(s for bit, s in enumerate(self.part.seconds) if (after & ~before) >> bit & 1)
-        if not taken:
+        seconds = sum(s for bit, s in enumerate(self.part.seconds) if (after & ~before) >> bit & 1)
+        if not seconds:
             return spent
         lost = {ref for state in (before, after) for ref, _ in self.losses.losses(state)}
         return tuple(
-            round(so_far + taken * (ref in lost), 9) for so_far, (ref, _) in zip(spent, self.limits, strict=True)
+            round(so_far + seconds * (ref in lost), 9) for so_far, (ref, _) in zip(spent, self.limits, strict=True)
         )
 
     def _is_within(self, spent: tuple[float, ...]) -> bool:

@@ -64,14 +64,14 @@ class SearchState:
     def at_start(cls, builder: PlanBuilder, orders: Iterable[Order], *, eager: bool = True) -> SearchState:
         """The state in which everything is still to be done."""
         change, swaps = builder.change, builder.change.exchanges()
-        taken = {(swap.new, swap.connector) for group in swaps.values() for swap in group}
+        gained = {(swap.new, swap.connector) for group in swaps.values() for swap in group}
         given = {(swap.old, swap.connector) for group in swaps.values() for swap in group}
         return cls(
             builder=builder,
             orders=tuple(order for order in orders if order.first != order.then),
             creates={instance.name: instance for instance in change.coming},
             removes=change.leaving,
-            attaches=_minus(change.attached, taken),
+            attaches=_minus(change.attached, gained),
             detaches=_minus(change.detached, given),
             swaps=swaps,
             eager=eager,

@@ -167,7 +167,7 @@ class PlanForm(PlanCosts, frozen=True, kw_only=True):
 
 
 def _fields(plan: Plan) -> dict[str, Any]:
-    taken = duration(plan)
+    planned = duration(plan)
     return {
         "strategy": plan.strategy,
         "proved_minimal": plan.proved_minimal,
@@ -176,8 +176,8 @@ def _fields(plan: Plan) -> dict[str, Any]:
         "proof_space": plan.proof_space,
         "makespan": plan.makespan,
         "seconds": plan.seconds,
-        "duration": taken.seconds,
-        "between": taken.between or UNSET,
+        "duration": planned.seconds,
+        "between": planned.between or UNSET,
         "degraded": [str(ref) for ref in plan.degraded],
         "degradations": list(plan.degradations),
         "level_shifts": list(plan.level_shifts),

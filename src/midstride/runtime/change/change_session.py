@@ -66,7 +66,7 @@ LONGEST_FIRST_CALLS: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class _Steps:
+class _Execution:
     """When the steps of a plan ended (steady s), and how long they took.
 
     ``seconds``: how long they took together; ``times``: each of those that were done.
@@ -244,13 +244,13 @@ class ChangeSession:
         self.events.add("plan", f"{steps}, disruption {plan.disruption:g}{afterwards}", plan=change.preview)
         await recording.begin(system.configuration, change.actions)
         driver = ActionDriver(self.client, self.launcher, self.backend, system, self.events, change)
-        taken = await self._take_steps(driver)
+        execution = await self._execute(driver)
         fenced = system.life.fenced
         exited = {name for name in system.life.exits if name in change.before.instances and name not in fenced}
         await self.reconciler.reconcile_crashes()  # before measuring: dependent functionalities must not wait for it
         assert change.outcome is not None
-        await change.entry.end(change.outcome, change.because, taken.seconds)
-        swaps = await self._measure(driver, taken)
+        await change.entry.end(change.outcome, change.because, execution.seconds)
+        swaps = await self._measure(driver, execution)
         await self.reconciler.reconcile()  # the report includes unexpected degradations
         silences = {fault.words: fault for fault in [*recording.silences, *self.monitor.faults(system.configuration)]}
         await change.entry.measured(swaps)
@@ -266,10 +266,10 @@ class ChangeSession:
         return Outcome(
             outcome=change.outcome,
             plan=PlanForm.of(plan, change.preview),
-            seconds=taken.seconds,
-            steps=taken.times,
+            seconds=execution.seconds,
+            steps=execution.times,
             skews=driver.modes.skews,
-            below_baseline_seconds=taken.below_baseline_seconds,
+            below_baseline_seconds=execution.below_baseline_seconds,
             swaps=swaps,
             late=driver.late,
             own_state={
@@ -286,7 +286,7 @@ class ChangeSession:
             verdict=change.verdict,
         )
 
-    async def _take_steps(self, driver: ActionDriver) -> _Steps:
+    async def _execute(self, driver: ActionDriver) -> _Execution:
         """Execute the plan, and roll it back if a step fails; the model then has the target, or what was before.
 
         If cancelled, it rolls back as well, and raises CancelledError where that has succeeded.
@@ -323,9 +323,9 @@ class ChangeSession:
         system.values.forget_ended(system.configuration)
         self.reconciler.save_values()
         ended = self.clock.steady()
-        return _Steps(ended, round(ended - started, 6), timer.stop(), executor.times)
+        return _Execution(ended, round(ended - started, 6), timer.stop(), executor.times)
 
-    async def _measure(self, driver: ActionDriver, taken: _Steps) -> list[SwapReport]:
+    async def _measure(self, driver: ActionDriver, execution: _Execution) -> list[SwapReport]:
         """What each subscriber has seen, once it has been watched for long enough after the last step."""
         change, recording = driver.change, driver.change.recording
         if recording.recorded:
@@ -335,7 +335,7 @@ class ChangeSession:
         try:
             swaps = await recording.finish(driver.last_numbers, resumed=not done, hung=self.system.life.fenced)
             if done:
-                await recording.wait(taken.ended + self._first_calls(change.actions) - self.clock.steady())
+                await recording.wait(execution.ended + self._first_calls(change.actions) - self.clock.steady())
             return swaps
         finally:
             change.happened(ChangeEvent.WATCHED)

@@ -80,7 +80,7 @@ class Lease:
         self._held: Statement = (f"SELECT 1 FROM {table} WHERE key = 'holder' AND value = ?", self._holder)
 
     def write(self, database: Database, statements: Iterable[Statement]) -> None:
-        """As :meth:`Database.write`; the first write takes the lease. Raises Superseded if another manager has taken it since."""
+        """As :meth:`Database.write`; the first one takes the lease. Raises Superseded if another manager has it."""
         if not self._acquired:
             database.write([self._acquire, *statements])
             self._acquired = True

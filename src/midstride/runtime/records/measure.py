@@ -183,16 +183,16 @@ def _slots(rows: Sequence[Receipt], by_side: _Publishers, period: float, ended: 
     slots = {name: list(_assign([_source(row) for row in by_side[name]], origin, step)) for name in names}
     _shift_late(slots)
     _shift_early(slots)
-    taken: dict[int, set[str]] = {}
+    filled: dict[int, set[str]] = {}
     for name, own in slots.items():
         for slot in own:
-            taken.setdefault(slot, set()).add(name)
+            filled.setdefault(slot, set()).add(name)
     # The end of the window on the source's clock, estimated from the fastest transmission.
     offset = min(row.received - _source(row) for row in rows)
-    first, last = min(taken), max(taken)
+    first, last = min(filled), max(filled)
     last_due = math.floor((ended - offset - origin) / step) - 1
-    missed = sum(1 for slot in range(first, max(last, last_due) + 1) if slot not in taken)
-    duplicates = sum(1 for owners in taken.values() if len(owners) > 1)
+    missed = sum(1 for slot in range(first, max(last, last_due) + 1) if slot not in filled)
+    duplicates = sum(1 for owners in filled.values() if len(owners) > 1)
     return missed, duplicates
 
 

@@ -127,9 +127,9 @@ export class Viewport {
   inFull(take) {
     const detail = this.#detail;
     if (detail !== "all") this.#set("all");
-    const taken = take();
+    const result = take();
     if (detail !== "all") this.#set(detail);
-    return taken;
+    return result;
   }
 
   /**

@@ -72,9 +72,9 @@ function spread(document) {
   return longest - shortest < 0.1 ? [] : [`${duration(shortest)} to ${duration(longest)}`];
 }
 
-/** @param {number} taken in seconds @param {string[]} remarks */
-function withRemarks(taken, remarks) {
-  return duration(taken) + (remarks.length ? ` (${remarks.join("; ")})` : "");
+/** @param {number} planned in seconds @param {string[]} remarks */
+function withRemarks(planned, remarks) {
+  return duration(planned) + (remarks.length ? ` (${remarks.join("; ")})` : "");
 }
 
 /** How long a plan takes as it is carried out (s). Earlier reports only have the sum of its steps. @param {import("../store.js").Plan} plan */
@@ -84,9 +84,9 @@ export function plannedSeconds(plan) {
 
 /** The same in words, with its range; beside it the sum of its steps where they overlap. @param {import("../store.js").Plan} plan */
 export function aboutPlan(plan) {
-  const taken = plannedSeconds(plan);
-  const inSequence = duration(taken) === duration(plan.seconds) ? [] : [`${duration(plan.seconds)} one step after another`];
-  return withRemarks(taken, [...spread(plan), ...inSequence]);
+  const planned = plannedSeconds(plan);
+  const inSequence = duration(planned) === duration(plan.seconds) ? [] : [`${duration(plan.seconds)} one step after another`];
+  return withRemarks(planned, [...spread(plan), ...inSequence]);
 }
 
 /** @param {Api.LevelShift} shift */
