@@ -109,7 +109,7 @@ class SolverMissing(VerificationError):
 class StepFailed(MidstrideError):
     """A step of a running plan failed.
 
-    ``outcome`` is ``rolled_back`` once everything has been taken back, and ``failed`` where that
+    ``outcome`` is ``rolled_back`` once everything has been undone, and ``failed`` where that
     failed too; the message then says both.
     """
 

@@ -1114,7 +1114,7 @@ declare namespace Api {
     seconds: number;
   }
 
-  /** A step of a change: when it began, and when it was done. Steps that overlap were taken at once. */
+  /** A step of a change: when it began, and when it was done. Steps that overlap were carried out at once. */
   interface StepView {
     /** from 0, in `plan.steps` */
     index: number;

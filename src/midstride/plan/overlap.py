@@ -1,7 +1,7 @@
 """What of a plan overlaps when it is carried out (docs/semantics.md section 6).
 
 The steps keep the order of the plan. What overlaps: a process starts as soon as everything is done that its ``create``
-step must wait for; and steps next to each other are taken at once, in a round, if they are all removals, all
+step must wait for; and steps next to each other are carried out at once, in a round, if they are all removals, all
 attachments, all mode changes or all hand-overs. The hand-overs of a round are prepared and watched at once, and their
 cuts follow one another. How long the plan takes follows from that.
 """
@@ -20,7 +20,7 @@ from midstride.plan.plan import Plan
 from midstride.plan.state_continuity import without_outputs
 
 # How many components answer commands at once, on however small a machine: of attachments, mode changes and hand-overs,
-# so many steps are taken at once.
+# so many steps are carried out at once.
 WIDEST: Final = 16
 # How much of a hand-over its cut is (s): the moment is agreed 0.1 s ahead, and both sides report a few periods later.
 CUT: Final = 0.3
@@ -28,7 +28,7 @@ CUT: Final = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Overlap:
-    """The ``rounds`` of a plan: its steps in order, those of one round are taken at once.
+    """The ``rounds`` of a plan: its steps in order, those of one round are carried out at once.
 
     ``starts``: by number of steps, the creations whose processes may start as soon as that many are done.
     """

@@ -49,7 +49,7 @@ class Step:
 
 
 def mode_changes(configuration: Configuration, action: Action) -> tuple[ModeChange, ...]:
-    """The mode changes of an action about to be taken in ``configuration``, sorted."""
+    """The mode changes of an action about to be carried out in ``configuration``, sorted."""
     if not isinstance(action, (Degrade, Upgrade)):
         return ()
     return tuple(

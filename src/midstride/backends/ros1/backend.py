@@ -199,7 +199,7 @@ class Ros1Backend(processes.ProcessBackend, Backend):
         yield None  # the master does it
 
     async def lingering_readers(self, topic: str) -> int:
-        """Almost always 0: a dead node's registrations are taken back before its end is reported."""
+        """Almost always 0: a dead node's registrations are withdrawn before its end is reported."""
         if not self._dead:
             return 0
         return sum(node in self._dead for node in (await self._opened().state()).subscribers.get(topic, ()))

@@ -1,7 +1,7 @@
 """ROS 1's master: what is registered there, and taking back what a killed node has left.
 
-The master keeps a registration until it is taken back: a killed node stays registered for ever, and a process that is
-later given its port is taken for it. So a component's registrations are taken back the moment its end is known.
+The master keeps a registration until it is withdrawn: a killed node stays registered for ever, and a process that is
+later given its port is taken for it. So a component's registrations are withdrawn the moment its end is known.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class Master:
             pass  # it is not set any more
 
     async def unregister(self, node: str) -> None:
-        """Take back every registration of a node that has ended. Raises BackendError where that cannot be done."""
+        """Withdraw every registration of a node that has ended. Raises BackendError where that cannot be done."""
         for _ in range(_ROUNDS):
             where = await self.address_of(node)
             if where is None:
@@ -130,7 +130,7 @@ class Master:
             writer.close()
 
     async def is_running(self, node: str) -> bool:
-        """Whether a node of that name runs; what a dead one has left is taken back.
+        """Whether a node of that name runs; what a dead one has left is withdrawn.
 
         Another node may listen at its address by now. ROS's Python nodes give their names; where one does not, the
         master's word counts.

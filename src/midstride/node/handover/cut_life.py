@@ -18,7 +18,7 @@ class CutPhase(Enum):
     CROSSING = "crossing"  # T has come: the old side writes the rest, the new one its first message
     REPORTING = "reporting"  # the new side reports that message
     CONCLUDING = "concluding"  # messages from before T may still be in transit to the new side
-    WATCHING = "watching"  # until nothing of the hand-over can be taken back: see `watch_successor`
+    WATCHING = "watching"  # until nothing of the hand-over can be undone: see `watch_successor`
 
 
 class CutProgress(Enum):

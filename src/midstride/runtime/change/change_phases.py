@@ -15,9 +15,9 @@ from midstride.transitions import Transitions
 
 class ChangePhase(Enum):
     PLANNED = "its plan is in the journal, and no step has begun"
-    EXECUTING = "its steps are being taken"
+    EXECUTING = "its steps are being carried out"
     ROLLING_BACK = "what has been done is being undone"
-    ENDED = "no step is taken any more"
+    ENDED = "no step is carried out any more"
     MEASURING = "its subscribers are watched for a while"
     MEASURED = "all that is reported of it is known"
 

@@ -202,7 +202,7 @@ class Executor:
             await self.change.performed(action)
 
     async def _fail(self, indices: Sequence[int], failures: Mapping[int, BaseException]) -> None:
-        """Roll back, and raise StepFailed: the steps ``failures`` have failed while those at ``indices`` were taken."""
+        """Roll back, and raise StepFailed: ``failures`` are those of the steps at ``indices``, by index."""
         reasons = {index: _words(error) for index, error in failures.items() if not isinstance(error, GivenUp)}
         for index in failures:
             how = f"failed: {reasons[index]}" if index in reasons else "given up"
@@ -257,8 +257,8 @@ class Executor:
     async def _roll_back(self, done: DoneActions) -> list[str]:
         """Undo the actions in ``done``, last first. Returns what failed; the other actions are undone.
 
-        Removals in a row are taken at once, and processes of creations in a row start side by side. An instance that
-        the change itself created is removed in any case: if it does not answer, it is killed.
+        Removals in a row are carried out at once, and processes of creations in a row start side by side. An instance
+        that the change itself created is removed in any case: if it does not answer, it is killed.
         """
         if not done:
             return list(self.driver.fences.problems())

@@ -254,7 +254,7 @@ class Reconciler:
         """The configuration with the attachments that components report, what they concern, and what differed.
 
         They differ where a command timed out and has been carried out all the same, or could not be undone. A better
-        mode is taken over only where it lacks support, and so is about to be left: raising is a plan's affair.
+        mode is accepted only where it lacks support, and so is about to be left: raising is a plan's affair.
         """
         touched: list[FunctionalityRef] = []
         because: list[str] = []

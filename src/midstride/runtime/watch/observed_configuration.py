@@ -88,7 +88,7 @@ def changed_attachments(
 def unsupported_modes(configuration: Configuration, state: ComponentState) -> dict[FunctionalityRef, int]:
     """The functionalities of one component that report a better mode than the model has, and lack its support.
 
-    A command that timed out, and was taken back in the model, may be carried out later. No report is older than the
+    A command that timed out, and was undone in the model, may be carried out later. No report is older than the
     model: a component reports a change before it replies, on the same connection.
     """
     if state.instance not in configuration.instances:

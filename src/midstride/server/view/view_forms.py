@@ -31,7 +31,7 @@ ChangeState: TypeAlias = Literal["planning", "verifying", "executing", "rolling_
 
 
 class StepView(Report, frozen=True, kw_only=True):
-    """A step of a change: when it began, and when it was done. Steps that overlap were taken at once."""
+    """A step of a change: when it began, and when it was done. Steps that overlap were carried out at once."""
 
     index: Annotated[int, Meta(description="from 0, in `plan.steps`")]
     words: str
