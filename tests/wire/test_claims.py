@@ -115,21 +115,21 @@ def test_a_claim_is_inherited_only_from_a_side_that_had_it_in_the_same_place(tmp
     ):
         assert one.take()
         apart.share(one.place)
-        assert apart.place != one.place != "" and not apart.inherit(), "nobody had this one"
-        assert not other.inherit(), "it does not know yet that the two are one"
+        assert apart.place != one.place != "" and not apart.take_freed(), "nobody had this one"
+        assert not other.take_freed(), "it does not know yet that the two are one"
         other.share(one.place)
-        assert not other.inherit(), "the other side has it"
+        assert not other.take_freed(), "the other side has it"
         one.give_back()
-        assert not apart.inherit() and other.inherit() and not one.take()
+        assert not apart.take_freed() and other.take_freed() and not one.take()
 
 
 def test_what_was_found_taken_can_be_inherited(tmp_path: Path) -> None:
     """Where the new side has not reported where its claim is."""
     folder, pipes = SocketFolder(tmp_path), PipeNetwork()
     for one, other in ((folder.claim("a"), folder.claim("a")), (pipes.claim("a"), pipes.claim("a"))):
-        assert not other.inherit() and one.take() and not other.take() and not other.inherit()
+        assert not other.take_freed() and one.take() and not other.take() and not other.take_freed()
         one.give_back()
-        assert other.inherit() and not one.take()
+        assert other.take_freed() and not one.take()
 
 
 def test_a_file_that_is_removed_and_made_again_does_not_free_it(tmp_path: Path) -> None:
@@ -138,9 +138,9 @@ def test_a_file_that_is_removed_and_made_again_does_not_free_it(tmp_path: Path) 
     assert one.take() and not other.take()
     path.unlink()
     path.touch()
-    assert not other.inherit(), "the file in which the other side has its lock counts"
+    assert not other.take_freed(), "the file in which the other side has its lock counts"
     one.give_back()
-    assert other.inherit()
+    assert other.take_freed()
 
 
 def test_without_its_folder_neither_side_has_it(tmp_path: Path) -> None:

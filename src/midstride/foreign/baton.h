@@ -9,18 +9,18 @@
 
 #include <stdint.h>
 
-enum { RATED = 1, LAYS = 2, TIMED = 4, KEEPS = 8, SHUT = 16 }; /* of a port: flags, see below */
+enum { RATED = 1, OFFERS = 2, TIMED = 4, KEEPS = 8, SHUT = 16 }; /* of a port: flags, see below */
 
 /* -- the word ------------------------------------------------------------------------------------------------------
  *
  *   bits  0 to  7  writers: calls of the holder that are publishing now
  *   bits  8 to 11  state
  *   bits 12 to 23  holder, as index of its node + 1; the other two likewise, 0 where there is none
- *   bits 24 to 35  successor: takes the baton when it is laid down
+ *   bits 24 to 35  successor: takes the baton when it is offered
  *   bits 36 to 47  predecessor: takes it back if the holder dies
  *   bits 48 to 63  generation: counted up whenever the holder or the state changes
  */
-enum { HELD = 0, LAID = 1, FENCED = 2 };
+enum { HELD = 0, OFFERED = 1, FENCED = 2 };
 
 #define FIELD(word, shift, bits) ((unsigned)((word) >> (shift)) & ((1u << (bits)) - 1))
 #define WRITERS(word) FIELD(word, 0, 8)
@@ -49,9 +49,9 @@ enum verdict { PASS, HOLD_BACK, SKIP, ASK, BUSY };
  * the word must become before it publishes.
  *
  * RATED: the port has a rate, so its writes are slots, but for one that comes sooner than half a period after the baton
- * was laid down (not `waited`): a writer that was late catches up, and leaves its successor no time. TIMED: no port that
- * shares the baton has one; `waited` is whether `patience` is over, or was before a message that the baton lay for. SHUT:
- * an input that a probe closes, as long as the lease of the page lasts. */
+ * was offered (not `waited`): a writer that was late catches up, and leaves its successor no time. TIMED: no port that
+ * shares the baton has one; `waited` is whether `patience` is over, or was before a message on which the baton was
+ * offered. SHUT: an input that a probe closes, as long as the lease of the page lasts. */
 static inline enum verdict baton_enter(uint64_t word, unsigned me, unsigned flags, int waited, int collided, int dead,
                                        uint64_t *next)
 {
@@ -63,15 +63,15 @@ static inline enum verdict baton_enter(uint64_t word, unsigned me, unsigned flag
       *next = word + 1;
       return PASS;
     }
-    if (state != LAID)
+    if (state != OFFERED)
       return HOLD_BACK;
     if (flags & RATED ? waited && collided : flags & TIMED && !waited)
       return SKIP;
-    /* The successor has not come, or nothing of this output may be lost: publish, and lay it down again afterwards. */
+    /* The successor has not come, or nothing of this output may be lost: publish, and offer it again afterwards. */
     *next = baton_word(generation + 1, PREDECESSOR(word), SUCCESSOR(word), me, HELD, 1);
     return PASS;
   }
-  if (SUCCESSOR(word) == me && state == LAID && flags & (RATED | TIMED)) {
+  if (SUCCESSOR(word) == me && state == OFFERED && flags & (RATED | TIMED)) {
     *next = baton_word(generation + 1, HOLDER(word), 0, me, HELD, 1);
     return PASS;
   }
@@ -87,27 +87,27 @@ static inline enum verdict baton_enter(uint64_t word, unsigned me, unsigned flag
 }
 
 /* The writer that entered at `entered` (its `next`) has published. Returns what the word must become; the same if it was
- * moved by force meanwhile. LAYS: after a write on this port, the baton is laid down where a successor is named.
- * `again`: it was lying before this write. */
+ * moved by force meanwhile. OFFERS: after a write on this port, the baton is offered where a successor is named.
+ * `again`: it was offered before this write. */
 static inline uint64_t baton_leave(uint64_t word, uint64_t entered, unsigned flags, int again)
 {
   if (HOLDER(word) != HOLDER(entered) || GENERATION(word) != GENERATION(entered) || WRITERS(word) == 0)
     return word; /* while calls are publishing, the generation changes by force only */
   word--;
-  if (STATE(word) == HELD && WRITERS(word) == 0 && SUCCESSOR(word) != 0 && (flags & LAYS || again))
-    return baton_word(GENERATION(word) + 1, PREDECESSOR(word), SUCCESSOR(word), HOLDER(word), LAID, 0);
+  if (STATE(word) == HELD && WRITERS(word) == 0 && SUCCESSOR(word) != 0 && (flags & OFFERS || again))
+    return baton_word(GENERATION(word) + 1, PREDECESSOR(word), SUCCESSOR(word), HOLDER(word), OFFERED, 0);
   return word;
 }
 
 /* -- the manager's steps; each returns what the word must become, and the same word where it may not ----------------- */
 
-/* `holder` is to lay the baton down for `successor`; at once where no write of it has to be waited for. */
+/* `holder` is to offer the baton to `successor`; at once where no write of it has to be waited for. */
 static inline uint64_t baton_name(uint64_t word, unsigned holder, unsigned successor, int at_once)
 {
   if (HOLDER(word) != holder || STATE(word) != HELD)
     return word;
   if (at_once && WRITERS(word) == 0)
-    return baton_word(GENERATION(word) + 1, 0, successor, holder, LAID, 0);
+    return baton_word(GENERATION(word) + 1, 0, successor, holder, OFFERED, 0);
   return baton_word(GENERATION(word), 0, successor, holder, HELD, WRITERS(word));
 }
 

@@ -425,7 +425,7 @@ static bool enter(struct page *shared, unsigned own, int file, struct port *port
   for (;;) {
     uint64_t next;
     int64_t left = pass->flags & RATED ? atomic_load(&port->half) * INT64_C(1000) : atomic_load(&baton->patience);
-    int waited = STATE(seen) == LAID && (*overdue || now_ns() - atomic_load(&baton->offered) > left);
+    int waited = STATE(seen) == OFFERED && (*overdue || now_ns() - atomic_load(&baton->offered) > left);
     int collided = atomic_load(&baton->collisions) >= COLLISIONS;
     switch (baton_enter(seen, own, pass->flags, waited, collided, dead, &next)) {
     case PASS:
@@ -435,7 +435,7 @@ static bool enter(struct page *shared, unsigned own, int file, struct port *port
       }
       pass->baton = baton;
       pass->entered = next;
-      pass->again = STATE(seen) == LAID && HOLDER(seen) == own && SUCCESSOR(next) != 0;
+      pass->again = STATE(seen) == OFFERED && HOLDER(seen) == own && SUCCESSOR(next) != 0;
       *overdue = pass->again && pass->flags & TIMED;
       return true;
     case SKIP:
@@ -469,7 +469,7 @@ static void leave(struct pass *pass)
     next = baton_leave(seen, pass->entered, pass->flags, pass->again);
     if (next == seen)
       return;
-    if (STATE(next) == LAID)
+    if (STATE(next) == OFFERED)
       atomic_store(&baton->offered, now_ns()); /* before it lies: it is read where it does */
   } while (!atomic_compare_exchange_weak(&baton->word, &seen, next));
 }
@@ -796,7 +796,7 @@ EXPORT uint64_t midstride_take_step(struct baton *baton, int step, unsigned inde
   uint64_t seen = atomic_load(&baton->word), next;
   do {
     next = midstride_step(seen, step, index, successor, at_once);
-    if (STATE(next) == LAID && STATE(seen) != LAID)
+    if (STATE(next) == OFFERED && STATE(seen) != OFFERED)
       atomic_store(&baton->offered, now_ns());
     if (SUCCESSOR(next) != SUCCESSOR(seen))
       atomic_store(&baton->collisions, 0);

@@ -60,7 +60,7 @@ class FileClaim:
         with self._mutex:
             self._shared = self._shared or (place != "" and place == self._place())
 
-    def inherit(self) -> bool:
+    def take_freed(self) -> bool:
         return self._shared and self.take()
 
     def _take(self) -> bool:

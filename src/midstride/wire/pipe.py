@@ -77,7 +77,7 @@ class PipeClaim:
     def share(self, place: str) -> None:
         self._shared = self._shared or place == self.place
 
-    def inherit(self) -> bool:
+    def take_freed(self) -> bool:
         return self._shared and self.take()
 
     def take(self) -> bool:

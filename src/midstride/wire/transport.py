@@ -52,7 +52,7 @@ class CutClaim(Protocol):
     def share(self, place: str) -> None:
         """The other side has it, or had it, in ``place``."""
 
-    def inherit(self) -> bool:
+    def take_freed(self) -> bool:
         """As :meth:`take`, from another side that had it; False while it is not known whether that had the same one.
 
         That side has then given it back, or its process has ended.

@@ -54,7 +54,7 @@ class Arbiter(Protocol):
     def reclaim(self) -> bool:
         """Return whether this side has the right, and keeps it: the new one can no longer take it."""
 
-    def inherit(self) -> bool:
+    def reclaim_freed(self) -> bool:
         """Like :meth:`reclaim`, from a new side that had the right; False while that may still be writing."""
 
     # -- of both ---------------------------------------------------------------------------------------
@@ -102,8 +102,8 @@ class ClaimArbiter:
         self._has = self.claim.take()
         return self._has
 
-    def inherit(self) -> bool:
-        self._has = self._has or self.claim.inherit()
+    def reclaim_freed(self) -> bool:
+        self._has = self._has or self.claim.take_freed()
         return self._has
 
     def leave(self) -> None:

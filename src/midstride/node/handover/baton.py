@@ -132,7 +132,7 @@ class SharedSlot:
     def reclaim(self) -> bool:
         return self._slot is None or self.step(BatonStep.FENCE, self.me).holder == self.me
 
-    def inherit(self) -> bool:
+    def reclaim_freed(self) -> bool:
         return not self.passed_on and self.reclaim()
 
     def leave(self) -> None:

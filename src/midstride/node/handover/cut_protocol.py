@@ -234,7 +234,7 @@ class CutOutTask(_CutTask):
         self._watching = True
         while not self.over:
             await self.host.sleep(SLOW_TICK)
-            await self._inherit()
+            await self._reclaim_freed()
         await self.finished.wait()
         self.side.arbiter.leave()
 
@@ -244,15 +244,15 @@ class CutOutTask(_CutTask):
             return not (self.side.closed or (self._wanted and not self.side.links))
         return not self._going()
 
-    async def _inherit(self) -> None:
-        if not self.over and self._taken and self.side.arbiter.inherit():
+    async def _reclaim_freed(self) -> None:
+        if not self.over and self._taken and self.side.arbiter.reclaim_freed():
             await self._end(CutEvent.RECLAIMED, self.side.reopen)
 
     async def resolve(self) -> None:
         if self._going() and self._may_resume():
             await self._end(CutEvent.CANCELLED, self.side.reopen)
         await self.finished.wait()
-        await self._inherit()
+        await self._reclaim_freed()
 
     def result(self) -> CutResult:
         because = None if self.export is None else self.export.because
