@@ -1,4 +1,4 @@
-"""What the commands of the control plane mean for a node without an agent inside it."""
+"""Carries out the commands of the control plane for a node without an agent inside it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from midstride.wire.state import WireValue
 
 
 class ForeignCommands:
-    """Those of ``node``. ``parameters`` and ``lifecycle``: where it has any. ``report`` reports its state."""
+    """The commands of ``node``. ``parameters`` and ``lifecycle``: where it has any. ``report`` reports its state."""
 
     def __init__(
         self,

@@ -17,7 +17,7 @@ _OF_ROS: Final = ("qos_overrides.", "start_type_description_service")
 
 
 class ForeignParameters:
-    """Those of ``node``. They are in its state as of the last :meth:`read`."""
+    """The ROS parameters of ``node``, which are in its state as of the last :meth:`read`."""
 
     def __init__(self, node: ForeignNode, services: NodeServices) -> None:
         self._node = node

@@ -43,13 +43,13 @@ class _Cut:
 
 
 class GatedOutputs(UngatedOutputs):
-    """Those of ``node``, with ``gates``."""
+    """The outputs of ``node``, each behind one of ``gates``."""
 
     def __init__(self, node: ForeignNode, gates: Gates) -> None:
         super().__init__(node)
         self._gates = gates
         self._cuts: dict[str, _Cut] = {}
-        self._seats: dict[str, int] = {}  # by cut: the part in the page of a peer that uses Midstride's API
+        self._shared_slots: dict[str, int] = {}  # by cut: the part in the page of a peer that uses Midstride's API
 
     async def attach(self, command: commands.AttachCommand) -> replies.Attached:
         port = command.port
@@ -137,7 +137,7 @@ class GatedOutputs(UngatedOutputs):
             await asyncio.sleep(TICK)
 
     async def await_idle(self, command: commands.AwaitIdleCommand) -> replies.Idle:
-        """It hangs if an output with a rate has been silent for long, whether its gate is open or not.
+        """Report a node that hangs: an output with a rate has been silent for long, whether its gate is open or not.
 
         In simulated time, nothing is judged while `/clock` stands still, or it is not known how it moves.
         """
@@ -176,7 +176,7 @@ class GatedOutputs(UngatedOutputs):
         page, cut = self._gates.page, self._cuts.get(command.cut)
         if not command.old and cut is None:
             raise CommandRefused(f"there is no cut {command.cut}")
-        index = self._seats[command.cut] = page.allocate(command.peer)
+        index = self._shared_slots[command.cut] = page.allocate(command.peer)
         page.set_ports(index, [(port.topic, OUTPUT) for port in command.ports])
         baton = page.new_baton(index) if cut is None else cut.baton
         entries = list(zip(page.ports(index), (port.rate for port in command.ports), strict=True))
@@ -195,7 +195,7 @@ class GatedOutputs(UngatedOutputs):
     async def cut_in(self, command: commands.CutInCommand) -> replies.Done:
         """The new side: be named as the successor of the old one."""
         gates, ports = self._gates, [swap.port for swap in command.swaps]
-        old = self._seats.get(command.cut, gates.page.index_of(command.peer))
+        old = self._shared_slots.get(command.cut, gates.page.index_of(command.peer))
         if old is None:
             raise CommandRefused(f"{command.peer} has no gate of the kind that {self._node.record.instance} has")
         topics = {swap.topic for swap in command.swaps}

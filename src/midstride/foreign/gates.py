@@ -27,7 +27,7 @@ PATIENCE: Final = 2.0
 
 @dataclass
 class Gates:
-    """Those of the node ``index`` of ``page``, whose ports are those of ``component``, in its order."""
+    """The gates of the node ``index`` of ``page``, whose ports are those of ``component``, in its order."""
 
     page: Page
     index: int
@@ -65,7 +65,7 @@ class Gates:
                 entry.gate = OPEN
 
     def rate(self, port: str) -> float | None:
-        """What an output guarantees in its normal mode (Hz)."""
+        """Return the rate that an output guarantees in its normal mode (Hz); None if none."""
         owner = self.component.find_owner(port)
         return None if owner is None else self.component.stated_rate(port, {owner.name: owner.modes[0].name})
 
@@ -96,7 +96,7 @@ class Gates:
         return self.page.word(self.baton(port))
 
     def has_it(self, port: str) -> bool:
-        """Whether this node holds the baton of ``port``, or the gate alone decides."""
+        """Return whether this node holds the baton of ``port``, or the gate alone decides."""
         return not self.baton(port) or self.word(port).holder == self.index + 1
 
     def fenced(self, port: str) -> bool:

@@ -1,4 +1,4 @@
-"""Whether what a node without Midstride's API has in the graph is what its component declares: topics, types, QoS."""
+"""Compares the endpoints of a node without Midstride's API with what its component declares: topics, types, QoS."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class DeclaredEndpoints:
     node: str
 
     def shown(self, found: Sequence[GraphEndpoint]) -> bool:
-        """Whether the graph shows an endpoint for every port."""
+        """Return whether the graph shows an endpoint for every port."""
         there = {(endpoint.output, endpoint.topic) for endpoint in found}
         return all((self.component.has_output(port), self.topics[port]) in there for port in self.component.ports())
 
@@ -144,9 +144,9 @@ class DeclaredEndpoints:
         )
 
     def misnamed(self, found: Sequence[GraphEndpoint], port: str) -> GraphEndpoint | None:
-        """What ``port``, for which there is no endpoint, is probably called by the program.
+        """Guess the endpoint of ``port`` where there is none of its name.
 
-        That is the undeclared endpoint of its type and direction with the most similar name, or the only one.
+        Returns the undeclared endpoint of its type and direction with the most similar name, or the only one.
         """
         output, declared = self.component.has_output(port), self._declared(port)
         alike = {
@@ -166,7 +166,7 @@ class DeclaredEndpoints:
 
 
 def _own_name(topic: str, node: str) -> str:
-    """What a program in the namespace of ``node`` may call ``topic``."""
+    """Return the name by which a program in the namespace of ``node`` may call ``topic``."""
     return topic.removeprefix(node.rpartition("/")[0] + "/")
 
 

@@ -68,7 +68,7 @@ class LifecycleNode:
             raise
 
     def left(self) -> bool:
-        """Whether it should be active, and was not when it was last asked."""
+        """Return whether the node should be active, and was not when it was last asked."""
         return (
             self.required(self.node.record.modes, self.node.record.links) == ACTIVE and self.lifecycle.state != ACTIVE
         )

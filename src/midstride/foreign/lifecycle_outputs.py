@@ -20,14 +20,14 @@ from midstride.wire import commands, replies
 
 @dataclass
 class LifecyclePeers:
-    """Those of a system, and the hand-overs between them, by cut: how long the topics were silent (s)."""
+    """The lifecycle nodes of a system, and the hand-overs between them, by cut: how long the topics were silent (s)."""
 
     nodes: dict[str, LifecycleNode] = field(default_factory=dict)
     exchanges: dict[str, asyncio.Task[float]] = field(default_factory=dict)
 
 
 class LifecycleOutputs(UngatedOutputs):
-    """Those of ``own``."""
+    """The outputs of the lifecycle node ``own``: open while it is active."""
 
     def __init__(self, own: LifecycleNode, peers: LifecyclePeers) -> None:
         super().__init__(own.node)
@@ -49,12 +49,12 @@ class LifecycleOutputs(UngatedOutputs):
         return replies.Done()
 
     async def await_rate(self, command: commands.AwaitRateCommand) -> replies.RateVerdict:
-        """What can be known of it: that it does not leave its lifecycle state."""
+        """Judge the only thing that is known without a gate: that the node does not leave its lifecycle state."""
         left = await self._node.comes_true(self._own.left, command.timeout, every=WATCH)
         return replies.RateVerdict(reached=left == (command.until == "broken"), rate=0.0, pause=0.0)
 
     async def await_idle(self, command: commands.AwaitIdleCommand) -> replies.Idle:
-        """It hangs if it does not say its state."""
+        """Report that the node hangs if it does not answer with its state."""
         try:
             await self._own.lifecycle.look(command.timeout)
         except NoAnswer as error:

@@ -23,9 +23,9 @@ INTERVAL: Final = 0.05
 
 
 class NodeLifecycle:
-    """That of the node of ``instance``. ``state`` is the last one that the node reported.
+    """The lifecycle of the node of ``instance``. ``state`` is the last one that the node reported.
 
-    ``responsive``: it has answered when it was last asked.
+    ``responsive``: the node has answered when it was last asked.
     """
 
     def __init__(self, instance: str, services: NodeServices, startup: float = 0.0) -> None:

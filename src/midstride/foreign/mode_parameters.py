@@ -17,7 +17,7 @@ SET_TIMEOUT: Final = 4.0
 def on_entry(
     component: ComponentSpec, modes: Mapping[str, str], stated: Mapping[str, ParameterValue]
 ) -> dict[str, ParameterValue]:
-    """What is set when these modes (by functionality) are entered.
+    """Return the parameters that are set when ``modes`` (by functionality) are entered.
 
     ``stated``: the values of the node in the specification, which come before those of its component.
     """

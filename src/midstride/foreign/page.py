@@ -99,7 +99,7 @@ class PageBaton(ctypes.Structure):
 
 
 class PageLayout(ctypes.Structure):
-    """What is before the ports; ``room`` is for how many of them the file has room."""
+    """The part of the page before the ports; ``room``: for how many of them the file has room."""
 
     _fields_ = [
         ("magic", c_uint64),
@@ -257,7 +257,7 @@ class Page:
         return max(0, time.monotonic_ns() - last) / 1e9 if last else None
 
     def is_dead(self, index: int) -> bool:
-        """Whether the process that has joined as this node has ended."""
+        """Return whether the process that has joined as the node ``index`` has ended."""
         node = self.layout.nodes[index]
         return bool(node.pid) and bool(self._library.midstride_is_dead(self._file, index + 1))
 

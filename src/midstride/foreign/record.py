@@ -1,4 +1,4 @@
-"""What a node that has no agent inside it is: kept in a file beside the page, so that the next manager can go on."""
+"""The state of a node without an agent inside it: a file beside the page, so that the next manager can go on."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
 
     @property
     def simulated_time(self) -> bool:
-        """Whether contracts are meant on `/clock`, of which the page of the gates has no times."""
+        """Return whether contracts are meant on `/clock`, of which the page of the gates has no times."""
         return bool(self.stated.get("use_sim_time"))
 
     def write(self, folder: Path) -> None:
@@ -61,7 +61,7 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
 
     @classmethod
     def read(cls, folder: Path, instance: str) -> ForeignRecord | None:
-        """That of ``instance``; None where there is none. Raises BackendError."""
+        """Read the record of ``instance``; None where there is none. Raises BackendError."""
         path = _path(folder, instance)
         try:
             return msgspec.json.decode(path.read_bytes(), type=cls)

@@ -47,7 +47,7 @@ DEEPEST: Final = 1000
 
 @dataclass(frozen=True)
 class RelayPlatform:
-    """What a relay needs of its platform.
+    """The functions that a relay needs of its platform.
 
     ``host``: joins as the relay of an instance. ``type_of``: the class of a port of a message type, whose messages stay
     serialised. ``graph``: what the graph shows of the program's node; None if it shows no such node. It may raise
@@ -66,7 +66,7 @@ class RelayPlatform:
 
 
 def patient(qos: QoS, rate: float | None) -> QoS:
-    """The same with a queue that is deep enough for a relay that is not given a core for a while, where it is reliable.
+    """Return ``qos``, if reliable with a queue that is deep enough for a relay that is not given a core for a while.
 
     Such a queue fills at once and is emptied at once, where that of the program would have done so message by message.
     """
@@ -98,7 +98,7 @@ class Relay:
         self.output.write(message)
 
     def write_last(self) -> None:
-        """What was published once, before the mode was entered, as a map that is latched."""
+        """Write what was published once before the mode was entered, as a map that is latched."""
         if not self.rated and self.source.latest is not None and self.source.latest is not self.passed:
             self.write(self.source.latest)
 

@@ -1,4 +1,4 @@
-"""What the program behind a relay has in the graph: waited for when it starts, and compared with what is declared."""
+"""The endpoints of the program behind a relay: awaited when it starts, and compared with what is declared."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _WATCH: Final = 1.0
 
 @dataclass(frozen=True)
 class ProgramEndpoints:
-    """Those of the ``program`` of ``order``, as ``graph`` shows them; None while it shows no node of that name.
+    """The endpoints of the ``program`` of ``order``; ``graph`` shows them, or None while it shows no node of that name.
 
     ``graph`` may raise BackendError, and is then asked again. ``matched``: by output, whether its relay is connected
     with a publisher of the program. ``late``: the program may create a publisher only when it has something to publish,
@@ -82,7 +82,7 @@ class ProgramEndpoints:
             time.sleep(_WATCH)
 
     def _shown(self) -> tuple[Sequence[GraphEndpoint] | None, str]:
-        """What the graph shows, and why it cannot be read."""
+        """Return what the graph shows, and why it cannot be read."""
         try:
             return self.graph(), ""
         except BackendError as error:
@@ -96,7 +96,7 @@ class ProgramEndpoints:
         return "; ".join(self._declared.past_relay(self.order.real, found))
 
     def _remapped(self, found: Sequence[GraphEndpoint]) -> bool:
-        """Whether every output is published on its private topic, so the program has taken notice of remappings."""
+        """Return whether every output is published on its private topic, so that the program follows remappings."""
         published = {endpoint.topic for endpoint in found if endpoint.output}
         return all(self.order.topics[port] in published for port in self.component.outputs)
 

@@ -27,7 +27,7 @@ _PR_SET_PDEATHSIG: Final = 1
 
 
 class RelayOrder(WireValue, frozen=True, kw_only=True):
-    """What a relay runs: ``command``, whose node has the full name ``node``.
+    """The program that a relay runs: ``command``, whose node has the full name ``node``.
 
     ``topics``: by port, the full name of the topic that the program uses, which for an output is private.
     ``real``: by output that is attached, the topic on which the relay publishes. ``environment``: the variables that
@@ -97,7 +97,7 @@ class RelayedProgram:
         self.pid = self._process.pid
 
     def status(self) -> int | None:
-        """What it has exited with, 128 and the number for a signal, as in a shell; None while it runs."""
+        """Return the exit status, 128 and the number for a signal, as in a shell; None while the program runs."""
         status = self._process.poll()
         return status if status is None or status >= 0 else 128 - status
 

@@ -1,4 +1,4 @@
-"""What the agent of a node without Midstride's API asks the node itself: its lifecycle state and its parameters."""
+"""Requests of an agent to the node that it answers for: its lifecycle state and its parameters."""
 
 from __future__ import annotations
 

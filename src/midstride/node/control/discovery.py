@@ -1,4 +1,4 @@
-"""Whether a component's own middleware still discovers endpoints. Control thread."""
+"""Checks that a component's own middleware still discovers endpoints. Control thread."""
 
 from __future__ import annotations
 

@@ -105,7 +105,7 @@ class DiscoveryWatch:
         self._judge(suspects)
 
     def _judge(self, suspects: Collection[str]) -> None:
-        """These have found neither of two endpoints. Where these are all, what stands still is at the other end."""
+        """Record that ``suspects`` have found neither of two endpoints; if all have, the manager is the suspect."""
         all_at_once = len(suspects) > 1 and self._discovering == suspects and not self.stopped
         if all_at_once and not self._own:
             self.events.add(
@@ -119,7 +119,7 @@ class DiscoveryWatch:
                 self.stopped.setdefault(name, self.backend.clock.steady())
 
     async def _probe(self, names: Collection[str], patience: float) -> dict[str, bool | None]:
-        """Whether each of these that answers shows a new endpoint; empty where there is none to show."""
+        """Return which of ``names`` show a new endpoint, None for no answer; empty where there is none to show."""
 
         async def shows(name: str, topic: str) -> bool | None:
             try:
