@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
 
 from midstride.foreign import build
+from tests.foreign.lab import Lab
 
 HERE = Path(__file__).parent
 
@@ -21,6 +22,13 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert command is not None
     fake_programs(folder, command)
     return folder
+
+
+@pytest.fixture
+def lab(tmp_path: Path, programs: Path, gate_library: Path) -> Iterator[Lab]:
+    made = Lab(tmp_path, programs, gate_library)
+    yield made
+    made.close()
 
 
 def fake_programs(folder: Path, compiler: Sequence[str]) -> None:

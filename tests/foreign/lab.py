@@ -10,9 +10,13 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from midstride.codec.component_form import NamedComponentForm
 from midstride.foreign.page import OPEN, OUTPUT, Page, PagePort, PortFlag
+from midstride.foreign.record import ForeignRecord
+from midstride.model.component import ComponentSpec
 from midstride.node.handover.baton import BatonWord
 
+MS = 1_000_000
 RECORD = struct.Struct("QQq")
 LOG_SIZE = 16 + 4_000_000 * RECORD.size
 
@@ -22,6 +26,17 @@ def until(condition: Callable[[], bool], what: str) -> None:
     while not condition():
         assert time.monotonic() < deadline, what
         time.sleep(0.002)
+
+
+def variables(page: Path, programs: Path, library: Path, log: Path, index: int | str) -> dict[str, str]:
+    """Have the process of a node use the gate of ``index`` in ``page``, and write to ``log``."""
+    return {
+        "LD_PRELOAD": str(library),
+        "LD_LIBRARY_PATH": str(programs),
+        "FAKE_LOG": str(log),
+        "MIDSTRIDE_GATE_PAGE": str(page),
+        "MIDSTRIDE_GATE_NODE": str(index),
+    }
 
 
 class Lab:
@@ -49,21 +64,33 @@ class Lab:
 
     def run(self, index: int, period: int, messages: int, *takes: str) -> None:
         """Start the process of a node, which may take messages from a topic, and wait until it has joined."""
-        variables = {
-            "LD_PRELOAD": str(self.library),
-            "LD_LIBRARY_PATH": str(self.programs),
-            "FAKE_LOG": str(self.log),
-            "MIDSTRIDE_GATE_PAGE": str(self.page.path),
-            "MIDSTRIDE_GATE_NODE": str(index),
-        }
-        self.processes[index] = self.start(variables, str(index + 1), "/chat", str(period), str(messages), *takes)
+        self.start(index, "/chat", str(period), str(messages), *takes)
         until(
             lambda: any(port.endpoints and port.tried for port in self.page.ports(index)[:1]),
             f"node {index} has not written",
         )
 
-    def start(self, variables: Mapping[str, str], *arguments: str) -> subprocess.Popen[bytes]:
-        return subprocess.Popen([self.programs / "node", *arguments], env={**os.environ, **variables})
+    def start(self, index: int, *arguments: str) -> None:
+        given = variables(self.page.path, self.programs, self.library, self.log, index)
+        self.processes[index] = self.start_process(given, str(index + 1), *arguments)
+
+    def start_process(self, given: Mapping[str, str], *arguments: str) -> subprocess.Popen[bytes]:
+        return subprocess.Popen([self.programs / "node", *arguments], env={**os.environ, **given})
+
+    def record(self, instance: str, index: int, component: ComponentSpec) -> None:
+        """Write the record of a node beside the page, as the manager that has started it does."""
+        ForeignRecord(
+            instance=instance,
+            node=f"/{instance}",
+            token="",
+            uuid="",
+            pid=self.processes[index].pid,
+            started=time.time_ns(),
+            declaration=NamedComponentForm.of(component),
+            index=index,
+            topics={},
+            modes={},
+        ).write(self.page.path.parent)
 
     def port(self, index: int) -> PagePort:
         port: PagePort = self.page.ports(index)[0]

@@ -22,9 +22,9 @@ pytestmark = [pytest.mark.arm64, pytest.mark.full]
 
 
 class Emulated(Lab):
-    def start(self, variables: Mapping[str, str], *arguments: str) -> subprocess.Popen[bytes]:
-        given = [word for name, value in variables.items() for word in ("-E", f"{name}={value}")]
-        return subprocess.Popen(["qemu-aarch64", "-L", LIBRARIES, *given, self.programs / "node", *arguments])
+    def start_process(self, given: Mapping[str, str], *arguments: str) -> subprocess.Popen[bytes]:
+        options = [word for name, value in given.items() for word in ("-E", f"{name}={value}")]
+        return subprocess.Popen(["qemu-aarch64", "-L", LIBRARIES, *options, self.programs / "node", *arguments])
 
 
 def goes_on(lab: Lab, node: int) -> None:

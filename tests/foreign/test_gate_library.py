@@ -9,7 +9,6 @@ import signal
 import struct
 import subprocess
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import pairwise
@@ -35,17 +34,9 @@ from midstride.foreign.page import (
 )
 from midstride.node.handover.baton import BatonState, BatonStep, SharedSlot
 from midstride.wire.replies import SharedSlotPlace
-from tests.foreign.lab import LOG_SIZE, Lab, until
+from tests.foreign.lab import LOG_SIZE, MS, Lab, until, variables
 
 RATED, TIMED = PortFlag.RATED | PortFlag.OFFERS, PortFlag.TIMED | PortFlag.OFFERS
-MS = 1_000_000
-
-
-@pytest.fixture
-def lab(tmp_path: Path, programs: Path, gate_library: Path) -> Iterator[Lab]:
-    made = Lab(tmp_path, programs, gate_library)
-    yield made
-    made.close()
 
 
 def started(lab: Lab, period: int, flags: PortFlag) -> tuple[int, int, int]:
@@ -299,14 +290,7 @@ def test_without_a_page_a_process_behaves_as_without_the_library(
     log = tmp_path / "log"
     log.touch()
     os.truncate(log, LOG_SIZE)
-    environment = {
-        **os.environ,
-        "LD_PRELOAD": str(gate_library),
-        "LD_LIBRARY_PATH": str(programs),
-        "FAKE_LOG": str(log),
-        "MIDSTRIDE_GATE_PAGE": str(path),
-        "MIDSTRIDE_GATE_NODE": node,
-    }
+    environment = {**os.environ, **variables(path, programs, gate_library, log, node)}
     command = [str(programs / "node"), "1", "/chat", "0", "100", "time"]
     subprocess.run(command, env=environment, check=True, capture_output=True, timeout=60)
     with open(log, "rb") as file:

@@ -7,8 +7,6 @@ import ctypes
 import os
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from pathlib import Path
@@ -16,7 +14,6 @@ from pathlib import Path
 import pytest
 
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
-from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import BackendError
 from midstride.foreign.gates import Gates
 from midstride.foreign.page import (
@@ -34,22 +31,13 @@ from midstride.foreign.page import (
     PagePort,
     PortFlag,
 )
-from midstride.foreign.record import ForeignRecord
 from midstride.model.component import ComponentSpec
 from midstride.node.handover.baton import BatonStep
 from midstride.wire.sockets import SocketFolder
-from tests.foreign.lab import Lab, until
+from tests.foreign.lab import MS, Lab, until, variables
 
-MS = 1_000_000
 RATED = PortFlag.RATED | PortFlag.OFFERS
 SECOND = 1000  # what the other node of a process adds to the number of the writer
-
-
-@pytest.fixture
-def lab(tmp_path: Path, programs: Path, gate_library: Path) -> Iterator[Lab]:
-    made = Lab(tmp_path, programs, gate_library)
-    yield made
-    made.close()
 
 
 # -- ports -------------------------------------------------------------------------------------------------
@@ -104,16 +92,7 @@ def test_a_server_has_a_port_beside_a_publisher_of_that_name(lab: Lab) -> None:
     lab.page.set_ports(index, [("/chat", SERVER), ("/chat", OUTPUT)])
     server, output = lab.page.ports(index)
     output.flags, output.baton, output.gate, server.gate = RATED, lab.page.new_baton(index), OPEN, CLOSED
-    lab.processes[index] = lab.start(
-        {
-            "LD_PRELOAD": str(lab.library),
-            "LD_LIBRARY_PATH": str(lab.programs),
-            "FAKE_LOG": str(lab.log),
-            "MIDSTRIDE_GATE_PAGE": str(lab.page.path),
-            "MIDSTRIDE_GATE_NODE": str(index),
-        },
-        *(str(index + 1), "/chat", str(MS), "1000000"),
-    )
+    lab.start(index, "/chat", str(MS), "1000000")
     until(lambda: output.passed > 10, "it does not publish")
     assert (server.endpoints, server.passed, server.gated) == (0, 0, 0)
 
@@ -274,14 +253,7 @@ def test_a_page_of_another_layout_is_refused_by_both_sides_and_left_as_it_is(
     log = tmp_path / "log"
     log.touch()
     os.truncate(log, 10**6)
-    environment = {
-        **os.environ,
-        "LD_PRELOAD": str(gate_library),
-        "LD_LIBRARY_PATH": str(programs),
-        "FAKE_LOG": str(log),
-        "MIDSTRIDE_GATE_PAGE": str(tmp_path / "page"),
-        "MIDSTRIDE_GATE_NODE": "0",
-    }
+    environment = {**os.environ, **variables(tmp_path / "page", programs, gate_library, log, 0)}
     command = [str(programs / "node"), "1", "/chat", "0", "100", "time"]
     done = subprocess.run(command, env=environment, check=True, capture_output=True, timeout=60, text=True)
     assert f"has no gate: {tmp_path}/page has layout {version}, and {VERSION} is expected" in done.stderr
@@ -301,19 +273,7 @@ def test_a_node_that_runs_with_an_earlier_layout_is_named_and_goes_on(
     index = lab.node(MS, RATED)
     lab.port(index).gate = OPEN
     lab.page.layout.version = VERSION - 1
-    component = ComponentSpec.of("Talker")
-    ForeignRecord(
-        instance="talker",
-        node="/talker",
-        token="",
-        uuid="",
-        pid=lab.processes[index].pid,
-        started=time.time_ns(),
-        declaration=NamedComponentForm.of(component),
-        index=index,
-        topics={},
-        modes={},
-    ).write(lab.page.path.parent)
+    lab.record("talker", index, ComponentSpec.of("Talker"))
     assert lab.page.path.name == PAGE
     monkeypatch.setenv("XDG_CACHE_HOME", str(gate_library.parents[1]))
 

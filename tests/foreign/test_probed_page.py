@@ -6,8 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,15 +13,12 @@ import pytest
 
 from midstride.backends.ros2.manager.probed_page import probing
 from midstride.capture.probe import ProbedPort
-from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import BackendError
 from midstride.foreign.gates import Gates
 from midstride.foreign.page import INPUT, OPEN, OUTPUT, PagePort, PortFlag
-from midstride.foreign.record import ForeignRecord
 from midstride.model.component import ComponentSpec
-from tests.foreign.lab import Lab, until
+from tests.foreign.lab import MS, Lab, until
 
-MS = 1_000_000
 # As `midstride import` writes it: without ports.
 THING = ComponentSpec.of("Thing", run="node", gate="preload")
 IN, OUT = ProbedPort("/relay", "/in", False), ProbedPort("/relay", "/chat", True)
@@ -61,28 +56,13 @@ class Relay:
 
 
 @pytest.fixture
-def relay(tmp_path: Path, programs: Path, gate_library: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Relay]:
+def relay(lab: Lab, tmp_path: Path, gate_library: Path, monkeypatch: pytest.MonkeyPatch) -> Relay:
     monkeypatch.setenv("XDG_CACHE_HOME", str(gate_library.parent.parent))
-    lab = Lab(tmp_path, programs, gate_library)
     index = lab.page.allocate("relay")
     Gates(lab.page, index, THING).prepare({})
-    try:
-        lab.run(index, MS, 10**12, "/in")
-        ForeignRecord(
-            instance="relay",
-            node="/relay",
-            token="",
-            uuid="",
-            pid=lab.processes[index].pid,
-            started=time.time_ns(),
-            declaration=NamedComponentForm.of(THING),
-            index=index,
-            topics={},
-            modes={},
-        ).write(tmp_path)
-        yield Relay(lab, tmp_path, index)
-    finally:
-        lab.close()
+    lab.run(index, MS, 10**12, "/in")
+    lab.record("relay", index, THING)
+    return Relay(lab, tmp_path, index)
 
 
 def test_a_node_whose_ports_are_not_stated_yet_lists_its_topics(relay: Relay) -> None:
