@@ -13,16 +13,15 @@ import pytest
 from midstride.runtime.process import descriptors
 from midstride.runtime.process.child_process import spawn
 
-SOFT = 200
 
-
-@pytest.fixture(autouse=True)
-def _limited(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """A process that was started with a low soft limit."""
+@pytest.fixture
+def soft(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """The low soft limit that this process was started with; above what other tests have left open in it."""
     monkeypatch.setattr(descriptors, "_given", None)
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (SOFT, before[1]))
-    yield
+    limit = 200 + max(map(int, os.listdir("/proc/self/fd")))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (limit, before[1]))
+    yield limit
     resource.setrlimit(resource.RLIMIT_NOFILE, before)
 
 
@@ -38,15 +37,15 @@ def limit_of_a_child(folder: Path) -> int:
     return asyncio.run(main())
 
 
-def test_components_keep_the_limit_that_the_user_had(tmp_path: Path) -> None:
+def test_components_keep_the_limit_that_the_user_had(soft: int, tmp_path: Path) -> None:
     hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     descriptors.raise_limit()
     assert resource.getrlimit(resource.RLIMIT_NOFILE) == (min(hard, descriptors.MOST), hard)
     descriptors.raise_limit()  # nothing is left to raise, and what was given is not forgotten
-    assert limit_of_a_child(tmp_path) == SOFT
+    assert limit_of_a_child(tmp_path) == soft
 
 
-def test_no_limit_is_lowered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(descriptors, "MOST", SOFT - 1)
+def test_no_limit_is_lowered(soft: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(descriptors, "MOST", soft - 1)
     descriptors.raise_limit()
-    assert resource.getrlimit(resource.RLIMIT_NOFILE)[0] == SOFT == limit_of_a_child(tmp_path)
+    assert resource.getrlimit(resource.RLIMIT_NOFILE)[0] == soft == limit_of_a_child(tmp_path)
