@@ -19,6 +19,7 @@ from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 
 from midstride.backends.ros1 import rpc
+from midstride.model.component import StopTimes
 from midstride.runtime.process import reaper
 from midstride.runtime.process.reaper import Reaper
 from midstride.wire.environment import ENV_TOKEN
@@ -72,7 +73,7 @@ async def rig(folder: Path) -> AsyncIterator[Rig]:
         finally:
             rig.client.close()
             for instance in list(rig.handles):
-                await backend.end(instance, 2.0)
+                await backend.end(instance, StopTimes(0.0, 2.0))
             await backend.close()
             assert await backend._master.process() is None, "the master was left running"
     assert reaper.remaining_groups({}, ENV_TOKEN, token) == set()

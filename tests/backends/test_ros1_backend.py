@@ -18,6 +18,7 @@ import pytest
 from midstride.backends.ros1 import master_process
 from midstride.backends.ros1.master import Master
 from midstride.errors import CallTimeout, StartFailed, Unreachable
+from midstride.model.component import StopTimes
 from midstride.runtime.backend_protocol import Handle
 from midstride.runtime.process.child_process import Process, spawn
 from midstride.runtime.process.reaper import environment_value
@@ -55,7 +56,7 @@ def test_a_component_is_started_attached_heard_and_ended(tmp_path: Path) -> None
             await r.modes("talker", talk="degraded")
             assert (await r.detach("talker", "out", "/chatter")).acknowledged is True
             pid = r.pid("talker")
-            await r.backend.end("talker", 5.0)
+            await r.backend.end("talker", StopTimes(0.0, 5.0))
             assert not alive(pid)
             assert r.exits == []  # a requested end is not reported
             assert await clean(r, "/talker")
@@ -249,7 +250,9 @@ def test_a_component_on_another_master_is_not_found_and_it_is_said_why(tmp_path:
                 await elsewhere.open(lambda exited: None)
                 with pytest.raises(Unreachable, match=f"ROS_MASTER_URI={r.backend._master.uri}"):
                     await elsewhere.adopt(r.handles["talker"])
-                await elsewhere.end("talker", 2.0)  # that needs no master: `midstride down` ends it all the same
+                await elsewhere.end(
+                    "talker", StopTimes(0.0, 2.0)
+                )  # that needs no master: `midstride down` ends it all the same
                 assert not alive(r.pid("talker"))
                 await elsewhere.close()
             await until(lambda: r.exits)

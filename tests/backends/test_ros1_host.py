@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from midstride.errors import CommandRefused
+from midstride.model.component import StopTimes
 from midstride.wire.commands import (
     AwaitWriteCommand,
     GridCommand,
@@ -171,7 +172,7 @@ def test_the_authors_endpoints_are_listed_and_parameters_are_shown(tmp_path: Pat
             await r.attach("talker", "out", "/chatter", gate="closed")
             await r.modes("talker", talk="normal")  # an async mode
             assert (await r.client.read("talker", AwaitWriteCommand(port="out", topic="/chatter"))).gated >= 1
-            await r.backend.end("talker", 5.0)
+            await r.backend.end("talker", StopTimes(0.0, 5.0))
             with pytest.raises(Exception, match="not set"):
                 await shown()
 

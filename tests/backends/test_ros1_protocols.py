@@ -21,7 +21,7 @@ from midstride.backends.ros1 import connection_headers, launching, master_proces
 from midstride.backends.ros1.backend import Ros1Backend
 from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, CallTimeout, NodeError, StartFailed, Unreachable
-from midstride.model.component import ComponentSpec
+from midstride.model.component import KILL_AT_ONCE, ComponentSpec
 from midstride.model.contract import QoS
 from midstride.runtime.backend_protocol import Exited, Handle, Launch
 from tests.backends.ros1_support import free_port
@@ -218,7 +218,7 @@ def test_the_parameters_of_a_program_behind_a_relay_end_with_it(
             await backend.start(launch)
             assert shown == {"/chat/own": 1, "/chat/word": "hello", "/chat/unset": True, "/chat/rate": 2}
             del shown["/chat/unset"]
-            await backend.end("chat", 0.0)
+            await backend.end("chat", KILL_AT_ONCE)
         assert shown == {"/chat/own": 1}
 
     monkeypatch.setenv("MIDSTRIDE_ROS1_PYTHON", sys.executable)

@@ -19,6 +19,7 @@ from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
 from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.record import ForeignRecord
 from midstride.lang import load_text
+from midstride.model.component import KILL_AT_ONCE, StopTimes
 from midstride.runtime.backend_protocol import Endpoints, Exited, Handle, Launch
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.wire.commands import AttachCommand, AwaitWriteCommand, MeetCommand, PingCommand
@@ -71,7 +72,7 @@ def test_a_component_is_started_attached_heard_and_ended(tmp_path: Path) -> None
             assert (await r.detach("talker", "out", "/chatter")).acknowledged is True
             await until_async(lambda: r.shows_no_writer("/chatter"))
             pid = r.pid("talker")
-            await r.backend.end("talker", 5.0)
+            await r.backend.end("talker", StopTimes(0.0, 5.0))
             assert not alive(pid)
             assert r.exits == []  # an end that was requested is not reported
             assert "/talker" not in (await r.backend.endpoints()).nodes
@@ -425,7 +426,7 @@ def test_what_an_earlier_manager_started_leaves_the_graph_once_it_is_known_to_be
             earlier.kill("talker")
             await until(lambda: earlier.exits)
             assert await later.shows_node("/talker")
-            await later.backend.end("talker", 0.0)
+            await later.backend.end("talker", KILL_AT_ONCE)
             assert not await later.shows_node("/talker")
             await later.start("talker", TALKER)
             await until_async(lambda: later.shows_node("/talker"))

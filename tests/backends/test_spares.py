@@ -15,6 +15,7 @@ import pytest
 
 from midstride.backends import fork_client
 from midstride.backends.spares import Spares, fits
+from midstride.model.component import KILL_AT_ONCE, StopTimes
 from midstride.runtime.process.child_process import Process, spawn
 from midstride.runtime.process.reaper import environment_value, process_info
 from midstride.wire.environment import ENV_INSTANCE
@@ -152,7 +153,7 @@ def test_others_see_the_command_and_the_instance(tmp_path: Path) -> None:
         assert Path(f"/proc/{process.pid}/cmdline").read_text().rstrip("\0") == f"{sys.executable} waits.py"
         await spares.close()
         assert process.running  # no spare any longer
-        await process.end(0.0)
+        await process.end(KILL_AT_ONCE)
         assert await process.wait() in (-signal.SIGTERM, -signal.SIGKILL)
         process.close()
 
@@ -225,7 +226,7 @@ def test_the_death_of_the_fork_server_harms_no_process(tmp_path: Path) -> None:
         await bench.ready(spares)
         assert spares.server is not None and spares.server is not server
         for process in (in_spare, forked):
-            await process.end(5.0)
+            await process.end(StopTimes(0.0, 5.0))
             assert process.status == -signal.SIGTERM
             process.close()
         await spares.close()

@@ -14,6 +14,7 @@ from typing import Any, Final, TypeAlias
 import msgspec
 
 from midstride.errors import BackendError, CallTimeout, CommandRefused, Unreachable
+from midstride.model.component import StopTimes
 from midstride.runtime.backend_protocol import Backend, Exited, Handle, Launch
 from midstride.wire.channel import Channel, ComponentReport
 from midstride.wire.frames import Greeting, Registration, Reply, Request
@@ -50,7 +51,7 @@ class Lab:
             channel.close()
         try:
             for instance in self.handles:
-                await self.backend.end(instance, GRACE)
+                await self.backend.end(instance, StopTimes(0.0, GRACE))
         finally:
             await self.backend.close()
 

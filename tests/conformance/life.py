@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from midstride.codec.component_form import decode_component
 from midstride.errors import BackendError
+from midstride.model.component import StopTimes
 from midstride.wire.frames import Reply
 from tests.conformance import puppets
 from tests.conformance.lab import TOKEN, Lab, check
@@ -59,7 +60,7 @@ async def ends_in_order_from_outside(lab: Lab) -> None:
     await lab.listen()
     await lab.start("talker", puppets.talker(on_stop={"write": "last words"}))
     await lab.attach("talker", "out", "/chatter", peers=1)
-    await lab.backend.end("talker", 10.0)
+    await lab.backend.end("talker", StopTimes(0.0, 10.0))
     assert await lab.received("sink") == ["last words"]
     assert await lab.unreachable("talker")
     await lab.sleep(0.3)
@@ -71,7 +72,7 @@ async def ends_what_does_not_end(lab: Lab) -> None:
     """An `on_stop` that takes too long does not keep a component alive: `end` kills it after its grace."""
     await lab.start("stubborn", puppets.talker(on_stop={"sleep": 60, "timeout": 60}))
     begun = lab.clock.steady()
-    await lab.backend.end("stubborn", 1.0)
+    await lab.backend.end("stubborn", StopTimes(0.0, 1.0))
     assert lab.clock.steady() - begun < 15
     assert await lab.unreachable("stubborn")
 
@@ -87,7 +88,7 @@ async def reports_processes_that_never_register(lab: Lab) -> None:
     assert leaving.status == 3, leaving
     await lab.sleep(0.5)
     assert not lab.registrations and "endless" not in lab.exits
-    await lab.backend.end("endless", 1.0)
+    await lab.backend.end("endless", StopTimes(0.0, 1.0))
     assert await lab.unreachable("endless")
 
 

@@ -14,8 +14,9 @@ from midstride.backends.simulator.control import SimulatedControl
 from midstride.foreign.lifecycle_transitions import ACTIVE, FINALIZED, INACTIVE, UNCONFIGURED
 from midstride.foreign.services import NoAnswer
 from midstride.lang.load import load
+from midstride.model.component import StopTimes
 from midstride.model.instance_names import full_name
-from midstride.runtime.backend_protocol import Exited, Handle, Launch
+from midstride.runtime.backend_protocol import Exited, Handle, Launch, RemainingProcess
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from midstride.wire.transport import Connection, Serve, StopListening
@@ -35,7 +36,8 @@ _AFTER = {
 class SimulatedNode:
     """A node that takes 20 ms for each transition. ``events`` is that of all nodes of a system.
 
-    ``refuses`` and ``hangs`` have transitions; ``rejects``: by parameter, why it cannot be set.
+    ``refuses`` and ``hangs`` have transitions; ``rejects``: by parameter, why it cannot be set. ``ends_on``: the signal
+    on which its process ends; on None of them, it has to be killed.
     """
 
     instance: str
@@ -46,6 +48,7 @@ class SimulatedNode:
     rejects: dict[str, str] = field(default_factory=dict)
     state: str = UNCONFIGURED
     hung: bool = False
+    ends_on: str | None = "SIGINT"
     closed: bool = False
 
     def close(self) -> None:
@@ -150,14 +153,19 @@ class SimulatedRos(Simulator):
         await self._foreign.adopt(handle.instance)
         return True
 
-    async def end(self, instance: str, grace: float) -> bool:
+    async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
         if instance not in self.nodes:
-            return await super().end(instance, grace)
-        if grace:
+            return await super().end(instance, stop)
+        if stop.longest:
             await self._foreign.finish(instance)
+        node, ended = self.nodes[instance], False
+        for name, patience in (("SIGINT", stop.sigterm), ("SIGTERM", stop.sigkill)):
+            if patience and not ended:
+                ended = node.ends_on == name
+                await asyncio.sleep(0.01 if ended else patience)
         self._gone(instance)
-        self.events.append(f"{instance} {'ended' if grace else 'killed'}")
-        return False
+        self.events.append(f"{instance} {'ended' if ended else 'killed'}")
+        return [] if ended or not stop.longest else [RemainingProcess(0, "python3", stop.longest)]
 
     def unwritten(self) -> str | None:
         return self._foreign.unwritten()

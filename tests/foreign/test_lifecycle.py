@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import pytest
+from rich.console import Console
 
 from midstride.backends.simulator import virtual_loop as virtual
+from midstride.cli import render
 from midstride.errors import CommandRefused
 from midstride.foreign.lifecycle_transitions import NodeLifecycle
 from midstride.foreign.record import ForeignRecord
@@ -84,6 +86,47 @@ def test_what_is_set_later_is_taken_over_by_each_replacement(tmp_path: Path) -> 
         assert simulator.of("talker").values == {"word": "hello", "own": 1.5}
 
     managed(tmp_path, body)
+
+
+STUBBORN = "{} had not ended 10 s after it was asked to, and was killed (SIGKILL)"
+
+
+def test_what_does_not_end_when_it_is_asked_to_is_in_the_report_the_log_and_the_history(tmp_path: Path) -> None:
+    words = STUBBORN.format("talker")
+
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        begun = simulator.time.steady()
+        outcome = await manager.change(REPLACE)
+        assert (outcome.outcome, outcome.because) == ("done", None)
+        assert simulator.events[-1] == "talker killed"
+        assert simulator.time.steady() - begun > 10.0, "5 s for SIGINT, and 5 s for SIGTERM"
+        assert [(each.instance, each.words) for each in outcome.killed] == [("talker", words)]
+        console = Console(width=200)
+        with console.capture() as shown:
+            console.print(render.outcome(outcome))
+        assert f"{words}.\n" in shown.get()
+        assert [event.words for event in manager.log() if event.kind == "killed"] == [words]
+        report = await manager.change_report()
+        assert report.outcome is not None and report.outcome.killed == outcome.killed
+        history = await manager.history(10)
+        assert words in [incident.words for incident in history.incidents]
+        # Of the next change, it is no part; of the end of the system, what that has to kill is.
+        assert (await manager.change(PlanRequest(replace=(("talker", "Talker"),)))).killed == []
+        down = await manager.down()
+        assert [(each.instance, each.words) for each in down.killed] == [("talker_3", STUBBORN.format("talker_3"))]
+
+    managed(tmp_path, body, {"Talker": {"ends_on": None}})
+
+
+def test_a_program_that_ends_on_sigterm_alone_is_given_the_time_for_it(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        begun = simulator.time.steady()
+        outcome = await manager.change(REPLACE)
+        assert (outcome.outcome, outcome.killed) == ("done", [])
+        assert simulator.events[-1] == "talker ended"
+        assert simulator.time.steady() - begun > 5.0
+
+    managed(tmp_path, body, {"Talker": {"ends_on": "SIGTERM"}})
 
 
 def test_a_node_that_loses_its_input_is_inactive(tmp_path: Path) -> None:

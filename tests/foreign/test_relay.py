@@ -14,7 +14,7 @@ import pytest
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import MidstrideError, NodeError
 from midstride.foreign.relay import patient
-from midstride.foreign.relayed_program import RelayedProgram, RelayOrder, differing, private_topics
+from midstride.foreign.relayed_program import KILLED, RelayedProgram, RelayOrder, differing, private_topics
 from midstride.lang.load import load
 from midstride.model.contract import QoS
 from midstride.plan.request import PlanRequest
@@ -250,11 +250,11 @@ def test_the_relay_ends_as_its_program_does(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_a_program_that_ignores_that_it_is_to_end_is_killed(tmp_path: Path) -> None:
-    order(tmp_path, "sh", "-c", "trap '' TERM; while true; do sleep 0.1; done")
+    order(tmp_path, "sh", "-c", "trap '' INT TERM; while true; do sleep 0.1; done")
     with in_a_process(tmp_path, "sys.exit(program.end())") as relay:
         assert relay.stdout is not None
         pid = int(relay.stdout.readline())
-        assert relay.wait(60) == 0
+        assert relay.wait(60) == KILLED
         left = process_info(pid)
         assert left is None or not left.alive
 

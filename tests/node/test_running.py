@@ -14,6 +14,7 @@ import pytest
 from midstride.backends.common import KeptParameters
 from midstride.backends.simulator.host import SimulatedHost
 from midstride.errors import Unreachable
+from midstride.model.component import StopTimes
 from midstride.node.control.component_agent import Agent
 from midstride.node.control.component_reflex import Reflex
 from midstride.runtime.process.launcher import STOP_GRACE
@@ -412,7 +413,7 @@ comp.start()
         await bench.start("node", HEAD + source)
         await bench.mode("node", "f", "normal")
         log = bench.simulator.processes["node"].log
-        await bench.simulator.end("node", max(STOP_GRACE, bench.state("node").stopping))
+        await bench.simulator.end("node", StopTimes(0.0, max(STOP_GRACE, bench.state("node").stopping)))
         assert log.tail().split() == ["worked", "stopped"]
 
     simulate(tmp_path, main)

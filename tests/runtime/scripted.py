@@ -20,7 +20,7 @@ from midstride.backends.simulator.virtual_loop import run
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import CallTimeout, CommandRefused, MidstrideError, Unreachable
 from midstride.model.action import Action
-from midstride.model.component import ComponentSpec
+from midstride.model.component import ComponentSpec, StopTimes
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import Specification
 from midstride.plan.change import Change
@@ -29,7 +29,7 @@ from midstride.plan.forms.step_forms import step_form
 from midstride.plan.overlap import Overlap
 from midstride.plan.plan import Plan
 from midstride.plan.step import Step
-from midstride.runtime.backend_protocol import Endpoints, Exited, Handle, Launch
+from midstride.runtime.backend_protocol import Endpoints, Exited, Handle, Launch, RemainingProcess
 from midstride.runtime.change.action_driver import ActionDriver
 from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.executor import Executor
@@ -294,10 +294,11 @@ class ScriptedBackend:
         self.transport: Transport = PipeNetwork()
         self.launches: list[Launch] = []
         self.running: set[str] = set()
-        self.ended: list[tuple[str, float]] = []
+        self.ended: list[tuple[str, StopTimes]] = []
         self.disconnections: list[str] = []
         self.fail_start: dict[str, BaseException] = {}
         self.fail_end: dict[str, Exception] = {}
+        self.killed: dict[str, list[RemainingProcess]] = {}  # what of an instance has to be killed
         self.lingering: dict[str, int] = {}
         self.instances: dict[str, Instance] = {}  # those that register when they are started
         self._client = client
@@ -318,14 +319,14 @@ class ScriptedBackend:
     async def adopt(self, handle: Handle) -> bool:
         return handle.instance in self.running
 
-    async def end(self, instance: str, grace: float) -> bool:
-        self.ended.append((instance, grace))
+    async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
+        self.ended.append((instance, stop))
         if instance in self.fail_end:
             raise self.fail_end[instance]
         self.running.discard(instance)
-        return False
+        return self.killed.get(instance, [])
 
-    async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
+    async def end_orphans(self, token: str, known: Container[str], stop: StopTimes) -> list[str]:
         return []
 
     def is_stopped(self, instance: str) -> bool:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from midstride.model.component import KILL_AT_ONCE
 from midstride.runtime.process import descriptors
 from midstride.runtime.process.child_process import spawn
 
@@ -31,7 +32,7 @@ def limit_of_a_child(folder: Path) -> int:
         try:
             return resource.prlimit(process.pid, resource.RLIMIT_NOFILE)[0]
         finally:
-            await process.end(0.0)
+            await process.end(KILL_AT_ONCE)
             process.close()
 
     return asyncio.run(main())

@@ -14,7 +14,7 @@ from immutables import Map
 from midstride.backends.simulator.virtual_clock import PROCESSORS, SimulatedClock
 from midstride.errors import BackendError, StartFailed, StepFailed
 from midstride.model.action import Attach, Create, Degrade, Detach, Remove, SetParameters
-from midstride.model.component import ParameterSpec
+from midstride.model.component import KILL_AT_ONCE, ParameterSpec
 from midstride.model.configuration import Configuration
 from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.mode_changes import lower_modes
@@ -150,7 +150,7 @@ def test_what_the_change_created_is_killed_where_it_does_not_answer(tmp_path: Pa
         with pytest.raises(StepFailed) as failed:
             await b.carry_out([Create(SECOND), attach, DEGRADE])
         assert (failed.value.outcome, str(failed.value).count("roll-back")) == ("rolled_back", 0)
-        assert b.backend.ended == [("second", 0.0)]
+        assert b.backend.ended == [("second", KILL_AT_ONCE)]
         assert b.system.configuration == talking()
         assert "second was created by this change and does not answer: it was killed" in b.words()
 
@@ -169,7 +169,7 @@ def test_a_created_component_that_is_silent_is_not_asked_before_it_is_killed(tmp
         with pytest.raises(StepFailed) as failed:
             await b.carry_out([DEGRADE, Create(SECOND), Attach(build.port("second.out"), "/chatter")])
         assert failed.value.outcome == "rolled_back"
-        assert b.backend.ended == [("second", 0.0)]
+        assert b.backend.ended == [("second", KILL_AT_ONCE)]
         assert b.system.configuration == talking()
 
     bench(talking(), tmp_path, body)

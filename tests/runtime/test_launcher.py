@@ -12,9 +12,9 @@ import pytest
 from immutables import Map
 
 from midstride.errors import BackendError, NodeError, StartFailed, Unreachable
-from midstride.model.component import ComponentSpec, ParameterSpec
+from midstride.model.component import KILL_AT_ONCE, ComponentSpec, ParameterSpec, StopTimes
 from midstride.model.configuration import Instance
-from midstride.runtime.backend_protocol import Exited, Handle, Launch
+from midstride.runtime.backend_protocol import Exited, Handle, Launch, RemainingProcess
 from midstride.runtime.instance_life import InstanceLife, ProcessState
 from midstride.runtime.options import SystemOptions
 from midstride.runtime.process.launcher import (
@@ -23,6 +23,7 @@ from midstride.runtime.process.launcher import (
     RELEASE_TIMEOUT,
     STOP_GRACE,
     Launcher,
+    stop_times,
 )
 from midstride.wire.commands import ObserveCommand, ReleaseCommand, WelcomeCommand
 from midstride.wire.state import Endpoint
@@ -86,8 +87,48 @@ def test_a_component_has_the_time_to_end_that_it_asks_for(stopping: float, grace
         b.client.report(reported(CAMERA, stopping=stopping))
         await b.launcher.registered(CAMERA)
         await b.launcher.end("front/camera")
-        assert b.backend.ended == [("front/camera", grace)]
+        assert b.backend.ended == [("front/camera", StopTimes(0.0, grace))]
         assert b.client.disconnected == ["front/camera"] and b.client.life.handles == {}
+
+    bench(NOTHING, tmp_path, body)
+
+
+def test_a_program_without_the_api_is_ended_as_launch_does_and_a_relay_has_the_time_for_that(tmp_path: Path) -> None:
+    """The relay ends its program itself: with SIGINT, after 5 s with SIGTERM, after 5 s more with SIGKILL."""
+    preload, relay = (changed(CAMERA.component, gate=gate) for gate in ("preload", "relay"))
+    assert stop_times(preload) == StopTimes(5.0, 5.0)
+    assert stop_times(relay) == StopTimes(0.0, 10.0 + STOP_GRACE)
+    assert stop_times(relay, 12.0) == StopTimes(0.0, 22.0)
+
+    async def body(b: Bench) -> None:
+        b.backend.name = "ros2"
+        gated = changed(CAMERA, component=preload)
+        b.startable(gated)
+        await b.launcher.start(gated)
+        await b.launcher.end("front/camera")  # also one that has not registered
+        assert b.backend.ended == [("front/camera", StopTimes())]
+
+    bench(NOTHING, tmp_path, body)
+
+
+@pytest.mark.parametrize(
+    ("killed", "what"),
+    [
+        (RemainingProcess(101, "python3", 3.0), "front/camera"),
+        (RemainingProcess(7, "sleep", 3.0), "`sleep` (process 7), which front/camera had started,"),
+        (RemainingProcess(None, "talker", 3.0), "`talker`, behind the relay front/camera,"),
+    ],
+)
+def test_what_had_to_be_killed_is_said(killed: RemainingProcess, what: str, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        said: list[tuple[str, float, str]] = []
+        b.launcher.on_killed = lambda *told: said.append(told)
+        b.startable(CAMERA)
+        await b.launcher.registered(CAMERA)
+        b.backend.killed["front/camera"] = [killed]
+        await b.launcher.end("front/camera")
+        words = f"{what} had not ended 3 s after it was asked to, and was killed (SIGKILL)"
+        assert said == [("front/camera", 3.0, words)]
 
     bench(NOTHING, tmp_path, body)
 
@@ -297,16 +338,16 @@ HANDLE = Handle("front/camera", 4711, 12.5)
 
 def test_a_component_that_still_runs_is_adopted(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        assert await b.launcher.adopt(HANDLE) is None, "its process has ended"
+        assert await b.launcher.adopt(HANDLE, CAMERA.component) is None, "its process has ended"
         assert b.client.life.handles == {}
         b.backend.running.add("front/camera")
         b.client.register(CAMERA)
         state = reported(CAMERA, stopping=8.0)
         b.client.report(state)
-        assert await b.launcher.adopt(HANDLE) == state
+        assert await b.launcher.adopt(HANDLE, CAMERA.component) == state
         assert b.client.life.handles == {"front/camera": HANDLE}
         await b.launcher.end("front/camera")
-        assert b.backend.ended == [("front/camera", 8.0)]
+        assert b.backend.ended == [("front/camera", StopTimes(0.0, 8.0))]
 
     bench(NOTHING, tmp_path, body)
 
@@ -319,7 +360,7 @@ def test_a_component_that_runs_and_does_not_answer(owned: bool, tmp_path: Path) 
             r"front/camera runs \(process 4711\), but does not" if owned else "front/camera runs, but does not answer"
         )
         with pytest.raises(Unreachable, match=words):
-            await b.launcher.adopt(HANDLE, owned=owned)
+            await b.launcher.adopt(HANDLE, CAMERA.component, owned=owned)
         assert b.clock.steady() == ADOPT_TIMEOUT
 
     bench(NOTHING, tmp_path, body)
@@ -330,21 +371,21 @@ def test_a_component_of_another_system_is_not_adopted(tmp_path: Path) -> None:
         b.backend.running.add("listener")
         b.client.register(instance("listener", LISTENER), token="another system's")
         b.client.reply("listener", ObserveCommand, REFUSED)
-        assert await b.launcher.adopt(Handle("listener"), owned=False) is None
+        assert await b.launcher.adopt(Handle("listener"), CAMERA.component, owned=False) is None
         assert b.client.life.handles == {}
 
     bench(NOTHING, tmp_path, body)
 
 
 def test_the_graph_forgets_what_was_started_and_not_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def ended(token: str, known: Container[str], grace: float) -> list[str]:
+    async def ended(token: str, known: Container[str], stop: StopTimes) -> list[str]:
         assert token == TOKEN and "talker" in known
         return ["late"]
 
     async def body(b: Bench) -> None:
         plant(monkeypatch, b.backend, "end_orphans", ended)
         assert await b.launcher.end_orphans({"talker"}) == ["late"]
-        assert b.backend.ended == [("late", 0.0)]
+        assert b.backend.ended == [("late", KILL_AT_ONCE)]
 
     bench(NOTHING, tmp_path, body)
 

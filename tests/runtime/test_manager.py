@@ -12,11 +12,12 @@ import pytest
 
 from midstride.backends.simulator import Simulator
 from midstride.errors import BackendError, ManagerError, StepFailed
+from midstride.model.component import StopTimes
 from midstride.model.contract import DEFAULT_QOS
 from midstride.model.rules import violations
 from midstride.model.specification import Node
 from midstride.plan.request import PlanRequest
-from midstride.runtime.backend_protocol import Launch
+from midstride.runtime.backend_protocol import Launch, RemainingProcess
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Event, Outcome
 from midstride.runtime.records.status_forms import Why
@@ -456,10 +457,10 @@ def test_a_system_that_does_not_come_up_leaves_nothing_running(tmp_path: Path) -
 
 def test_a_system_that_does_not_come_up_and_cannot_be_taken_back_is_not_forgotten(tmp_path: Path) -> None:
     class Stuck(Simulator):
-        async def end(self, instance: str, grace: float) -> bool:
+        async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
             if instance in self.processes:
                 raise BackendError(f"the kernel does not let go of {instance}")
-            return False
+            return []
 
     (tmp_path / "broken.py").write_text("raise RuntimeError('no camera')")
     specification = example("talker")

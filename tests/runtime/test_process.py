@@ -18,9 +18,12 @@ import pytest
 
 from midstride.backends import processes
 from midstride.errors import BackendError, StartFailed
+from midstride.model.component import KILL_AT_ONCE, StopTimes
 from midstride.runtime.process import child_process as process_module
+from midstride.runtime.process import family as families
 from midstride.runtime.process import reaper
 from midstride.runtime.process.child_process import Process, end_orphans, find, shorten, spawn, tail
+from midstride.runtime.process.family import ProcessMark
 from midstride.runtime.process.reaper import Reaper, group_members, process_info
 from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
@@ -153,7 +156,7 @@ def test_a_process_leads_a_session_and_the_log_has_its_output(tmp_path: Path, to
         process = family(tmp_path, token)
         await child_of(process)
         found = os.getsid(process.pid), os.getpgid(process.pid), tail(process.log)
-        await process.end(grace=5.0)
+        await process.end(StopTimes(0.0, 5.0))
         process.close()
         assert found[:2] == (process.pid, process.pid)
         return found
@@ -166,7 +169,7 @@ def test_ending_reaches_the_whole_group(tmp_path: Path, token: str, arguments: t
     async def run() -> tuple[int, list[int]]:
         process = family(tmp_path, token, *arguments)
         child = await child_of(process)
-        await process.end(grace=0.3)
+        await process.end(StopTimes(0.0, 0.3))
         process.close()
         return child, group_members(process.pid)
 
@@ -183,12 +186,160 @@ def test_ending_says_whether_sigkill_was_needed_after_the_time_given(
 ) -> None:
     async def run() -> bool:
         process = family(tmp_path, token, *arguments)
-        await child_of(process)
-        found = await process.end(grace)
+        child = await child_of(process)
+        found = await process.end(StopTimes(0.0, grace))
         process.close()
-        return found
+        assert not found or {(each.pid, each.seconds) for each in found} <= {(process.pid, grace), (child, grace)}
+        return process.pid in [each.pid for each in found]
 
     assert asyncio.run(run()) is killed
+
+
+# Says which of SIGINT and SIGTERM came, and ends on the last one that it is given; without any, on none.
+ASKED = """
+import signal, sys
+def came(number, frame):
+    name = signal.Signals(number).name
+    print(name, flush=True)
+    if name == sys.argv[-1]:
+        sys.exit(0)
+signal.signal(signal.SIGINT, came)
+signal.signal(signal.SIGTERM, came)
+print("up", flush=True)
+while True:
+    signal.pause()
+"""
+
+
+@pytest.mark.parametrize(
+    ("ends_on", "stop", "came", "is_killed"),
+    [
+        ("SIGINT", StopTimes(10.0, 10.0), ["SIGINT"], False),
+        ("SIGTERM", StopTimes(0.1, 10.0), ["SIGINT", "SIGTERM"], False),
+        ("SIGTERM", StopTimes(0.0, 10.0), ["SIGTERM"], False),
+        ("nothing", StopTimes(0.1, 0.1), ["SIGINT", "SIGTERM"], True),
+        ("SIGTERM", StopTimes(0.1, 0.0), ["SIGINT"], True),
+    ],
+)
+def test_a_process_is_asked_with_sigint_then_with_sigterm_and_then_killed(
+    tmp_path: Path, token: str, ends_on: str, stop: StopTimes, came: list[str], is_killed: bool
+) -> None:
+    async def main() -> None:
+        command = [sys.executable, "-S", "-c", ASKED, ends_on]
+        process = spawn(command, tmp_path, {"PATH": os.environ["PATH"], VARIABLE: token}, tmp_path / "log.txt")
+        while tail(process.log) != "up\n":
+            await asyncio.sleep(0.005)
+        killed = await process.end(stop)
+        process.close()
+        assert tail(process.log).split() == ["up", *came]
+        assert process.status == (-signal.SIGKILL if is_killed else 0)
+        assert [each.pid for each in killed] == ([process.pid] if is_killed else [])
+
+    asyncio.run(main())
+
+
+def test_a_process_does_not_ignore_sigint_although_its_manager_does(tmp_path: Path, token: str) -> None:
+    """A manager that a script has started in the background ignores it, and so would each of its children."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+
+        async def main() -> int | None:
+            process = family(tmp_path, token)
+            await child_of(process)
+            await process.end(StopTimes(20.0, 20.0))
+            process.close()
+            return process.status
+
+        assert asyncio.run(main()) == -signal.SIGINT
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+# Starts others in sessions of their own, and says their numbers: a child, what that has started, and a daemon whose
+# parent has exited. `stubborn` ones ignore SIGTERM; a `bare` child has no environment. Then it waits.
+WIDE = """
+import os, signal, subprocess, sys, time
+stubborn = "signal.signal(signal.SIGTERM, signal.SIG_IGN);" if "stubborn" in sys.argv else ""
+waits = f"import os, signal, time; {stubborn} print('left', os.getpid(), flush=True); time.sleep(600)"
+python = [sys.executable, "-S", "-c"]
+nested = f"import subprocess, sys; subprocess.run([sys.executable, '-S', '-c', {waits!r}], start_new_session=True)"
+subprocess.Popen([*python, nested], start_new_session=True, env={} if "bare" in sys.argv else None)
+subprocess.run([*python, f"import subprocess, sys; subprocess.Popen([sys.executable, '-S', '-c', {waits!r}])"],
+               start_new_session=True)
+print("up", flush=True)
+if "leaves" in sys.argv:
+    time.sleep(0.5)
+    os._exit(3)
+signal.signal(signal.SIGINT, lambda *_: sys.exit())
+time.sleep(600)
+"""
+
+
+async def wide(tmp_path: Path, token: str, *arguments: str, instance: str = "wide") -> tuple[Process, list[int]]:
+    """A process, and the numbers of two that it has started in other sessions."""
+    environment = {"PATH": os.environ["PATH"], ENV_TOKEN: token, ENV_INSTANCE: instance}
+    process = spawn([sys.executable, "-S", "-c", WIDE, *arguments], tmp_path, environment, tmp_path / "log.txt")
+    process.mark = ProcessMark(token, instance)
+    while len(left := [line.split()[1] for line in tail(process.log).splitlines() if line.startswith("left")]) < 2:
+        await asyncio.sleep(0.005)
+    return process, [int(pid) for pid in left]
+
+
+@pytest.mark.parametrize("arguments", [(), ("bare",), ("stubborn",)])
+def test_what_it_has_started_in_other_sessions_is_ended_as_well(
+    tmp_path: Path, token: str, arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process_module, "LEFT_GRACE", 0.2)
+
+    async def main() -> None:
+        process, left = await wide(tmp_path, token, *arguments)
+        assert all(os.getsid(pid) != process.pid for pid in left)
+        killed = await process.end(StopTimes(10.0, 10.0))
+        process.close()
+        assert not any(alive(pid) for pid in [process.pid, *left])
+        assert process.status == 0
+        assert {each.pid for each in killed} == ({*left} if "stubborn" in arguments else set())
+
+    asyncio.run(main())
+
+
+def test_what_a_process_has_started_does_not_outlive_its_crash(tmp_path: Path, token: str) -> None:
+    async def main() -> list[int]:
+        process, left = await wide(tmp_path, token, "leaves")
+        await asyncio.wait_for(process.wait(), 10)
+        process.close()
+        return left
+
+    left = asyncio.run(main())
+    until(lambda: not any(alive(pid) for pid in left))
+
+
+def test_nothing_else_belongs_to_a_process(tmp_path: Path, token: str) -> None:
+    """Not another instance of the system, nor the same one of another system, nor a process that has its number."""
+
+    async def main() -> None:
+        first, own = await wide(tmp_path / "first", token)
+        others = [await wide(tmp_path / "second", token, instance="other"), await wide(tmp_path / "third", another)]
+        info = process_info(first.pid)
+        assert info is not None
+        found = families.members(info, ProcessMark(token, "wide"), {})
+        assert len(found) == 4 and {first.pid, *own} < found.keys()  # and the parent of one of them
+        for other, left in others:
+            assert not {other.pid, *left} & found.keys()
+        later = info._replace(started=info.started + 1.0)
+        assert families.members(later, ProcessMark(token, "narrow"), {}) == {}
+        for process in (first, *(each for each, _ in others)):
+            await process.end(KILL_AT_ONCE)
+            process.close()
+
+    another = f"{token}-another"
+    for name in ("first", "second", "third"):
+        (tmp_path / name).mkdir()
+    try:
+        asyncio.run(main())
+    finally:
+        reaper.end_groups({}, VARIABLE, another, grace=0.0)
 
 
 def test_a_killed_leader_takes_its_group_with_it(tmp_path: Path, token: str) -> None:
@@ -209,7 +360,7 @@ def test_a_stopped_process_ends_in_order(tmp_path: Path, token: str) -> None:
         process = family(tmp_path, token)
         await child_of(process)
         os.killpg(process.pid, signal.SIGSTOP)
-        await process.end(grace=10.0)
+        await process.end(StopTimes(0.0, 10.0))
         process.close()
         return process.status
 
@@ -267,7 +418,7 @@ def test_what_a_debugger_holds_is_ended(
     async def main() -> None:
         process = traced(tmp_path, token, *arguments)
         with debugged(process.pid):
-            await process.end(grace=0.0)
+            await process.end(KILL_AT_ONCE)
             process.close()
             assert not process.running
         while process_info(process.pid) is not None:
@@ -280,7 +431,7 @@ def test_one_that_is_no_longer_watched_is_ended(tmp_path: Path, token: str) -> N
     async def main() -> None:
         process = family(tmp_path, token)
         child = await child_of(process)
-        ending = asyncio.ensure_future(process.end(grace=0.0))
+        ending = asyncio.ensure_future(process.end(KILL_AT_ONCE))
         await asyncio.sleep(0)
         process.close()
         await ending
@@ -310,7 +461,7 @@ def test_a_process_that_outlives_its_end_is_reported_when_it_exits(
 
         monkeypatch.setattr(reaper, "signal_group", signal_group)
         with pytest.raises(BackendError, match=r"was killed, but .* did not exit"):
-            await backend.end("stuck", 0.0)
+            await backend.end("stuck", KILL_AT_ONCE)
         if leader_stays:
             assert exits == []
             stuck.clear()
@@ -433,7 +584,7 @@ def test_the_logs_of_running_components_are_kept_short(tmp_path: Path, monkeypat
             assert time.monotonic() < deadline, "its writer does not continue"
             await asyncio.sleep(0.01)
         assert "talkative" in backend._processes
-        await backend.end("talkative", 3.0)
+        await backend.end("talkative", StopTimes(0.0, 3.0))
         assert "talkative" not in backend._processes
         assert exits == []
         await backend._stop_watching()
@@ -466,7 +617,7 @@ def test_a_process_of_an_earlier_manager_is_found_and_watched(tmp_path: Path, to
         process = find(pid, started, VARIABLE, token)
         assert process is not None
         running = process.running
-        await process.end(grace=5.0)
+        await process.end(StopTimes(0.0, 5.0))
         process.close()
         return running, process.status
 
@@ -484,7 +635,7 @@ def test_another_process_of_the_same_number_is_not_taken_for_it(tmp_path: Path, 
         again = find(pid, started, VARIABLE, token)
         assert again is not None
         again.close()
-        await process.end(grace=5.0)
+        await process.end(StopTimes(0.0, 5.0))
         process.close()
         assert find(pid, started, VARIABLE, token) is None
 
@@ -503,12 +654,12 @@ def test_an_unrecorded_component_is_ended_and_nothing_else(tmp_path: Path, token
             while len(carriers(process.pid)) < 2:
                 await asyncio.sleep(0.005)
         whole_orphan = carriers(orphan.pid)
-        assert await end_orphans(token, {"old"}, grace=5.0) == ["new"]
+        assert await end_orphans(token, {"old"}, StopTimes(0.0, 5.0)) == ["new"]
         assert not any(alive(pid) for pid in whole_orphan)
         assert len(carriers(known.pid)) == len(carriers(other.pid)) == 2
-        assert await end_orphans(token, {"old"}, grace=5.0) == []
-        assert await end_orphans(token, (), grace=5.0) == ["old"]
-        assert await end_orphans(f"{token}-other", (), grace=5.0) == ["new"]
+        assert await end_orphans(token, {"old"}, StopTimes(0.0, 5.0)) == []
+        assert await end_orphans(token, (), StopTimes(0.0, 5.0)) == ["old"]
+        assert await end_orphans(f"{token}-other", (), StopTimes(0.0, 5.0)) == ["new"]
         for process in (orphan, known, other):
             process.close()
 
@@ -602,7 +753,7 @@ def test_the_reaper_spares_a_later_process_of_the_same_number(tmp_path: Path, to
         with Reaper(VARIABLE, token) as reaping:
             reaping.watch(process.pid, process.started - 5.0)
         survived = alive(process.pid)
-        await process.end(grace=5.0)
+        await process.end(StopTimes(0.0, 5.0))
         process.close()
         return survived
 

@@ -11,9 +11,10 @@ from immutables import Map
 
 from midstride.errors import BackendError, StartFailed, StepFailed
 from midstride.model.action import Action, Attach, Create, Remove, Upgrade
+from midstride.model.component import StopTimes
 from midstride.model.configuration import Configuration
 from midstride.plan.overlap import Overlap, one_by_one
-from midstride.runtime.backend_protocol import Exited, Handle, Launch
+from midstride.runtime.backend_protocol import Exited, Handle, Launch, RemainingProcess
 from midstride.runtime.change_observer import ChangeObserver
 from midstride.runtime.records.journal import Journal
 from midstride.runtime.records.journal_records import NewChange
@@ -41,10 +42,10 @@ class Ending:
         self._backend = b.backend
         b.backend.end = self._end  # type: ignore[method-assign]
 
-    async def _end(self, instance: str, grace: float) -> bool:
+    async def _end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
         self.begun.append(instance)
         await self.may[instance].wait()
-        return await ScriptedBackend.end(self._backend, instance, grace)
+        return await ScriptedBackend.end(self._backend, instance, stop)
 
     async def have_begun(self) -> None:
         while len(self.begun) < len(OLD):

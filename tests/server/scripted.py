@@ -16,7 +16,7 @@ from midstride.runtime.manager import Manager
 from midstride.runtime.manager_clock import SystemClock
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.records.events import EventLog
-from midstride.runtime.records.reports import Event, UpReport
+from midstride.runtime.records.reports import DownReport, Event, UpReport
 from midstride.runtime.records.status_forms import Middleware, Status
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.view.status import status
@@ -65,7 +65,7 @@ class ScriptedManager:
         self.watched = watched_system(self.specification, self.events)
         self.answers: dict[str, Any] = {
             "up": UpReport(outcome="done", instances=["listener", "talker"]),
-            "down": None,
+            "down": DownReport(),
             "why": {},
             "programs": [],
         }

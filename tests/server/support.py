@@ -10,6 +10,7 @@ from typing import Any
 
 import httpx
 
+from midstride.runtime.records.reports import DownReport
 from midstride.runtime.workspace import Workspace
 from midstride.server.serve import Tcp, serve
 from tests.server.scripted import ScriptedManager
@@ -39,7 +40,7 @@ async def serving(
             yield client, server
         finally:
             if not server.done():
-                manager.answers["down"] = None
+                manager.answers["down"] = DownReport()
                 await client.post("/down")
             await asyncio.wait_for(server, 20)
 

@@ -10,6 +10,7 @@ import httpx
 import pytest
 
 from midstride.errors import ManagerError
+from midstride.runtime.records.reports import DownReport
 from midstride.runtime.workspace import Workspace
 from midstride.server.gateway import listen, run_gateway
 from midstride.server.requests import LARGEST_BODY
@@ -89,7 +90,7 @@ def test_a_stream_arrives_as_it_comes_and_ends_with_the_manager(workspace: Works
             manager.events.add("note", "something happened")
             while "something happened" not in await anext(lines):
                 pass
-            manager.answers["down"] = None
+            manager.answers["down"] = DownReport()
             await direct.post("/down")
             assert '"kind":"down"' in "".join([line async for line in lines])
 

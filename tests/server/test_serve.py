@@ -41,7 +41,7 @@ def test_the_socket_is_its_user_s_alone_and_goes_at_the_end(workspace: Workspace
         async with serving(manager, workspace) as (client, server):
             assert stat.S_IMODE(workspace.socket.stat().st_mode) == 0o600
             assert stat.S_IMODE(workspace.path.stat().st_mode) == 0o700
-            assert (await client.post("/down")).json() == {"outcome": "done"}
+            assert (await client.post("/down")).json() == {"outcome": "done", "killed": []}
             assert await asyncio.wait_for(server, 20) == 0
         assert not workspace.socket.exists()
         assert [operation for operation, _ in manager.asked] == ["up", "down", "close"]

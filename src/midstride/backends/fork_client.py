@@ -13,6 +13,7 @@ from midstride.backends.fork_server import NUMBER_BYTES
 from midstride.backends.process_title import ARGUMENT_ROOM, VALUE_ROOM
 from midstride.backends.spare import READY
 from midstride.errors import MidstrideError, StartFailed
+from midstride.model.component import KILL_AT_ONCE
 from midstride.runtime.process import reaper
 from midstride.runtime.process.child_process import Process, adopting_orphans, spawn
 from midstride.runtime.timeouts import within
@@ -48,7 +49,7 @@ async def leave(process: Process) -> None:
         async with within(_LEAVE):
             await process.wait()
     with suppress(MidstrideError):  # the kernel does not remove it: nothing waits for its name
-        await process.end(0.0)
+        await process.end(KILL_AT_ONCE)
     process.close()
 
 

@@ -16,11 +16,15 @@ from typing import Final
 from midstride.backends import heap
 from midstride.backends.spares import Spares, fits
 from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
+from midstride.foreign.page import GATES_FOLDER
+from midstride.foreign.relayed_program import KILLED, RelayOrder, order_file
+from midstride.model.component import StopTimes
 from midstride.model.instance_names import log_file_name
-from midstride.runtime.backend_protocol import Handle, Launch
+from midstride.runtime.backend_protocol import Handle, Launch, RemainingProcess
 from midstride.runtime.manager_clock import Clock, SystemClock
 from midstride.runtime.process.child_process import Process, end_orphans, find, spawn
-from midstride.runtime.process.reaper import Reaper, process_info
+from midstride.runtime.process.family import ProcessMark
+from midstride.runtime.process.reaper import Reaper, environment_value, process_info
 from midstride.wire import environment as variables
 from midstride.wire.sockets import SocketFolder
 from midstride.wire.transport import Transport
@@ -171,16 +175,19 @@ class ProcessBackend(abc.ABC):
         self._watch(instance, process)
         return process.running
 
-    async def end(self, instance: str, grace: float) -> bool:
-        killed = False
+    async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
+        killed: list[RemainingProcess] = []
         if (process := self._processes.get(instance)) is not None:
-            killed = await process.end(grace)
+            killed = await process.end(stop)
+            if process.status == KILLED and (order := order_file(self._control / GATES_FOLDER, instance)).exists():
+                behind = RelayOrder.read(order)
+                killed.append(RemainingProcess(None, behind.command[0], behind.stop.longest))
             self._forget(instance, process)
         await self._died(instance)
         return killed
 
-    async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
-        return await end_orphans(token, known, grace)
+    async def end_orphans(self, token: str, known: Container[str], stop: StopTimes) -> list[str]:
+        return await end_orphans(token, known, stop)
 
     def is_stopped(self, instance: str) -> bool:
         process = self._processes.get(instance)
@@ -189,6 +196,8 @@ class ProcessBackend(abc.ABC):
 
     def _watch(self, instance: str, process: Process) -> None:
         self._processes[instance] = process
+        token = environment_value(process.pid, variables.ENV_TOKEN)
+        process.mark = None if token is None else ProcessMark(token, instance)
         if self._guardian is not None:
             self._guardian.watch(process.pid, process.started)
 

@@ -39,6 +39,7 @@ _STYLES: Final = {
     "exited": "red",
     "silence": "red",
     "fenced": "red",
+    "killed": "red",
     "degraded": "yellow",
     "rollback": "yellow",
     "restore": "yellow",
@@ -289,6 +290,7 @@ def _fallen_lines(outcome: Outcome) -> list[str]:
     if degraded := outcome.unexpected_degradations:
         lines.append(f"Degraded unexpectedly meanwhile: {', '.join(degraded)}; see `midstride why {degraded[0]}`.")
     lines += [f"Fenced: {each.words}." for each in outcome.fenced]
+    lines += [f"{each.words}." for each in outcome.killed]
     lines += [silence(each.words, each.seconds or None) for each in outcome.silences]
     swaps = outcome.swaps
     lines += [line for swap in swaps if (line := _faults(swap))]

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Sequence
 
 import click
 
 from midstride import backends
 from midstride.cli.running_systems import find
 from midstride.errors import BackendError, ManagerBusy, ManagerError, MidstrideError, NoManager
-from midstride.model import wording
-from midstride.runtime.backend_protocol import Backend, Handle
+from midstride.model.component import StopTimes
+from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.process.child_process import end_orphans
-from midstride.runtime.process.launcher import STOP_GRACE
+from midstride.runtime.process.launcher import killed_in_words, stop_times
 from midstride.runtime.records.reports import DownReport, KilledProcess
-from midstride.runtime.records.state_store import StateStore
+from midstride.runtime.records.state_store import SavedInstance, StateStore
 from midstride.runtime.workspace import Workspace
 
 # How long a manager may take to exit once its system is down (s).
@@ -61,33 +62,37 @@ def _stop_left_components(workspace: Workspace) -> list[KilledProcess]:
     if saved is None:  # its manager was killed before it could start anything
         store.delete()
         return []
-    handles = [entry.handle for entry in saved.instances if entry.handle is not None]
     backend = backends.make(saved.backend, workspace)
-    killed, failures = asyncio.run(_stop(backend, handles, saved.token))
+    killed, failures = asyncio.run(_stop(backend, saved.instances, saved.token))
     if failures:
         raise ManagerError("; ".join(failures))
     store.delete()
-    return [KilledProcess(instance=name, seconds=STOP_GRACE, words=wording.killed(name, STOP_GRACE)) for name in killed]
+    return killed
 
 
-async def _stop(backend: Backend, handles: list[Handle], token: str) -> tuple[list[str], list[str]]:
-    """The instances that had to be killed, and what failed."""
+async def _stop(
+    backend: Backend, instances: Sequence[SavedInstance], token: str
+) -> tuple[list[KilledProcess], list[str]]:
+    """What had to be killed, and what failed."""
     await backend.open(lambda _: None)
-    killed: list[str] = []
+    killed: list[KilledProcess] = []
     failures: list[str] = []
+    handles = [(entry.handle, entry.instance.component) for entry in instances if entry.handle is not None]
     try:
-        for handle in handles:
+        for handle, component in handles:
+            name = handle.instance
             try:
                 try:
                     runs = await backend.adopt(handle)
                 except BackendError:  # it runs, but cannot be controlled: ending it needs no more than its process
                     runs = True
-                if runs and await backend.end(handle.instance, STOP_GRACE):
-                    killed.append(handle.instance)
+                for process in await backend.end(name, stop_times(component)) if runs else ():
+                    words = killed_in_words(name, handle.pid, process)
+                    killed.append(KilledProcess(instance=name, seconds=process.seconds, words=words))
             except MidstrideError as error:
-                failures.append(f"{handle.instance}: {error}")
+                failures.append(f"{name}: {error}")
         try:
-            await end_orphans(token, {handle.instance for handle in handles}, STOP_GRACE)
+            await end_orphans(token, {handle.instance for handle, _ in handles}, StopTimes())
         except BackendError as error:
             failures.append(str(error))
     finally:

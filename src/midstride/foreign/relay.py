@@ -25,7 +25,7 @@ from midstride.foreign.gated_reflex import inputs_of
 from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.mode_parameters import on_entry, set_parameters
 from midstride.foreign.relay_endpoints import ProgramEndpoints
-from midstride.foreign.relayed_program import RelayedProgram, RelayOrder
+from midstride.foreign.relayed_program import KILLED, RelayedProgram, RelayOrder
 from midstride.foreign.services import ParameterSetter
 from midstride.model.component import FunctionalitySpec, Mode
 from midstride.model.contract import Predicate, QoS
@@ -257,6 +257,6 @@ def run_relay(platform: RelayPlatform) -> NoReturn:
     except SystemExit:
         pass
     ended = 0 if program is None else program.end()
-    if ended not in (0, 128 + signal.SIGTERM):  # else it has been asked to
+    if ended and ended != KILLED:
         print(f"`{' '.join(order.command)}` has exited with status {ended}", file=sys.stderr, flush=True)
     sys.exit(ended or status)

@@ -7,6 +7,7 @@ import ctypes
 import os
 import signal
 import subprocess
+import sys
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,12 +17,11 @@ import msgspec
 
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import BackendError, NodeError
-from midstride.model.component import ComponentSpec
+from midstride.model.component import ComponentSpec, StopTimes
 from midstride.wire.state import WireValue
 
-# How long it may take to end unasked, and once it is asked to (s).
-_ENDS: Final = 0.5
-_GRACE: Final = 2.0
+# What a relay exits with where it had to kill its program, as a shell has it.
+KILLED: Final = 128 + signal.SIGKILL
 _LIBC: Final = ctypes.CDLL(None)
 _PR_SET_PDEATHSIG: Final = 1
 
@@ -42,6 +42,11 @@ class RelayOrder(WireValue, frozen=True, kw_only=True):
     environment: dict[str, str | None] = {}
     real: dict[str, str] = {}
     stated: dict[str, Any] = {}
+
+    @property
+    def stop(self) -> StopTimes:
+        """How its program is ended."""
+        return StopTimes()
 
     def write(self, path: Path) -> None:
         """Raises BackendError."""
@@ -83,9 +88,13 @@ class RelayedProgram:
         environment = {name: value for name, value in os.environ.items() if name not in order.environment}
         environment |= {name: value for name, value in order.environment.items() if value is not None}
         self.words = " ".join(order.command)
+        self._stop = order.stop
         parent = os.getpid()
 
         def end_with_relay() -> None:
+            # In a group of its own: a signal to that of the relay does not reach it, which asks it to end itself.
+            os.setpgid(0, 0)
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
             _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
             if os.getppid() != parent:
                 os._exit(1)
@@ -111,13 +120,25 @@ class RelayedProgram:
         threading.Thread(target=wait, daemon=True).start()
 
     def end(self) -> int:
-        """End it, in bounded time; the status for the relay to exit with: that of a program that has exited."""
-        status = self.status()
-        # A signal to the relay's group has reached it already.
-        for ask, patience in ((None, _ENDS), (self._process.terminate, _GRACE), (self._process.kill, None)):
-            if ask is not None:
-                ask()
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(patience)
-                break
-        return status or 0
+        """End it and its group, as its component states; the status for the relay to exit with.
+
+        That is the one of a program that has exited, else 0, or KILLED.
+        """
+        if (status := self.status()) is not None:
+            return status
+        stop = self._stop
+        for number, patience in ((signal.SIGINT, stop.sigterm), (signal.SIGTERM, stop.sigkill)):
+            if patience > 0:
+                self._signal(number)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    self._process.wait(patience)
+                    return 0
+        self._signal(signal.SIGKILL)
+        self._process.wait()
+        times = f"{stop.sigterm:g} s after SIGINT and {stop.sigkill:g} s after SIGTERM"
+        print(f"`{self.words}` had to be killed: it was still running {times}", file=sys.stderr, flush=True)
+        return KILLED
+
+    def _signal(self, number: signal.Signals) -> None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.pid, number)

@@ -28,6 +28,26 @@ ROS_PARAMETERS: Final[Mapping[str, ParameterValue]] = {"use_sim_time": False}
 Gate: TypeAlias = Literal["preload", "relay", "lifecycle", "lifecycle preload", "none"]
 GATES: Final[tuple[Gate, ...]] = get_args(Gate)
 
+
+@dataclass(frozen=True, slots=True)
+class StopTimes:
+    """How a process is ended: with SIGINT, after ``sigterm`` s with SIGTERM, after ``sigkill`` s more with SIGKILL.
+
+    A signal that has 0 s to take effect is not sent. The defaults are those of ROS's own `launch`.
+    """
+
+    sigterm: float = 5.0
+    sigkill: float = 5.0
+
+    @property
+    def longest(self) -> float:
+        """How long the process may take to end until it is killed (s)."""
+        return self.sigterm + self.sigkill
+
+
+# For a process that must not run again, not for an instant.
+KILL_AT_ONCE: Final = StopTimes(0.0, 0.0)
+
 _KINDS: Final[Mapping[type, str]] = {bool: "boolean", int: "integer", float: "float", str: "string"}
 
 

@@ -1,1 +1,4 @@
-PUBLIC = "Backend Clock Endpoints Exited Handle Launch Manager RELAY_SUFFIX SystemClock SystemOptions Workspace within"
+PUBLIC = (
+    "Backend Clock Endpoints Exited Handle Launch Manager RELAY_SUFFIX RemainingProcess SystemClock SystemOptions "
+    "Workspace within"
+)

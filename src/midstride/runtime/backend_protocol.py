@@ -11,9 +11,9 @@ from collections.abc import Callable, Container, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final, NamedTuple, Protocol
 
-from midstride.model.component import ComponentSpec
+from midstride.model.component import ComponentSpec, StopTimes
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.records.status_forms import Middleware
 from midstride.wire.state import ComponentState
@@ -67,6 +67,17 @@ class Exited:
     log_tail: str = ""
 
 
+class RemainingProcess(NamedTuple):
+    """A process that still ran ``seconds`` after it was asked to end, and was killed.
+
+    ``program`` as the kernel names it; ``pid`` is None for the program behind a relay.
+    """
+
+    pid: int | None
+    program: str
+    seconds: float
+
+
 @dataclass(frozen=True, slots=True)
 class Endpoints:
     """The graph as the middleware reports it: nodes, and publishers and subscribers as (node, topic) pairs.
@@ -98,8 +109,8 @@ class Backend(Protocol):
     async def adopt(self, handle: Handle) -> bool:
         """Take over a component that an earlier manager started. False if it is no longer running."""
 
-    async def end(self, instance: str, grace: float) -> bool:
-        """Terminate a started component, and kill it after ``grace`` seconds (0: at once). Returns once it has exited.
+    async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
+        """End a started component, with all that it has started. Returns once it has exited: what had to be killed.
 
         The value says whether it had to be killed, since it had not exited within ``grace``.
 
@@ -122,11 +133,11 @@ class Backend(Protocol):
         """Whether a command can be run in one of them, in ``directory``; others get a new process."""
         return False
 
-    async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
+    async def end_orphans(self, token: str, known: Container[str], stop: StopTimes) -> list[str]:
         """Terminate the system's processes whose instance is not ``known``; returns the names of those instances.
 
         An earlier manager started them, but could not record them before it was killed; ``token`` identifies them.
-        After ``grace`` seconds each is killed. Raises BackendError.
+        Raises BackendError.
         """
 
     def is_stopped(self, instance: str) -> bool:

@@ -18,7 +18,6 @@ from typing import Literal
 
 from midstride.codec.configuration_form import ConfigurationForm
 from midstride.errors import BackendError, ManagerError, MidstrideError
-from midstride.model import wording
 from midstride.model.component import ParameterValue
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification, initial
@@ -105,9 +104,7 @@ class Manager:
         self._respawner = Respawner(system, clock, events, reconciler, session)
         self._restorer = Restorer(system, client, clock, events, reconciler, session, not options.keep_degraded)
         self.watched = WatchedSystem(session, self._respawner, self._restorer, options.spares)
-        launcher.on_killed = lambda name, seconds: events.add(
-            "killed", wording.killed(name, seconds), instance=name, seconds=seconds
-        )
+        launcher.on_killed = lambda name, seconds, words: events.add("killed", words, instance=name, seconds=seconds)
         # What each of them learns of the others.
         events.listeners.append(journal.note)
         commands.listeners += [self._watch.look_soon, self._keep_spares]

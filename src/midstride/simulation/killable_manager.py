@@ -13,7 +13,8 @@ from typing import Any
 
 from midstride.backends.simulator.backend import Simulator
 from midstride.errors import Unreachable
-from midstride.runtime.backend_protocol import Exited, Handle, Launch
+from midstride.model.component import StopTimes
+from midstride.runtime.backend_protocol import Exited, Handle, Launch, RemainingProcess
 from midstride.wire import frames
 from midstride.wire.transport import Connection, Serve, StopListening
 
@@ -122,11 +123,11 @@ class _Backend(_Guarded):
         handle: Handle = await self._life.call(self._inner.start, launch)
         return handle
 
-    async def end(self, instance: str, grace: float) -> bool:
+    async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
         await self._life.breath()
         self._life.on_change(f"ends {instance}")
         end = self._inner.end if self._life.cut_off is None else self._inner.end_unexpectedly
-        killed: bool = await self._life.call(end, instance, grace)
+        killed: list[RemainingProcess] = await self._life.call(end, instance, stop)
         return killed
 
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from midstride.backends.simulator.backend import Simulator
 from midstride.backends.simulator.simulated_process import SimulatedProcess
-from midstride.runtime.backend_protocol import Handle, Launch
+from midstride.model.component import StopTimes
+from midstride.runtime.backend_protocol import Handle, Launch, RemainingProcess
 from midstride.simulation.stand_in import StandIn
 
 
@@ -37,17 +38,16 @@ class Platform(Simulator):
             self.time.loop.call_later(self.starting / 2, self.processes[launch.instance].kill, 1)
         return handle
 
-    async def end_unexpectedly(self, instance: str, grace: float) -> bool:
+    async def end_unexpectedly(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
         """As :meth:`end`, by a manager that another one has superseded: that one does not expect the exit."""
         if (process := self.standing(instance)) is None:
-            return False
+            return []
         process.terminate()
-        deadline = self.time.steady() + grace
+        deadline = self.time.steady() + stop.longest
         while not process.dead and self.time.steady() < deadline:
             await self.time.sleep(0.01)
-        killed = grace > 0 and not process.dead
         process.kill()
-        return killed
+        return []
 
     def heal(self) -> None:
         """End every fault of the platform. A middleware that finds no endpoints any more needs a new process."""

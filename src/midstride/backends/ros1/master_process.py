@@ -16,6 +16,7 @@ from typing import Final
 from midstride.backends.ros1 import launching, rpc
 from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, StartFailed
+from midstride.model.component import StopTimes
 from midstride.runtime.process.child_process import find, spawn, tail
 from midstride.runtime.process.reaper import Reaper, process_info
 
@@ -36,7 +37,7 @@ _WORKERS: Final = "16"
 
 
 def hold(uri: str) -> socket.socket:
-    """Mark the master at ``uri`` as needed by this manager, until the socket is closed or this process ends.
+    """ProcessMark the master at ``uri`` as needed by this manager, until the socket is closed or this process ends.
 
     The mark is an abstract Unix socket: it belongs to the network namespace, as a local master's port does.
     """
@@ -71,7 +72,7 @@ async def ensure(master: Master, environment: Mapping[str, str], logs: Path, gua
                 raise StartFailed(f"the ROS master did not answer within {_START:g} s; its log: {log}")
             await asyncio.sleep(_POLL)
     except BaseException:  # cancelled, too, it leaves no master behind
-        await process.end(_GRACE)
+        await process.end(StopTimes(0.0, _GRACE))
         if guardian is not None:
             guardian.release(process.pid)
         raise
@@ -90,7 +91,7 @@ async def release(master: Master, guardian: Reaper | None) -> None:
     if process is None:
         return
     if not await _in_use(master):
-        await process.end(_GRACE)
+        await process.end(StopTimes(0.0, _GRACE))
         if guardian is not None:
             guardian.release(process.pid)
     process.close()

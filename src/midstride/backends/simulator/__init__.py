@@ -6,8 +6,8 @@ from midstride.backends.simulator.backend import Simulator
 from midstride.backends.simulator.virtual_loop import VirtualLoop
 
 PUBLIC = (
-    "CooperativeThread Ended ProcessOutput RequestFault SimulatedProcess SimulatedProgram "
-    "SimulatedWriter Simulator ThreadYield"
+    "CooperativeThread Ended ProcessOutput RequestFault SimulatedProcess SimulatedProgram SimulatedWriter Simulator "
+    "ThreadYield"
 )
 
 __all__ = ["Simulator", "VirtualLoop"]

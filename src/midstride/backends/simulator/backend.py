@@ -18,10 +18,11 @@ from midstride.backends.simulator.network import Network
 from midstride.backends.simulator.simulated_process import SimulatedProcess
 from midstride.backends.simulator.virtual_clock import SimulatedClock
 from midstride.errors import BackendError, StartFailed
+from midstride.model.component import StopTimes
 from midstride.model.instance_names import full_name, log_file_name
 from midstride.node.component_host import Host
 from midstride.node.diagnostic_status import DiagnosticEntry
-from midstride.runtime.backend_protocol import Backend, Endpoints, Exited, Handle, Launch
+from midstride.runtime.backend_protocol import Backend, Endpoints, Exited, Handle, Launch, RemainingProcess
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.records.status_forms import Middleware
 from midstride.wire.state import ComponentState
@@ -123,24 +124,27 @@ class Simulator(Backend):
     async def adopt(self, handle: Handle) -> bool:
         return handle.instance in self.processes
 
-    async def end(self, instance: str, grace: float) -> bool:
+    async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
+        """Simulated programs use Midstride's API: SIGINT and SIGTERM are one to them."""
         process = self.processes.get(instance)
         if process is None:
-            return False
+            return []
         process.exit_expected = True
         process.terminate()
-        deadline = self.time.steady() + grace
+        deadline = self.time.steady() + stop.longest
         while not process.dead and self.time.steady() < deadline:
-            await self.time.sleep(min(0.01, grace))
-        killed = grace > 0 and not process.dead
+            await self.time.sleep(min(0.01, stop.longest))
+        killed = (
+            [] if process.dead or not stop.longest else [RemainingProcess(process.pid, process.instance, stop.longest)]
+        )
         process.kill()
         return killed
 
-    async def end_orphans(self, token: str, known: Container[str], grace: float) -> list[str]:
+    async def end_orphans(self, token: str, known: Container[str], stop: StopTimes) -> list[str]:
         started = {name for name, process in self.processes.items() if process.token == token}
         orphans = sorted(name for name in started if name not in known)
         for name in orphans:
-            await self.end(name, grace)
+            await self.end(name, stop)
         return orphans
 
     def is_stopped(self, instance: str) -> bool:

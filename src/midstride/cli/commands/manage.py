@@ -12,12 +12,12 @@ import click
 from midstride import backends
 from midstride.backends.processes import KEPT_OF_LOG, LONGEST_LOG, listens
 from midstride.cli.input_files import load
+from midstride.model.component import StopTimes
 from midstride.runtime.backend_protocol import Handle
 from midstride.runtime.manager import Manager
 from midstride.runtime.options import SystemOptions
 from midstride.runtime.process.child_process import end_orphans, shorten
 from midstride.runtime.process.descriptors import raise_limit
-from midstride.runtime.process.launcher import STOP_GRACE
 from midstride.runtime.process.reaper import process_info
 from midstride.runtime.records.state_store import SavedState, StateStore
 from midstride.runtime.workspace import Workspace
@@ -102,7 +102,7 @@ async def _still_running(workspace: Workspace) -> SavedState | None:
         for entry in saved.instances
     ]
     if not any(running):
-        await end_orphans(saved.token, (), STOP_GRACE)
+        await end_orphans(saved.token, (), StopTimes())
         store.delete()
         return None
     return saved

@@ -1,9 +1,9 @@
-"""The operating-system processes of components: each starts as a session leader and is ended with its process group.
+"""The operating-system processes of components: each starts as a session leader and is ended with all it has started.
 
 Since each process leads a session and a process group, a signal also reaches its children (of a shell, of
 `ros2 run`), and Ctrl-C in the manager's terminal does not reach it. A pidfd reports its exit at once. This also
 works for a process that an earlier manager started, except that its exit status is then unknown. When the leader
-exits unexpectedly, the rest of its group is killed.
+exits unexpectedly, the rest of its :mod:`.family` is killed.
 
 A component appends to its log itself for as long as it runs. The logs are in the workspace, often in memory
 (``XDG_RUNTIME_DIR``): without a limit they would fill it after some days, and a component that cannot write to its log
@@ -17,19 +17,25 @@ import ctypes
 import os
 import signal
 import subprocess
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+import threading
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
 from midstride.errors import BackendError, StartFailed
-from midstride.runtime.process import reaper
+from midstride.model.component import StopTimes
+from midstride.runtime.backend_protocol import RemainingProcess
+from midstride.runtime.process import family, reaper
 from midstride.runtime.process.descriptors import restore_limit
+from midstride.runtime.process.family import ProcessMark
 from midstride.runtime.timeouts import within
 from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
 # How long the kernel may take to remove a killed process (s).
 KILL_PATIENCE: Final = 10.0
+# How long what a component has started in other sessions may take to end after SIGTERM (s), once the component has.
+LEFT_GRACE: Final = 3.0
 # How often a process that has exited is reaped again, while a debugger keeps it (s).
 REAP_AGAIN: Final = 1.0
 _TICK: Final = 0.02
@@ -51,6 +57,7 @@ class Process:
         self.log = log
         self.status: int | None = None  # negative for a signal, None while it runs and if unknown
         self.on_exit: Callable[[int | None], object] | None = None  # called with the status if it exits unexpectedly
+        self.mark: ProcessMark | None = None  # by which its orphans are found; None: no component's yet
         self._log_begins = log_begins
         self._child = child
         self._exited = asyncio.Event()
@@ -60,7 +67,9 @@ class Process:
         if info is None or info.started != started:
             os.close(self._fd)
             raise ProcessLookupError(f"process {pid} is not the one that was started")
+        self._info = info
         self._group = info.group
+        self._known: dict[int, float] = {}  # what has belonged to it, since its end began: number and start
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(self._fd, self._ended)
 
@@ -109,19 +118,20 @@ class Process:
         if self._group == self.pid:
             # A shell that is killed must not leave the component that it ran.
             reaper.signal_group(self._group, signal.SIGKILL)
+            _send(self._members()[1], signal.SIGKILL)
         if self.on_exit is not None:
             self.on_exit(self.status)
 
-    async def end(self, grace: float) -> bool:
-        """End the process and its group: with SIGTERM, and after ``grace`` seconds with SIGKILL.
+    async def end(self, stop: StopTimes) -> list[RemainingProcess]:
+        """End the process and its group, then what it has started besides; those that had to be killed.
 
-        With a ``grace`` of 0 with SIGKILL at once: one that is stopped does not run again, not for an instant. Returns
-        when all of them have exited: whether some had not after ``grace`` seconds, and were killed. Raises BackendError
-        if the kernel does not remove a killed process; then ``on_exit`` is called as soon as it has.
+        One that is killed at once, if it is stopped, does not run again, not for an instant. Returns when all of them
+        have exited. Raises BackendError if the kernel does not remove a killed process; then ``on_exit`` is called as
+        soon as it has.
         """
         self._ending = True
         try:
-            killed = await self._end(grace)
+            killed = await self._end(stop)
         except BaseException:
             self._ending = False
             if not self.running:  # but one of its group is
@@ -129,38 +139,63 @@ class Process:
             raise
         if self.running and self._fd >= 0:  # a debugger keeps one of its threads: the pidfd does not tell
             self._ended()
-        return killed and grace > 0
-
-    async def _end(self, grace: float) -> bool:
-        """Whether SIGKILL was needed."""
-        if grace > 0:
-            deadline = self._loop.time() + grace
-            self._signal(signal.SIGTERM)
-            self._signal(signal.SIGCONT)  # a stopped process must run to handle SIGTERM
-            await self._gone(deadline)
-        deadline = self._loop.time() + KILL_PATIENCE
-        killed = False
-        while self._remaining():
-            if self._loop.time() > deadline:
-                raise BackendError(f"process {self.pid} was killed, but {self._remaining()} did not exit")
-            killed = True
-            self._signal(signal.SIGKILL)
-            await self._gone(self._loop.time() + 0.5)
         return killed
 
-    async def _gone(self, deadline: float) -> None:
-        try:
+    async def _end(self, stop: StopTimes) -> list[RemainingProcess]:
+        group, _ = self._members()
+        for number, patience in ((signal.SIGINT, stop.sigterm), (signal.SIGTERM, stop.sigkill)):
+            if patience > 0 and group:
+                self._signal(number)
+                self._signal(signal.SIGCONT)  # a stopped process must run to handle the signal
+                group = await self._gone(self._loop.time() + patience)
+        killed = _killed(group, stop.longest)
+        deadline = self._loop.time() + KILL_PATIENCE
+        while group:
+            if self._loop.time() > deadline:
+                raise BackendError(f"process {self.pid} was killed, but {sorted(group)} did not exit")
+            self._signal(signal.SIGKILL)
+            group = await self._gone(self._loop.time() + 0.5)
+        killed += await self._end_left(LEFT_GRACE if stop.longest else 0.0)
+        return killed if stop.longest else []
+
+    async def _gone(self, deadline: float) -> list[int]:
+        """Wait until the process and its group have exited, no longer than ``deadline``; those that have not."""
+        with suppress(asyncio.TimeoutError):
             async with within(max(0.0, deadline - self._loop.time())):
                 await self._exited.wait()
-        except asyncio.TimeoutError:
-            return
-        while self._remaining() and self._loop.time() < deadline:
+        while (group := self._members()[0]) and self._loop.time() < deadline:
             await asyncio.sleep(_TICK)
+        return group
 
-    def _remaining(self) -> list[int]:
-        if self._group == self.pid:
-            return reaper.group_members(self._group)
-        return [self.pid] if self.running else []
+    async def _end_left(self, grace: float) -> list[RemainingProcess]:
+        """End what it has started in other groups, once its own has ended; those that had to be killed."""
+        _, left = self._members()
+        if grace > 0 and left:
+            _send(left, signal.SIGTERM, signal.SIGCONT)
+            deadline = self._loop.time() + grace
+            while (left := self._members()[1]) and self._loop.time() < deadline:
+                await asyncio.sleep(_TICK)
+        killed = _killed(left, grace)
+        deadline = self._loop.time() + KILL_PATIENCE
+        while left:
+            if self._loop.time() > deadline:
+                raise BackendError(f"{sorted(left)}, which process {self.pid} had started, did not exit when killed")
+            _send(left, signal.SIGKILL)
+            await asyncio.sleep(_TICK)
+            left = self._members()[1]
+        return killed
+
+    def _members(self) -> tuple[list[int], list[int]]:
+        """The processes that run of its group, itself included, and what it has started in other groups.
+
+        What has been found once is found again.
+        """
+        if self._group != self.pid:
+            return [self.pid] if self.running else [], []
+        found = family.members(self._info, self.mark, self._known)
+        self._known |= {pid: process.started for pid, process in found.items()}
+        group = [pid for pid, process in found.items() if process.group == self._group]
+        return group, [pid for pid in found if pid not in group]
 
     def _signal(self, number: signal.Signals) -> None:
         if self._group == self.pid:
@@ -177,6 +212,19 @@ class Process:
             self._fd = -1
 
 
+def _killed(pids: Iterable[int], seconds: float) -> list[RemainingProcess]:
+    """These, to be killed after they had so long to end."""
+    return [RemainingProcess(pid, name, seconds) for pid in pids if (name := reaper.program_name(pid)) is not None]
+
+
+def _send(processes: Iterable[int], *numbers: signal.Signals) -> None:
+    """Send signals to processes, in this order; one that has exited meanwhile is not an error."""
+    for pid in processes:
+        for number in numbers:
+            with suppress(ProcessLookupError, PermissionError):
+                os.kill(pid, number)
+
+
 def spawn(
     arguments: Sequence[str],
     directory: Path,
@@ -190,7 +238,7 @@ def spawn(
     """
     try:
         log.parent.mkdir(parents=True, exist_ok=True)
-        with open(log, "ab") as output:
+        with open(log, "ab") as output, _interruptible():
             begins = output.tell()
             child = subprocess.Popen(
                 list(arguments),
@@ -217,6 +265,23 @@ def spawn(
         reaper.signal_group(child.pid, signal.SIGKILL)
         os.waitpid(child.pid, 0)
         raise StartFailed(f"cannot watch `{' '.join(arguments)}`: {error.strerror or error}") from None
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Meanwhile a process that is started does not ignore SIGINT, with which it is ended.
+
+    A shell starts what is in the background, such as a manager, with SIGINT ignored, and that is inherited.
+    """
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    if not ignored or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signal.signal(signal.SIGINT, lambda *_: None)  # in the new process, it is the default
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 _adopting = 0
@@ -249,13 +314,13 @@ def find(pid: int, started: float, variable: str, value: str, log: Path | None =
         return None
 
 
-async def end_orphans(token: str, known: Container[str], grace: float) -> list[str]:
+async def end_orphans(token: str, known: Container[str], stop: StopTimes) -> list[str]:
     """End the system's processes whose instance is not ``known``; returns the names of those instances.
 
     An earlier manager started them, but could not record them before it was killed: they would run forever and keep
-    their names in use. ``token`` in their environment identifies them. After ``grace`` seconds each is killed. The
-    children of a known component have that component's name in their environment, and are left alone. Raises
-    BackendError if the kernel does not remove a killed process.
+    their names in use. ``token`` in their environment identifies them. The children of a known component have that
+    component's name in their environment, and are left alone. Raises BackendError if the kernel does not remove a
+    killed process.
     """
     orphans: dict[str, list[reaper.ProcessInfo]] = {}
     for process in reaper.processes():
@@ -263,7 +328,7 @@ async def end_orphans(token: str, known: Container[str], grace: float) -> list[s
             name = reaper.environment_value(process.pid, ENV_INSTANCE)
             if name is not None and name not in known:
                 orphans.setdefault(name.strip(), []).append(process)
-    await asyncio.gather(*(_end(process, token, grace) for found in orphans.values() for process in _leaders(found)))
+    await asyncio.gather(*(_end(process, token, stop) for found in orphans.values() for process in _leaders(found)))
     return sorted(filter(None, orphans))  # a spare has no name yet
 
 
@@ -273,11 +338,12 @@ def _leaders(found: list[reaper.ProcessInfo]) -> list[reaper.ProcessInfo]:
     return [process for process in found if process.pid == process.group or process.group not in leaders]
 
 
-async def _end(orphan: reaper.ProcessInfo, token: str, grace: float) -> None:
+async def _end(orphan: reaper.ProcessInfo, token: str, stop: StopTimes) -> None:
     process = find(orphan.pid, orphan.started, ENV_TOKEN, token)
     if process is not None:
         with closing(process):
-            await process.end(grace)
+            process.mark = ProcessMark.of(orphan.pid)
+            await process.end(stop)
 
 
 def tail(log: Path | None, length: int = 4000, since: int = 0) -> str:

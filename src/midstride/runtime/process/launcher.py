@@ -22,9 +22,10 @@ from midstride.errors import (
     StartFailed,
     Unreachable,
 )
-from midstride.model.component import GATES, Gate
+from midstride.model import wording
+from midstride.model.component import GATES, KILL_AT_ONCE, ComponentSpec, Gate, StopTimes
 from midstride.model.configuration import Instance
-from midstride.runtime.backend_protocol import RELAY_SUFFIX, Backend, Exited, Handle, Launch
+from midstride.runtime.backend_protocol import RELAY_SUFFIX, Backend, Exited, Handle, Launch, RemainingProcess
 from midstride.runtime.instance_life import STOPPED, ProcessEvent
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.process.component_client import ComponentClient, ComponentEvent
@@ -42,12 +43,24 @@ REGISTRATION_TIMEOUT: Final = float(os.environ.get("MIDSTRIDE_REGISTRATION_TIMEO
 REGISTRATION_LIMIT: Final = 10 * REGISTRATION_TIMEOUT
 # How often a process that starts is checked for having been stopped (s).
 CHECK_STOPPED: Final = 0.5
-# How long a component may take to terminate before it is killed (s), unless it asks for longer.
+# How long a component may take to end in order before it is killed (s), unless it asks for longer.
 STOP_GRACE: Final = 3.0
 # How long a running component may take to accept a connection of a new manager (s).
 ADOPT_TIMEOUT: Final = 5.0
 # How long a component started by hand may take to leave its modes and topics (s).
 RELEASE_TIMEOUT: Final = 5.0
+
+
+def stop_times(component: ComponentSpec, asked: float = 0.0) -> StopTimes:
+    """How the process of a ``component`` is ended.
+
+    One with Midstride's API ends in order on SIGTERM, and says how long that may take (``asked``, s). Any other program
+    is ended as ROS's own `launch` does. A relay does that with the program behind it.
+    """
+    if component.gate is None:
+        return StopTimes(0.0, max(STOP_GRACE, asked))
+    stop = StopTimes()
+    return StopTimes(0.0, stop.longest + max(STOP_GRACE, asked)) if component.gate == "relay" else stop
 
 
 class Launcher:
@@ -65,11 +78,11 @@ class Launcher:
         self._options = options
         self._starting: dict[str, asyncio.Future[tuple[Greeting, Registration]]] = {}
         self._exits: dict[str, asyncio.Future[Exited]] = {}
-        self._graces: dict[str, float] = {}
+        self._stops: dict[str, StopTimes] = {}
         self._last_registration = -REGISTRATION_TIMEOUT  # steady s
         self._life = client.life
-        # Called with the name of an instance that had to be killed, and the seconds that it had to end in order.
-        self.on_killed: Callable[[str, float], object] | None = None
+        # Called with an instance of which a process had to be killed, the seconds that this had to end, and words.
+        self.on_killed: Callable[[str, float, str], object] | None = None
 
     def exited(self, event: Exited) -> None:
         """A process has exited: if its registration is awaited, the start fails."""
@@ -112,6 +125,7 @@ class Launcher:
         if command is None:
             self._life.started(name, None)
             return True
+        self._stops[name] = stop_times(instance.component)
         known = GATES_OF.get(self._backend.name, ())
         if gate is not None and gate not in known:
             self._forget_start(name)
@@ -199,7 +213,7 @@ class Launcher:
         try:
             greeting, registration = await self._registration(instance)
             self._verify(instance, greeting, registration)
-            self._remember_grace(await self._welcome(name))
+            self._stops[name] = stop_times(instance.component, (await self._welcome(name)).stopping)
             self._life.record(name, ProcessEvent.REGISTERED)
         except (Exception, asyncio.CancelledError) as error:
             await self.abandon(name)
@@ -300,32 +314,30 @@ class Launcher:
         return None
 
     async def end(self, name: str) -> None:
-        """Terminate a component that a manager started. Raises BackendError; then its handle is kept.
-
-        It is killed if it has not ended after as long as it asks for; ``on_killed`` is called then.
-        """
-        grace = self._graces.get(name, STOP_GRACE)
-        if await self._end(name, grace) and self.on_killed is not None:
-            self.on_killed(name, grace)
+        """End a component that a manager started. Raises BackendError; then its handle is kept."""
+        await self._end(name, self._stops.get(name, StopTimes()))
         self._life.record(name, ProcessEvent.ENDED)
 
     async def kill(self, name: str) -> None:
         """Kill a component that does not answer: it counts as one that has exited. Raises as ``end``."""
-        await self._end(name, 0.0)
+        await self._end(name, KILL_AT_ONCE)
         self._life.exited(Exited(name, None), ProcessEvent.KILLED)
 
-    async def _end(self, name: str, grace: float) -> bool:
-        """Whether it had to be killed although it had ``grace`` seconds."""
+    async def _end(self, name: str, stop: StopTimes) -> None:
         self._client.forget_revision(name)
+        handle = self._life[name].handle
         self._life.record(name, ProcessEvent.END_BEGUN)
         try:
-            killed = await self._backend.end(name, grace)
+            killed = await self._backend.end(name, stop)
         except BaseException:
             self._life.record(name, ProcessEvent.END_FAILED)
             raise
         self._client.disconnect(name)
-        self._graces.pop(name, None)
-        return killed
+        self._stops.pop(name, None)
+        for process in killed:
+            words = killed_in_words(name, None if handle is None else handle.pid, process)
+            if self.on_killed is not None:
+                self.on_killed(name, process.seconds, words)
 
     async def release(self, name: str) -> None:
         """Release a component that was started by hand: degraded and unattached, it waits for the next manager.
@@ -342,8 +354,8 @@ class Launcher:
         self._client.disconnect(name)
         self._life.record(name, ProcessEvent.RELEASED)
 
-    async def adopt(self, handle: Handle, *, owned: bool = True) -> ComponentState | None:
-        """Connect to a component of an earlier manager. None if it has exited or belongs to another system.
+    async def adopt(self, handle: Handle, component: ComponentSpec, *, owned: bool = True) -> ComponentState | None:
+        """Connect to a ``component`` of an earlier manager. None if it has exited or belongs to another system.
 
         ``owned``: that manager started it, so this one may terminate it. Raises Unreachable if it runs but does not
         answer.
@@ -351,6 +363,7 @@ class Launcher:
         if not await self._backend.adopt(handle):
             return None
         self._life.adopted(handle.instance, handle if owned else None)
+        self._stops[handle.instance] = stop_times(component)
         try:
             async with within(ADOPT_TIMEOUT):
                 await self._client.connect(handle.instance)
@@ -366,19 +379,26 @@ class Launcher:
                 )
             words = f"{handle.instance} runs{which}, but does not answer on its control socket{remedy}"
             raise Unreachable(words) from None
-        self._remember_grace(state)
+        self._stops[handle.instance] = stop_times(component, state.stopping)
         return state
 
     async def end_orphans(self, known: Container[str]) -> list[str]:
         """Terminate the system's processes whose instance is not ``known``. Raises BackendError."""
-        ended = await self._backend.end_orphans(self._client.token, known, STOP_GRACE)
+        ended = await self._backend.end_orphans(self._client.token, known, StopTimes())
         for name in ended:
-            await self._backend.end(name, 0.0)  # the graph may still show it, and its name may be used again
+            await self._backend.end(name, KILL_AT_ONCE)  # the graph may still show it, and its name may be used again
         return ended
 
-    def _remember_grace(self, state: ComponentState) -> None:
-        """Remember how long the component may take to terminate (``on_stop``)."""
-        self._graces[state.instance] = max(STOP_GRACE, state.stopping)
+
+def killed_in_words(name: str, leader: int | None, process: RemainingProcess) -> str:
+    """That ``process`` of the instance ``name`` had to be killed; ``leader``: the number of the instance's own."""
+    if process.pid is None:
+        what = f"`{process.program}`, behind the relay {name},"
+    elif leader is None or process.pid == leader:
+        what = name
+    else:
+        what = f"`{process.program}` (process {process.pid}), which {name} had started,"
+    return wording.killed(what, process.seconds)
 
 
 def _describe_exit(event: Exited) -> str:

@@ -44,6 +44,7 @@ class ProcessInfo(NamedTuple):
     started: float
     alive: bool
     stopped: bool = False
+    parent: int = 0
 
 
 def process_info(pid: int) -> ProcessInfo | None:
@@ -54,9 +55,8 @@ def process_info(pid: int) -> ProcessInfo | None:
     except OSError:
         return None
     fields = text[text.rindex(b")") + 2 :].split()  # the command name, in parentheses, may contain anything
-    return ProcessInfo(
-        pid, int(fields[2]), int(fields[19]) / _TICKS_PER_SECOND, fields[0] not in (b"Z", b"X"), fields[0] == b"T"
-    )
+    alive, stopped = fields[0] not in (b"Z", b"X"), fields[0] == b"T"
+    return ProcessInfo(pid, int(fields[2]), int(fields[19]) / _TICKS_PER_SECOND, alive, stopped, int(fields[1]))
 
 
 def processes() -> Iterator[ProcessInfo]:
@@ -80,6 +80,15 @@ def environment_value(pid: int, variable: str) -> str | None:
     except OSError:
         return None
     return next((os.fsdecode(entry[len(name) :]) for entry in entries if entry.startswith(name)), None)
+
+
+def program_name(pid: int) -> str | None:
+    """The name of its program, as the kernel has it; None if the process does not exist."""
+    try:
+        with open(f"/proc/{pid}/comm", "rb") as file:
+            return os.fsdecode(file.read()).strip()
+    except OSError:
+        return None
 
 
 def signal_group(group: int, number: signal.Signals) -> None:

@@ -37,9 +37,9 @@ from midstride.errors import BackendError, NodeError, StartFailed, Unreachable
 from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.relayed_program import differing
-from midstride.model.component import ComponentSpec
+from midstride.model.component import KILL_AT_ONCE, ComponentSpec, StopTimes
 from midstride.model.instance_names import full_name
-from midstride.runtime.backend_protocol import Backend, Endpoints, Exited, Handle, Launch
+from midstride.runtime.backend_protocol import Backend, Endpoints, Exited, Handle, Launch, RemainingProcess
 from midstride.runtime.process.child_process import Process
 from midstride.runtime.process.reaper import Reaper
 from midstride.runtime.records.status_forms import Middleware
@@ -147,7 +147,7 @@ class Ros2Backend(ProcessBackend, Backend):
             handle = await self._spawn(launch, own_name, command, environment)
             await self._foreign_nodes.started(record, handle)
         except BaseException as error:  # a process without an agent must not keep running
-            await super().end(launch.instance, 0.0)
+            await super().end(launch.instance, KILL_AT_ONCE)
             self._foreign_nodes.discard(record)
             if isinstance(error, NodeError):
                 raise StartFailed(f"{launch.instance}: {error}") from error
@@ -173,10 +173,10 @@ class Ros2Backend(ProcessBackend, Backend):
             self._foreign_nodes.gone(handle.instance)
         return runs
 
-    async def end(self, instance: str, grace: float) -> bool:
-        if grace:
+    async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
+        if stop.longest:
             await self._foreign_nodes.finish(instance)
-        return await super().end(instance, grace)
+        return await super().end(instance, stop)
 
     def _services_of(self, node: str) -> RosNodeServices:
         return RosNodeServices(self._node, node)

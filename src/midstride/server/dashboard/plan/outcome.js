@@ -40,6 +40,7 @@ export function details(outcome, plan) {
       ? [`Degraded unexpectedly meanwhile: ${outcome.unexpected_degradations.join(", ")}; see \`midstride why ${outcome.unexpected_degradations[0]}\`.`]
       : []),
     ...(outcome.fenced ?? []).map((each) => `Fenced: ${each.words}.`),
+    ...(outcome.killed ?? []).map((each) => `${each.words}.`),
     ...(outcome.silences ?? []).map(silence),
     ...swaps.flatMap(faults),
   ];
