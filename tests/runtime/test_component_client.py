@@ -11,7 +11,7 @@ import pytest
 from midstride.backends.simulator.virtual_clock import SimulatedClock
 from midstride.backends.simulator.virtual_loop import run
 from midstride.errors import CallTimeout, CommandRefused, ProtocolError, RevisionChanged, Superseded, Unreachable
-from midstride.runtime.instance_life import ANSWER_TIMEOUT, SILENCE
+from midstride.runtime.instance_life import ANSWER_TIMEOUT, SILENCE, ConnectionEvent, ConnectionState
 from midstride.runtime.process.component_client import (
     REOPEN_INTERVAL,
     UNDO_ATTEMPTS,
@@ -454,6 +454,25 @@ def test_another_component_that_took_the_name_shows_that_the_first_has_exited(su
         await c.start(successor)
         await settled()
         assert c.client.life.is_gone("talker") and c.events == [Disconnected("talker", exited=True)]
+
+    play(body)
+
+
+def test_the_end_of_that_other_component_brings_the_first_one_not_back() -> None:
+    async def body(c: Control) -> None:
+        c.network.peer = 4711
+        await c.client.observe("talker")
+        await c.component.server.close(0.0)
+        c.network.peer = None
+        await c.start(Component("second"))
+        await settled()
+        await c.stop()
+        await asyncio.sleep(2 * REOPEN_INTERVAL)
+        assert c.client.life["talker"].connection is ConnectionState.GONE
+        assert [each.event for each in c.client.life["talker"].history][-2:] == [
+            ConnectionEvent.BROKEN,
+            ConnectionEvent.REFUSED,
+        ]
 
     play(body)
 

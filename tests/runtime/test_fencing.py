@@ -14,19 +14,24 @@ import pytest
 from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.network import SimulatedWriter
 from midstride.codec.specification_form import decode_specification
+from midstride.model.component import PortRef
 from midstride.model.contract import DEFAULT_QOS
 from midstride.model.rules import violations
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.backend_protocol import Handle, Launch
-from midstride.runtime.handover.fences import DEFAULT_WAIT, PATIENCE
-from midstride.runtime.instance_life import STOPPED
+from midstride.runtime.handover.fences import DEFAULT_WAIT, PATIENCE, Fences
+from midstride.runtime.instance_life import STOPPED, FenceState
 from midstride.runtime.manager import Manager
 from midstride.runtime.process.launcher import STOP_GRACE
 from midstride.runtime.records.reports import Event, Outcome
 from midstride.runtime.workspace import Workspace
+from midstride.wire.commands import FenceCommand
+from midstride.wire.replies import FencedOutputs
+from tests.runtime.scripted import Bench, bench, talking
 from tests.runtime.systems import last_said, managed, replace, stateful_talkers
 
+OUT, OTHER = PortRef("talker", "out"), PortRef("talker", "other")
 # A talker at 10 Hz that does not return from its call number `at`, for `seconds`, and then says so.
 _TALKER = """
 import sys
@@ -408,6 +413,23 @@ def test_where_a_killed_old_side_and_the_new_one_are_gone_the_outcome_says_so(tm
         assert (await manager.status()).valid
 
     hanging(tmp_path, body, simulator, Old=_talker("old", 0, 0))
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_further_outputs_of_a_fenced_node_are_closed_or_it_is_killed(answers: bool, tmp_path: Path) -> None:
+    """As where another step of the change hands over other outputs of it."""
+
+    async def body(b: Bench) -> None:
+        fences = Fences(b.client, b.launcher, b.events)
+        b.client.reply("talker", FenceCommand, FencedOutputs(last={"out /chatter": 7}), FencedOutputs(last={}))
+        assert await fences.fence("talker", "it hangs", [(OUT, "/chatter")]) == {OUT: 7}
+        if not answers:
+            del b.client.states["talker"]
+        assert await fences.fence("talker", "it hangs", [(OTHER, "/log")]) == {OTHER: None}
+        assert b.client.life["talker"].fence is (FenceState.GATE if answers else FenceState.KILLED)
+        assert b.client.life["talker"].closed == ([("other", "/log")] if answers else [])
+
+    bench(talking(), tmp_path, body)
 
 
 def test_a_subscriber_that_hangs_is_replaced(tmp_path: Path) -> None:

@@ -137,8 +137,8 @@ def test_the_latest_transitions_are_kept_with_time_and_reason() -> None:
             (ProcessEvent.EXITED, 3.0, "talker exited unexpectedly"),
         ]
         for _ in range(KEPT):
-            life.record("talker", ConnectionEvent.OPENED)
-        assert [each.event for each in life["talker"].history] == [ConnectionEvent.OPENED] * KEPT
+            life.record("talker", ConnectionEvent.DISCONNECTED)
+        assert [each.event for each in life["talker"].history] == [ConnectionEvent.DISCONNECTED] * KEPT
 
     living(body)
 

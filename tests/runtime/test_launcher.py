@@ -316,6 +316,93 @@ def test_abandoning_never_fails_and_keeps_what_could_not_be_ended(tmp_path: Path
     bench(NOTHING, tmp_path, body)
 
 
+def test_what_is_left_of_one_that_has_exited_is_ended_as_far_as_it_can_be(tmp_path: Path) -> None:
+    """Its handle is kept until then, so that the next attempt, or the next manager, can end it."""
+
+    async def body(b: Bench) -> None:
+        name, exited = CAMERA.name, Exited(CAMERA.name, -9)
+        await b.launcher.start(CAMERA)
+        b.client.life.exited(exited)
+        b.backend.fail_end[name] = BackendError("the kernel keeps it")
+        for state in (ProcessState.EXITED, ProcessState.ABSENT):
+            with pytest.raises(BackendError, match="the kernel keeps it"):
+                await b.launcher.end(name)
+            assert b.client.life[name].process is state and list(b.client.life.handles) == [name]
+            b.client.life.take_exited({})  # it is not in the model: no role misses it
+        b.backend.fail_end.clear()
+        await b.launcher.end(name)
+        assert b.client.life[name] == InstanceLife()
+
+    bench(NOTHING, tmp_path, body)
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_one_that_exits_before_it_is_killed_or_meanwhile_has_exited(
+    before: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def body(b: Bench) -> None:
+        async def end(instance: str, grace: float) -> None:
+            b.client.life.exited(Exited(instance, 1))
+
+        await b.launcher.start(CAMERA)
+        if before:
+            b.client.life.exited(Exited(CAMERA.name, 1))
+        else:
+            monkeypatch.setattr(b.backend, "end", end)
+        await b.launcher.kill(CAMERA.name)
+        assert b.client.life.exits == {CAMERA.name: Exited(CAMERA.name, None)} and b.client.life.handles == {}
+
+    bench(NOTHING, tmp_path, body)
+
+
+def test_one_that_exits_as_it_is_accepted_is_not_running(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        await b.launcher.start(CAMERA)
+        b.client.register(CAMERA)
+        b.client.life.exited(Exited(CAMERA.name, 1))
+        await b.launcher.registered(CAMERA)
+        assert b.client.life.has_exited(CAMERA.name)
+
+    bench(NOTHING, tmp_path, body)
+
+
+def test_one_whose_role_misses_it_can_be_ended_and_stays_missing(tmp_path: Path) -> None:
+    """Its restart could not be undone: what was started is stuck, and exits later."""
+
+    async def body(b: Bench) -> None:
+        name, before = CAMERA.name, Exited(CAMERA.name, 1)
+        await b.launcher.start(CAMERA)
+        b.backend.fail_end[name] = BackendError("the kernel keeps it")
+        await b.launcher.abandon(name)
+        b.client.life.miss_again({name: before}, {})
+        assert b.client.life.missing == {name: before} and list(b.client.life.handles) == [name]
+        with pytest.raises(BackendError, match="the kernel keeps it"):
+            await b.launcher.end(name)
+        b.client.life.exited(Exited(name, -9))
+        b.backend.fail_end.clear()
+        await b.launcher.end(name)
+        await b.launcher.abandon(name)  # as where a restart fails before it has started a process
+        assert b.client.life.missing == {name: Exited(name, -9)} and b.client.life.handles == {}
+
+    bench(NOTHING, tmp_path, body)
+
+
+@pytest.mark.parametrize("again", [True, False])
+def test_one_that_is_stuck_is_started_again_or_exits_after_all(again: bool, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        await b.launcher.start(CAMERA)
+        b.backend.fail_end[CAMERA.name] = BackendError("the kernel keeps it")
+        await b.launcher.abandon(CAMERA.name)
+        if again:
+            await b.launcher.start(CAMERA)
+            assert b.client.life[CAMERA.name].process is ProcessState.STARTING
+        else:
+            b.client.life.exited(Exited(CAMERA.name, -9))
+            assert b.client.life.has_exited(CAMERA.name)
+
+    bench(NOTHING, tmp_path, body)
+
+
 def test_one_that_was_started_by_hand_is_released(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.attend(BY_HAND)

@@ -100,7 +100,7 @@ PROCESSES: Final = Transitions.read(
     event       absent   starting running  stopping stuck    exited   missing
     started     starting .        .        .        starting starting starting
     registered  .        running  .        .        .        exited   .
-    adopted     running  .        running  .        running  .        .
+    adopted     running  .        running  .        .        .        .
     end_begun   absent   stopping stopping .        stopping exited   missing
     end_failed  absent   .        .        stuck    .        exited   missing
     ended       absent   .        .        absent   .        exited   missing
@@ -117,7 +117,7 @@ CONNECTIONS: Final = Transitions.read(
     ConnectionEvent,
     """
     event         none   open   closed gone
-    opened        open   open   open   open
+    opened        open   .      open   open
     broken        .      closed .      gone
     refused       .      gone   gone   gone
     disconnected  none   none   none   none
