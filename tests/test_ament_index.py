@@ -14,6 +14,7 @@ from midstride.errors import StartFailed
 from midstride.lang import format_text
 from midstride.lang.catalogue_entry import CHATTER, NODE
 from midstride.lang.load import load
+from midstride.plan.specification_diff import component_differences
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 
@@ -113,3 +114,47 @@ def test_a_platform_without_packages_says_so(tmp_path: Path) -> None:
         await manager.close()
 
     simulator.run(scenario())
+
+
+def test_a_program_has_a_prefix_and_an_environment(tmp_path: Path) -> None:
+    text = TEXT.replace(
+        " takes 1 s\n",
+        ' prefix "nice -n 5" takes 1 s\n  environment { MODE = "a b", unset DISPLAY }\n',
+    )
+    path = tmp_path / "s.stride"
+    path.write_text(text, encoding="utf-8")
+    specification = load(path).require()
+    talker = specification.components["Talker"]
+    assert talker.prefix == "nice -n 5" and dict(talker.environment) == {"MODE": "a b", "DISPLAY": None}
+    assert decode_specification(encode_specification(specification)) == specification
+    assert format_text(text).text == text
+    for before, after in (("nice -n 5", "nice -n 6"), ("a b", "a c"), (", unset DISPLAY", "")):
+        path.write_text(text.replace(before, after), encoding="utf-8")
+        other = load(path).require().components["Talker"]
+        assert not other.same_body(talker) and list(component_differences(talker, other))
+
+
+def test_like_inherits_and_replaces_variables_one_by_one(tmp_path: Path) -> None:
+    path = tmp_path / "s.stride"
+    like = 'component Other like Talker { environment { B = "2", unset C } }\n'
+    text = TEXT.replace("  output", '  environment { A = "1", B = "1", C = "1" }\n  output')
+    path.write_text(text + like, encoding="utf-8")
+    other = load(path).require().components["Other"]
+    assert dict(other.environment) == {"A": "1", "B": "2", "C": None}
+
+
+@pytest.mark.parametrize(
+    ("statement", "message"),
+    [
+        ('environment { MIDSTRIDE_TOKEN = "x" }', "`MIDSTRIDE_TOKEN` of the environment is set by Midstride itself"),
+        ("environment { A = 1 }", "expected a value in double quotes"),
+        ('environment { A = "1", A = "2" }', "duplicate variable `A`"),
+        ("environment { unset }", "expected a statement in the environment"),
+        ('run "./x" prefix "\'"', "is not a valid shell command"),
+    ],
+)
+def test_what_is_no_environment_or_prefix_is_reported(statement: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "s.stride"
+    path.write_text(CHATTER.replace("  output", f"  {statement}\n  output") + NODE, encoding="utf-8")
+    errors = [each.message for each in load(path).diagnostics if each.severity == "error"]
+    assert any(message in each for each in errors), errors

@@ -137,3 +137,22 @@ def test_the_settings_of_the_middleware_go_along_and_suit_the_interpreter(tmp_pa
     defaults = environment(launch(), str(tmp_path / "bin" / "python3"), DEFAULTS, base)
     assert defaults[RANGE] == "LOCALHOST"
     assert TRANSPORTS not in defaults
+
+
+def test_a_prefix_stands_before_the_program_and_is_found(tmp_path: Path) -> None:
+    tool = tmp_path / "bin" / "wrap"
+    tool.parent.mkdir()
+    tool.write_text("#!/bin/sh\n")
+    tool.chmod(0o755)
+    path = {"PATH": str(tool.parent)}
+    given = launch(prefix=("wrap", "-n", "5"))
+    assert processes.prefixed(given, ("/opt/camera", "-v"), path) == (str(tool), "-n", "5", "/opt/camera", "-v")
+    assert processes.prefixed(launch(), ("/opt/camera",), path) == ("/opt/camera",)
+    with pytest.raises(StartFailed, match="there is no program wrap for its prefix `wrap -n 5`"):
+        processes.prefixed(given, ("/opt/camera",), {"PATH": "/nowhere"})
+
+
+def test_a_process_has_the_variables_of_its_component_and_not_those_that_it_unsets() -> None:
+    given = launch(environment={"MODE": "a b", "DISPLAY": None, "LANG": "C"})
+    base = {"DISPLAY": ":0", "LANG": "de", "HOME": "/home/robot"}
+    assert processes.surroundings(given, base) == {"HOME": "/home/robot", "MODE": "a b", "LANG": "C"}

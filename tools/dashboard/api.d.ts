@@ -153,6 +153,10 @@ declare namespace Api {
     run?: string;
     /** the ROS 2 package of its program */
     package?: string;
+    /** the words before its program */
+    prefix?: string;
+    /** variables of its process; null: not inherited */
+    environment?: Record<string, string | null>;
     takes_seconds?: number;
     /** what it holds of resources */
     holds?: Record<string, number>;
@@ -586,6 +590,10 @@ declare namespace Api {
     run?: string;
     /** the ROS 2 package of its program */
     package?: string;
+    /** the words before its program */
+    prefix?: string;
+    /** variables of its process; null: not inherited */
+    environment?: Record<string, string | null>;
     takes_seconds?: number;
     /** what it holds of resources */
     holds?: Record<string, number>;

@@ -59,6 +59,26 @@ def command(
     return (found, *rest)
 
 
+def prefixed(launch: Launch, command: tuple[str, ...], environment: Mapping[str, str]) -> tuple[str, ...]:
+    """The command after the words of its prefix, such as `nice -n 5`. Raises StartFailed, naming what is not there."""
+    if not launch.prefix:
+        return command
+    program, *rest = launch.prefix
+    path = os.path.join(launch.directory, program) if "/" in program else program
+    found = shutil.which(path, path=environment.get("PATH"))
+    if found is None:
+        raise StartFailed(
+            f"{launch.instance}: there is no program {program} for its prefix `{' '.join(launch.prefix)}`"
+        )
+    return (found, *rest, *command)
+
+
+def surroundings(launch: Launch, base: Mapping[str, str]) -> dict[str, str]:
+    """``base`` with the variables that the component states, and without those that it does not inherit."""
+    without = {name: value for name, value in base.items() if name not in launch.environment}
+    return {**without, **{name: value for name, value in launch.environment.items() if value is not None}}
+
+
 def identity(launch: Launch, backend: str, control: Path) -> dict[str, str]:
     """The environment variables that make a process this component; ``control`` is the folder of the sockets."""
     set_values = {variables.ENV_SET_PARAMETERS: json.dumps(launch.set_parameters)} if launch.set_parameters else {}

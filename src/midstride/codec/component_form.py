@@ -182,6 +182,11 @@ class ComponentForm(Form, frozen=True):
 
     run: Annotated[str, field("a command", "the command that starts it; none: started elsewhere")] | UnsetType = UNSET
     package: Annotated[str, field("a package", "the ROS 2 package of its program", min_length=1)] | UnsetType = UNSET
+    prefix: Annotated[str, field("a command", "the words before its program", min_length=1)] | UnsetType = UNSET
+    environment: Annotated[
+        dict[str, str | None],
+        field("an object of variables", "variables of its process; null: not inherited"),
+    ] = {}
     takes_seconds: SecondsOrZero | UnsetType = UNSET
     holds: Annotated[
         dict[str, Annotated[float, field("an amount", gt=0, le=LARGEST)]],
@@ -208,6 +213,8 @@ class ComponentForm(Form, frozen=True):
         return cls(
             run=component.run or UNSET,
             package=component.package or UNSET,
+            prefix=component.prefix or UNSET,
+            environment=dict(sorted(component.environment.items())),
             takes_seconds=stated(component.startup_seconds),
             holds={name: plain(amount) for name, amount in sorted(component.resource_usage.items())},
             parameters={name: ParameterForm.of(parameter) for name, parameter in sorted(component.parameters.items())},
@@ -238,6 +245,8 @@ class ComponentForm(Form, frozen=True):
             allows=tuple(NodeEndpoint(endpoint.kind, endpoint.name) for endpoint in self.allows),
             run=given(self.run),
             package=given(self.package),
+            prefix=given(self.prefix),
+            environment=self.environment,
             startup_seconds=given(self.takes_seconds),
             tolerates={port: form.tolerates for port, form in self.inputs.items() if form.tolerates is not UNSET},
             conditions=[port for port, form in self.inputs.items() if form.condition],

@@ -143,12 +143,15 @@ MODEL: Final = (
     _entry(
         "E009: not a shell command",
         """A command is split into words as in a shell, but run without one. Here a quote is not closed, or the
-        command is empty; or with `package`, it names a file instead of an executable, or that is no package's name.""",
+        command is empty; or with `package`, it names a file instead of an executable, or that is no package's name.
+        The same holds for a prefix. In an environment, a variable is one that Midstride itself sets.""",
         "write the command as in a shell, with its quotes closed, and an executable of a package without a folder",
         _component('  run "python3 -c \'print(1)"\n'),
         _component('  run ""\n'),
         _component('  run "./talker" package "demo_nodes"\n'),
         _component('  run "talker" package "demo nodes"\n'),
+        _component('  run "talker" prefix ""\n'),
+        _component('  run "talker"\n  environment { LD_PRELOAD = "libx.so" }\n'),
     ),
     _entry(
         "E010: M1: the last mode assumes something",

@@ -22,7 +22,7 @@ _TOP_LEVEL: Final = tuple(word for word, where in KEYWORD_PLACES.items() if wher
 _STATEMENTS: Final = {
     "": (*_TOP_LEVEL, "parameters"),
     "namespace": (*_TOP_LEVEL, "parameters"),
-    "component": ("run", "holds", "input", "output", "allows", "functionality", "parameters"),
+    "component": ("run", "holds", "input", "output", "allows", "functionality", "parameters", "environment"),
     "functionality": ("uses", "produces", "mode"),
     "mode": ("assume", "guarantee", "parameters"),
     "node": ("parameters", *RESPAWN_WORDS),

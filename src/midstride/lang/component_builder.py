@@ -132,6 +132,7 @@ class ComponentBuilder:
             outputs=self._unique(own.outputs, lambda name: name, "output"),
             functionalities=tuple(self._unique_modes(functionality) for functionality in functionalities),
             parameters=self._unique(own.parameters, _name, "parameter"),
+            environment=self._unique(own.environment, _name, "variable"),
             holds=(self._unique(held, lambda held: held.resource, "held resource"),) if own.holds else (),
         )
 
@@ -190,6 +191,8 @@ class ComponentBuilder:
             allows=tuple(dict.fromkeys(NodeEndpoint(ENDPOINT_KINDS[a.kind], a.name.text) for a in declaration.allows)),
             run=None if run is None else run.command.text,
             package=None if run is None or run.package is None else run.package.text,
+            prefix=None if run is None or run.prefix is None else run.prefix.text,
+            environment={each.name.text: each.value and each.value.text for each in declaration.environment},
             startup_seconds=None if run is None or run.startup is None else run.startup.value,
             tolerates={each.name.text: int(each.tolerates.value) for each in declaration.inputs if each.tolerates},
             conditions=[each.name.text for each in declaration.inputs if each.condition],
@@ -268,6 +271,7 @@ def _inherited(base: syntax.ComponentDeclaration, own: syntax.ComponentDeclarati
         runs=own.runs or base.runs,
         holds=own.holds or base.holds,
         parameters=merged(_name, base.parameters, own.parameters),
+        environment=merged(_name, base.environment, own.environment),
         files=own.files or base.files,
         inputs=merged(_name, base.inputs, own.inputs),
         outputs=merged(lambda name: name, base.outputs, own.outputs),

@@ -51,6 +51,10 @@ class _Hover:
             return
         if component.run is not None:
             yield f"`{component.run}`" + ("" if component.package is None else f" of package {component.package}")
+        if component.prefix is not None:
+            yield f"after `{component.prefix}`"
+        for name, value in component.environment.items():
+            yield f"without the variable `{name}`" if value is None else f"with `{name}={value}`"
         for name in component.input_order:
             yield f"input `{name} : {component.inputs[name]}`{_tolerance(component, name)}"
         for name in component.outputs:

@@ -27,6 +27,7 @@ class ComponentParser(ContractParser):
         holds: list[tuple[syntax.ResourceUse, ...]] = []
         parameters: list[syntax.ParameterEntry] = []
         files: list[syntax.Name] = []
+        environment: list[syntax.EnvironmentVariable] = []
         inputs: list[syntax.InputDeclaration] = []
         outputs: list[syntax.Name] = []
         allows: list[syntax.AllowedEndpoint] = []
@@ -37,6 +38,7 @@ class ComponentParser(ContractParser):
             "run": lambda start: runs.append(self._run(start)),
             "holds": lambda _: holds.append(self._holds()),
             "parameters": lambda start: unread_parameters.update(self.parameters(start, parameters, files)),
+            "environment": lambda start: unread_parameters.update(self._variables(start, environment)),
             "input": lambda _: inputs.append(self._input(topics)),
             "output": lambda _: outputs.append(self._output(topics)),
             "allows": lambda _: allows.append(self._allows()),
@@ -52,6 +54,7 @@ class ComponentParser(ContractParser):
             tuple(holds),
             tuple(parameters),
             tuple(files),
+            tuple(environment),
             tuple(inputs),
             tuple(outputs),
             tuple(allows),
@@ -66,9 +69,10 @@ class ComponentParser(ContractParser):
             raise self.fail("a command in double quotes after `run`", f'write `run "{words}"`')
         command = self.text("a command in double quotes after `run`")
         package = self.text("a package in double quotes after `package`") if self.accept_word("package") else None
+        prefix = self.text("the words before the program in double quotes") if self.accept_word("prefix") else None
         startup = self.seconds("a startup time") if self.accept_word("takes") else None
         gate = self._gate() if self.accept_word("gate") else None
-        return syntax.Run(command, package, startup, gate, self.since(start))
+        return syntax.Run(command, package, prefix, startup, gate, self.since(start))
 
     def _gate(self) -> syntax.Name | None:
         gate, start = self.name("`preload`, `relay`, `lifecycle` or `none` after `gate`"), self.i - 1
@@ -79,6 +83,24 @@ class ComponentParser(ContractParser):
         help = "use `preload`, `relay`, `lifecycle`, `lifecycle preload` or `none`"
         self.reporter.report("E120", gate.span, f"`{gate.text}` is not a kind of gate", help=help)
         return None
+
+    def _variables(self, first: int, variables: list[syntax.EnvironmentVariable]) -> frozenset[str]:
+        """``environment { NAME = "value"  unset NAME }``."""
+
+        def entry() -> bool:
+            if self.kinds[self.i] != "name" or self.kinds[self.i + 1] not in {"=", "name"}:
+                return False
+            if self.kinds[self.i + 1] == "name":
+                if not self.accept_word("unset"):
+                    return False
+                variables.append(syntax.EnvironmentVariable(self.name("a variable after `unset`"), None))
+                return True
+            name = self.name("a variable")
+            self.expect("=", f"after `{name.text}`", ("string",))
+            variables.append(syntax.EnvironmentVariable(name, self.text("a value in double quotes")))
+            return True
+
+        return self.block("the environment", first, {}, entry, ", ")
 
     def _holds(self) -> tuple[syntax.ResourceUse, ...]:
         if self.accept_word("nothing"):

@@ -94,6 +94,10 @@ def _component(declaration: syntax.ComponentDeclaration, rest: Subject) -> Span:
             return run.command.span
         case ["package"] if run is not None and run.package is not None:
             return run.package.span
+        case ["prefix"] if run is not None and run.prefix is not None:
+            return run.prefix.span
+        case ["environment", name] if (variable := find(declaration.environment, name)) is not None:
+            return variable.name.span
         case ["takes_seconds"] if run is not None and run.startup is not None:
             return run.startup.span
         case ["gate"] if run is not None and run.gate is not None:

@@ -98,9 +98,17 @@ class ContractExpression(NamedTuple):
 class Run(NamedTuple):
     command: Name
     package: Name | None
+    prefix: Name | None
     startup: Number | None
     gate: Name | None
     span: Span
+
+
+class EnvironmentVariable(NamedTuple):
+    """A variable of the process's environment; ``value`` None: it is not inherited."""
+
+    name: Name
+    value: Name | None
 
 
 class ResourceUse(NamedTuple):
@@ -172,6 +180,7 @@ class ComponentDeclaration(NamedTuple):
     holds: tuple[tuple[ResourceUse, ...], ...]
     parameters: tuple[ParameterEntry, ...]
     files: tuple[Name, ...]
+    environment: tuple[EnvironmentVariable, ...]
     inputs: tuple[InputDeclaration, ...]
     outputs: tuple[Name, ...]
     allows: tuple[AllowedEndpoint, ...]

@@ -22,8 +22,9 @@ RESPAWN_WORDS: Final = ("respawn", "respawn_delay", "respawn_max_retries", "resp
 # The keywords that start statements, with the blocks they belong to. They cannot be declared names: lists need no
 # comma, so the next statement must be distinguishable from the next name.
 KEYWORD_PLACES: Final[Mapping[str, str]] = {
+    "environment": "at the top level, in a namespace or in a component",
     **dict.fromkeys(
-        "system include contract topic resource environment component node namespace keep limit order timing".split(),
+        "system include contract topic resource component node namespace keep limit order timing".split(),
         "at the top level or in a namespace",
     ),
     **dict.fromkeys("run holds input output allows functionality".split(), "in a component"),

@@ -198,9 +198,10 @@ class ComponentSpec:
     """A component type. Two are the same implementation iff their *bodies* are equal, whatever the names.
 
     ``run`` is the command that starts it (None: it is started elsewhere), ``package`` the ROS 2 package of which its
-    program is an executable, if any, ``startup_seconds`` how long the start takes (s), where known. ``tolerates``: how
-    many missed messages in succession an input tolerates, where stated; ``conditions``: the inputs whose last message
-    decides whether what they assume holds.
+    program is an executable, if any, ``prefix`` the words before the program, such as `nice`, and ``environment`` the
+    variables that its process has besides, None for one that it does not inherit. ``startup_seconds``: how long the
+    start takes (s), where known. ``tolerates``: how many missed messages in succession an input tolerates, where
+    stated; ``conditions``: the inputs whose last message decides whether what they assume holds.
     ``gate``: what holds back the outputs of a program that does not use Midstride's API (None: it does use it), and
     ``topics`` the names that such a program has for its ports, where they are not the ports' own.
     """
@@ -221,6 +222,8 @@ class ComponentSpec:
     gate: Gate | None = None
     topics: Map[str, str] = field(default_factory=Map)
     package: str | None = None
+    prefix: str | None = None
+    environment: Map[str, str | None] = field(default_factory=Map)
     _owners: dict[str, FunctionalitySpec] = field(init=False, compare=False, repr=False)
     _users: dict[str, list[FunctionalitySpec]] = field(init=False, compare=False, repr=False)
     _outputs: frozenset[str] = field(init=False, compare=False, repr=False)
@@ -255,6 +258,8 @@ class ComponentSpec:
         gate: Gate | None = None,
         topics: Mapping[str, str] | None = None,
         package: str | None = None,
+        prefix: str | None = None,
+        environment: Mapping[str, str | None] | None = None,
     ) -> ComponentSpec:
         """Build one from plain values, keeping the order of declaration."""
         inputs = inputs or {}
@@ -275,6 +280,8 @@ class ComponentSpec:
             gate=gate,
             topics=Map(topics or {}),
             package=package,
+            prefix=prefix,
+            environment=Map(environment or {}),
         )
 
     def __iter__(self) -> Iterator[FunctionalitySpec]:
@@ -365,6 +372,8 @@ class ComponentSpec:
             frozenset(self.allows),
             self.run,
             self.package,
+            self.prefix,
+            self.environment,
             self.gate,
             self.topics,
         )

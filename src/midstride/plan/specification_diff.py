@@ -126,6 +126,7 @@ def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterat
         ("run", before.run, after.run),
         ("takes", before.startup_seconds, after.startup_seconds),
         ("package", before.package, after.package),
+        ("prefix", before.prefix, after.prefix),
         ("gate", before.gate, after.gate),
     ):
         if old != new:
@@ -136,11 +137,16 @@ def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterat
     yield from _named("output", dict.fromkeys(before.outputs, ""), dict.fromkeys(after.outputs, ""))
     yield from _named("topic of", before.topics, after.topics)
     yield from _named("holds", before.resource_usage, after.resource_usage)
+    yield from _named("variable", *(_variables(each) for each in (before, after)))
     yield from _named("parameter", _parameters(before), _parameters(after))
     allowed = [{str(endpoint): "" for endpoint in component.allows} for component in (before, after)]
     yield from _named("allows", *allowed)
     for name in dict.fromkeys([*before.functionality_order, *after.functionality_order]):
         yield from _functionality(name, before, after)
+
+
+def _variables(component: ComponentSpec) -> dict[str, str]:
+    return {name: "unset" if value is None else repr(value) for name, value in component.environment.items()}
 
 
 def _parameters(component: ComponentSpec) -> dict[str, str]:

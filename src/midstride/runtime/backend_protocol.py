@@ -31,6 +31,8 @@ class Launch:
     ``node`` is the name of its ROS node where the platform allows two nodes of one name, by default the instance's.
     ``standby``: another instance of that node answers requests until the new one is sent ``answer``.
     ``package``: the program is an executable of that package, where the platform has such.
+    ``prefix``: words before the program; ``environment``: variables that its process has besides, None for one that it
+    does not inherit.
     ``foreign``: the component, where its program does not use Midstride's API; ``topics`` then has those of its ports.
     """
 
@@ -46,6 +48,8 @@ class Launch:
     foreign: ComponentSpec | None = None
     topics: dict[str, str] = field(default_factory=dict)
     package: str | None = None
+    prefix: tuple[str, ...] = ()
+    environment: dict[str, str | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -83,6 +83,7 @@ class Ros1Backend(processes.ProcessBackend, Backend):
         master = self._opened()
         node = full_name(launch.instance, launch.namespace)
         command = processes.command(launch.arguments, launch.directory, os.environ, self._python)
+        command = processes.prefixed(launch, command, os.environ)
         if await master.is_running(node):
             raise StartFailed(
                 f"{launch.instance}: a node {node} is running already, and a second one of its name would end it; "
@@ -119,7 +120,7 @@ class Ros1Backend(processes.ProcessBackend, Backend):
 
     def _environment(self, launch: Launch) -> dict[str, str]:
         return {
-            **launching.environment(os.environ, self._opened().uri),
+            **launching.environment(processes.surroundings(launch, os.environ), self._opened().uri),
             **processes.identity(launch, self.name, self._control),
             launching.NAMESPACE: split_name(launch.instance, launch.namespace)[1],
         }

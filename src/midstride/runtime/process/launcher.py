@@ -160,6 +160,8 @@ class Launcher:
                 foreign,
                 {**topics},
                 package,
+                tuple(shlex.split(instance.component.prefix or "")),
+                dict(instance.component.environment),
             )
             self._life.started(name, await self._backend.start(launch))
         except ValueError as error:
@@ -183,6 +185,7 @@ class Launcher:
         return (
             instance.component.gate is None
             and instance.component.package is None
+            and instance.component.prefix is None
             and bool(arguments)
             and self._backend.takes_spare(arguments, self._directory)
         )

@@ -134,7 +134,9 @@ class Ros2Backend(ProcessBackend, Backend):
         ):
             raise StartFailed(f"{launch.instance}: a node {node} is running already; end it, or use another name")
         graph.starts(own_name)
-        environment = launching.environment(launch, self._control, command[0], self.settings, os.environ)
+        base = processes.surroundings(launch, os.environ)
+        environment = launching.environment(launch, self._control, command[0], self.settings, base)
+        command = processes.prefixed(launch, command, os.environ)
         if launch.foreign is None:
             if node in self._foreign_nodes.names:
                 environment[ENV_SHARED_NAME] = "1"
