@@ -51,7 +51,7 @@ def hostile_system() -> Synthetic:
         endpoints = [shared, EndpointStatus(kind="topic", name=text, serves=None)]
         components.append(component(text, [mode], ports, parameters=parameters, endpoints=endpoints, **more))
     crashes = [
-        CrashedInstance(name=each, role=each, status=1, log=each, remedy=each, respawn=respawn(each))
+        CrashedInstance(name=each, role=each, status=1, log=each, remedy=each, respawn=respawn(each), words=each)
         for each in HOSTILE[:3]
     ]
     synthetic = Synthetic(components, crashes)

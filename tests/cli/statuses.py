@@ -44,4 +44,5 @@ def functionality(name: str, mode: str = "normal", **changed: Any) -> Document:
 
 def crash(name: str, status: int | None = -9, **changed: Any) -> Document:
     """An instance of a status that exited unexpectedly."""
-    return {"name": name, "status": status, "log": ""} | changed
+    words = f"{name} exited unexpectedly{'' if status is None else f' (status {status})'}"
+    return {"name": name, "status": status, "log": "", "words": words} | changed

@@ -38,9 +38,9 @@ def raising(folder: Path, program: str) -> str:
     return str(written / "talker.stride")
 
 
-def test_a_node_that_raises_right_after_up_is_named_with_exit_status_1(midstride: Midstride, tmp_path: Path) -> None:
+def test_a_node_that_raises_right_after_up_is_named_with_exit_status_3(midstride: Midstride, tmp_path: Path) -> None:
     up = midstride("up", raising(tmp_path / "programs", "talker.py"), "--backend", "sim", "-d")
-    assert up.status == 1
+    assert up.status == 3
     lower = "is in mode degraded instead of normal"
     assert up.out.splitlines()[-3:] == [
         "talker is up (listener, talker).",
@@ -71,7 +71,7 @@ def test_a_node_that_raises_right_after_a_change_is_named_with_exit_status_1(
     assert f"(proved minimal), and afterwards {lowered};" in removed.out
 
 
-def test_up_that_cannot_restore_a_node_says_which_why_and_what_to_do(
+def test_up_that_cannot_start_a_node_says_which_why_and_what_to_do(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its manager stays: tests/runtime/test_up_again.py."""
@@ -83,14 +83,14 @@ def test_up_that_cannot_restore_a_node_says_which_why_and_what_to_do(
     plant(monkeypatch, Client, "service", lambda *_, **__: None)
     with tempfile.TemporaryDirectory(prefix="ms") as folder:  # a short name: sockets are in it
         monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
-        assert main(["up", str(file), "--backend", "sim", "--detach"]) == 1
+        assert main(["up", str(file), "--backend", "sim", "--detach"]) == 3
         assert capsys.readouterr().out.splitlines() == [
             "talker is up without talker (listener).",
-            f"Missing: talker could not be restored: {missing['talker'].splitlines()[0]}",
+            f"Missing: talker: {missing['talker'].splitlines()[0]}",
             "no device",
             "Fix the cause, then `midstride restart talker`. The others go on meanwhile.",
         ]
-        assert main(["up", str(file), "--backend", "sim", "--detach", "--json"]) == 1
+        assert main(["up", str(file), "--backend", "sim", "--detach", "--json"]) == 3
         assert json.loads(capsys.readouterr().out) == report
 
 
@@ -122,5 +122,12 @@ def test_a_program_that_is_not_there_is_warned_of_before_and_named_at_the_start(
         assert done.status == 0
         assert "component Talker runs `./nosuch --x`, but there is no file" in done.out
     else:
-        assert (done.status, done.err.startswith("midstride up: create talker (Talker): ")) == (1, True)
+        assert done.status == 3
         assert "✗ 2/6 create talker (Talker)" in done.out
+        assert done.out.splitlines()[-2:] == [
+            "Missing: talker: the simulator runs `python3 FILE.py` and `python3 -m MODULE`, not `./nosuch --x`",
+            "Fix the cause, then `midstride restart talker`. The others go on meanwhile.",
+        ]
+        assert midstride("down").status == 0
+        strict = midstride(command, str(folder / "talker.stride"), *options, "--strict")
+        assert (strict.status, strict.err.startswith("midstride up: create talker (Talker): ")) == (1, True)

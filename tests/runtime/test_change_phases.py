@@ -30,6 +30,7 @@ def test_each_event_that_ends_the_steps_has_an_outcome_and_no_other_has() -> Non
         ([ChangeEvent.BEGUN, ChangeEvent.ALL_DONE], "done"),
         ([ChangeEvent.BEGUN, ChangeEvent.STEP_FAILED, ChangeEvent.UNDONE], "rolled_back"),
         ([ChangeEvent.BEGUN, ChangeEvent.STEP_FAILED, ChangeEvent.NOT_UNDONE], "failed"),
+        ([ChangeEvent.BEGUN, ChangeEvent.LEFT_OUT], "incomplete"),
         ([ChangeEvent.BEGUN, ChangeEvent.SUPERSEDED], "failed"),
         ([ChangeEvent.CALLED_OFF], "rolled_back"),
     ],

@@ -19,12 +19,14 @@ from midstride.model.specification import Node
 from midstride.plan.request import PlanRequest
 from midstride.runtime.backend_protocol import Launch, RemainingProcess
 from midstride.runtime.manager import Manager
+from midstride.runtime.options import SystemOptions
 from midstride.runtime.records.reports import Event, Outcome
 from midstride.runtime.records.status_forms import Why
 from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import RecordCommand
 from tests.runtime.systems import EXAMPLES, example, kept, managed, replace, request, rewritten, saved
 
+STRICT = SystemOptions(strict=True)
 CHANGES = [("talker", "talker", "NewTalker"), ("obstacle", "detector", "StereoDetector")]
 CHANGES += [("filter", "filter", "MedianFilter")]
 
@@ -436,7 +438,7 @@ def test_what_relies_on_a_component_that_has_degraded_by_itself_is_lowered_at_on
     managed("talker", folder, body, specification=specification)
 
 
-def test_a_system_that_does_not_come_up_leaves_nothing_running(tmp_path: Path) -> None:
+def test_a_strict_system_that_does_not_come_up_leaves_nothing_running(tmp_path: Path) -> None:
     script = tmp_path / "broken.py"
     script.write_text("raise RuntimeError('no camera')")
     specification = example("talker")
@@ -445,7 +447,7 @@ def test_a_system_that_does_not_come_up_leaves_nothing_running(tmp_path: Path) -
     simulator = Simulator()
 
     async def main() -> None:
-        manager = Manager(specification, simulator, Workspace(tmp_path), EXAMPLES / "talker")
+        manager = Manager(specification, simulator, Workspace(tmp_path), EXAMPLES / "talker", options=STRICT)
         with pytest.raises(StepFailed, match="no camera"):
             await manager.up()
         assert not simulator.processes
@@ -455,7 +457,7 @@ def test_a_system_that_does_not_come_up_leaves_nothing_running(tmp_path: Path) -
     simulator.run(main())
 
 
-def test_a_system_that_does_not_come_up_and_cannot_be_taken_back_is_not_forgotten(tmp_path: Path) -> None:
+def test_a_strict_system_that_does_not_come_up_and_cannot_be_taken_back_is_not_forgotten(tmp_path: Path) -> None:
     class Stuck(Simulator):
         async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
             if instance in self.processes:
@@ -469,7 +471,7 @@ def test_a_system_that_does_not_come_up_and_cannot_be_taken_back_is_not_forgotte
     simulator = Stuck()
 
     async def main() -> None:
-        manager = Manager(specification, simulator, Workspace(tmp_path), EXAMPLES / "talker")
+        manager = Manager(specification, simulator, Workspace(tmp_path), EXAMPLES / "talker", options=STRICT)
         with pytest.raises(StepFailed, match="does not let go of listener"):
             await manager.up()
         assert list(simulator.processes) == ["listener"]

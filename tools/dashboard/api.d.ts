@@ -60,7 +60,7 @@ declare namespace Api {
     steps: StepRecord[];
     /** of the specification that is in force afterwards */
     version: number;
-    outcome: "done" | "failed" | "refused" | "rolled_back" | null;
+    outcome: "done" | "failed" | "incomplete" | "refused" | "rolled_back" | null;
     because: string | null;
     seconds: number | null;
     /** the longest, in seconds; null where it is unknown */
@@ -124,7 +124,7 @@ declare namespace Api {
     /** seconds since 1970 */
     began: number;
     ended: number | null;
-    outcome: "done" | "failed" | "refused" | "rolled_back" | null;
+    outcome: "done" | "failed" | "incomplete" | "refused" | "rolled_back" | null;
     /** how it ended, in words */
     because: string | null;
     state: "ended" | "executing" | "measuring" | "planning" | "rolling_back" | "verifying";
@@ -188,7 +188,7 @@ declare namespace Api {
   /** A constraint on every plan. */
   type ConstraintForm = { keep: string; at: string; } | { limit: string; below_baseline_seconds: number; } | { order: string; before: string; };
 
-  /** An instance that exited unexpectedly; `status` is negative for a signal, null where it is not known. */
+  /** An instance that exited unexpectedly, or could not be started. `status` is negative for a signal, null where it is not known. */
   interface CrashedInstance {
     name: string;
     status: number | null;
@@ -199,6 +199,8 @@ declare namespace Api {
     respawn: RespawnStatus | null;
     /** null: the specification does not have it any more */
     role: string | null;
+    /** why it does not run */
+    words: string;
   }
 
   /** A new instance is started. */
@@ -329,7 +331,7 @@ declare namespace Api {
     /** verified: what Alloy found */
     verdict?: Verdict;
     /** outcome, parameters: how the command ended */
-    outcome?: "done" | "failed" | "refused" | "rolled_back";
+    outcome?: "done" | "failed" | "incomplete" | "refused" | "rolled_back";
     /** degraded: which functionality */
     functionality?: string;
     /** fenced, killed: which instance */
@@ -653,7 +655,7 @@ declare namespace Api {
 
   /** The result of a change; `refused`: nothing was changed. */
   interface Outcome {
-    outcome: "done" | "failed" | "refused" | "rolled_back";
+    outcome: "done" | "failed" | "incomplete" | "refused" | "rolled_back";
     plan: PlanForm | null;
     seconds: number;
     /** those that were done, as measured */
@@ -722,7 +724,7 @@ declare namespace Api {
     /** seconds since 1970 */
     began: number;
     ended: number | null;
-    outcome: "done" | "failed" | "refused" | "rolled_back" | null;
+    outcome: "done" | "failed" | "incomplete" | "refused" | "rolled_back" | null;
     /** how it ended, in words */
     because: string | null;
   }
@@ -1110,7 +1112,7 @@ declare namespace Api {
   /** A step that was begun; without an outcome, its end is not recorded. */
   interface StepRecord {
     words: string;
-    outcome: "done" | "failed" | "refused" | "rolled_back" | null;
+    outcome: "done" | "failed" | "incomplete" | "refused" | "rolled_back" | null;
     seconds: number | null;
   }
 
@@ -1274,13 +1276,13 @@ declare namespace Api {
     outside: string[];
   }
 
-  /** The system is up, with these instances. `incomplete`: it ran before, and what is `missing` is not restored. */
+  /** The system is up, with these instances; `incomplete`: without those that are `missing`. */
   interface UpReport {
     outcome: "done" | "incomplete";
     instances: string[];
     /** what is not in its normal mode */
     degraded: DegradedFunctionality[];
-    /** why nodes could not be restored */
+    /** why nodes could not be started */
     missing: Record<string, string>;
   }
 

@@ -145,11 +145,10 @@ def _set(status: Status) -> Iterable[Text]:
 def _problems(status: Status) -> Iterable[Text]:
     problems = [*status.violations, *(silence(fault.words, fault.seconds or None) for fault in status.silences)]
     for crash in status.crashed:
-        code = "" if crash.status is None else f" (status {crash.status})"
         next_ = [] if crash.respawn is None else [crash.respawn.words]
         if crash.remedy and not (crash.respawn and crash.respawn.restarting):
             next_.append(crash.remedy)
-        problems.append("; ".join([f"{crash.name} exited unexpectedly{code}", *next_]))
+        problems.append("; ".join([crash.words, *next_]))
     problems += [words for words in (status.unwritten, status.damaged) if words]
     return [Text(problem, style="red") for problem in problems]
 

@@ -89,7 +89,7 @@ def not_running(status: Status, node: str) -> PlanRefused:
     """The error where no component of the ``status`` is or has the node: it has crashed, or was misspelt."""
     for crash in status.crashed:
         if crash.role and node in (crash.name, crash.role):
-            return PlanRefused("; ".join(filter(None, [f"{crash.name} exited unexpectedly", crash.remedy])))
+            return PlanRefused("; ".join(filter(None, [crash.words, crash.remedy])))
     known = [*(each.role for each in status.instances), *(each.role for each in status.crashed if each.role)]
     hint = suggestion(node, sorted(set(known)))
     return PlanRefused(f"no node {node} is running" + (f"; {hint}" if hint else ""))

@@ -32,12 +32,13 @@ def change_between(
     target: Specification,
     measured: Mapping[str, Estimate] | None = None,
     renewed: Collection[str] = (),
+    away: Collection[str] = (),
 ) -> Change:
     """The change of the whole system to ``target``. Linear in the system.
 
-    A role that has no live instance comes; an instance of no role leaves. The roles ``renewed`` get a new instance even
-    where nothing differs. Raises PlanRefused where either end does not meet the target's caps, capacities, environment
-    or contracts.
+    A role that has no live instance comes, but those ``away``; an instance of no role leaves. The roles ``renewed`` get
+    a new instance even where nothing differs. Raises PlanRefused where either end does not meet the target's caps,
+    capacities, environment or contracts.
     """
     connectors, identities = _connectors(configuration, target)
     resources = configuration.context.resources.update(target.resources)
@@ -49,7 +50,7 @@ def change_between(
     raised = best(start)
     baseline = raised if start.context == configuration.context else best(configuration)
     builder = ChangeBuilder(specification, target, start, identities, renewed)
-    for role in sorted({*target.nodes, *start.instances_by_role}):
+    for role in sorted({*target.nodes, *start.instances_by_role}.difference(away)):
         builder.compare(role)
     pending = tuple(sorted(ref for ref, index in raised.modes.items() if start.modes[ref] != index))
     lowered = tuple(sorted(ref for ref, index in baseline.modes.items() if start.modes[ref] != index))

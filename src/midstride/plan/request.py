@@ -107,6 +107,21 @@ class PlanRequest:
         """The roles of ``target`` that get a new instance in any case: all of them, where everything is stopped."""
         return sorted(target.nodes) if self.stops_everything else self.replaced()
 
+    def stays_away(self, role: str, specification: Specification) -> bool:
+        """Whether a node that has crashed is none of the request's business.
+
+        It is asked for by its name, by a change of what the specification says of it, and by the specification that
+        runs already.
+        """
+        if self.stops_everything or role in self.roles():
+            return False
+        if self.to is None:
+            return True
+        if self.to == specification or role not in self.to.nodes:
+            return False
+        before, after = ((each.nodes[role], each.component_of(role)) for each in (specification, self.to))
+        return before == after
+
     @property
     def stops_everything(self) -> bool:
         """Whether every role is concerned, named or not."""

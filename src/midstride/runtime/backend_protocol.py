@@ -64,11 +64,20 @@ class Handle:
 
 @dataclass(frozen=True, slots=True)
 class Exited:
-    """A component's process exited. ``status`` is negative for a signal, None if unknown."""
+    """A component's process exited. ``status`` is negative for a signal, None if unknown.
+
+    ``because``: why it could not be started, of one that has never run.
+    """
 
     instance: str
     status: int | None
     log_tail: str = ""
+    because: str | None = None
+
+    @property
+    def words(self) -> str:
+        """Why the instance is missing."""
+        return self.because or f"{self.instance} exited unexpectedly"
 
 
 class RemainingProcess(NamedTuple):

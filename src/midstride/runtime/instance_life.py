@@ -242,13 +242,13 @@ class LifeTable:
     def exited(self, exit: Exited, event: ProcessEvent = ProcessEvent.EXITED) -> None:
         """Record that an instance has exited without being asked to, or was ``KILLED``."""
         self._of(exit.instance).exit = exit
-        self.record(exit.instance, event, why_exited(exit.instance))
+        self.record(exit.instance, event, exit.words)
 
     def missed(self, name: str, role: str | None, exit: Exited) -> None:
-        """Record that a role is without an instance, since ``name`` has exited unexpectedly."""
+        """Record that a role is without an instance: ``name`` has exited unexpectedly, or could not be started."""
         life = self._of(name)
         life.role, life.exit = role, exit
-        self.record(name, ProcessEvent.MISSED, why_exited(name))
+        self.record(name, ProcessEvent.MISSED, exit.words)
 
     def miss_again(self, exits: Mapping[str, Exited], instances: Container[str]) -> None:
         """Record that these are missing again, but for ``instances`` of the model: what restored them was undone."""
@@ -354,8 +354,3 @@ class LifeTable:
     def _exits(self, state: ProcessState) -> dict[str, Exited]:
         lives = self._lives.items()
         return {name: life.exit for name, life in lives if life.process is state and life.exit is not None}
-
-
-def why_exited(name: str) -> str:
-    """Why an instance is missing."""
-    return f"{name} exited unexpectedly"

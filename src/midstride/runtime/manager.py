@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Collection, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -134,9 +134,9 @@ class Manager:
     async def up(self) -> UpReport:
         """Recover the components that still run, and bring up the rest of the specification.
 
-        Where components still run, what cannot be restored beside them is in the report. Raises ManagerError if the
-        running system has another specification or back end; StepFailed, where none runs, if a component could not be
-        brought up (the components that this call started are then terminated).
+        What cannot be started is in the report, and restarted if it has a restart policy. Raises ManagerError if the
+        running system has another specification or back end; StepFailed if nothing could be started. With the option
+        ``strict``, that is so if one component of a system of which none runs cannot be: the others are terminated.
         """
         saved = self._store.load()
         if saved is not None:
@@ -163,6 +163,8 @@ class Manager:
                 raise
             for change in interrupted:
                 await self._journal.end_interrupted(change, None if saved is None else self.specification)
+            missing = self._still_missing(absent) | missing
+            missing = {role: self._with_policy(role, because) for role, because in sorted(missing.items())}
             many = counted(len(self.configuration.instances), "component")
             intended = initial(self.specification)
             remaining = remaining_degradations(self.system, Configuration(), intended)
@@ -171,6 +173,15 @@ class Manager:
             self.events.add("up", f"{self.specification.name} is up{without}: {many}{degraded}")
             outcome: Literal["done", "incomplete"] = "incomplete" if missing else "done"
             return UpReport(outcome, sorted(self.configuration.instances), remaining, missing)
+
+    def _still_missing(self, absent: Collection[str]) -> dict[str, str]:
+        """Why each role has no instance, but those ``absent``: one may have exited since it was started."""
+        return {role: exits[-1].words for role, exits in self.system.crashes.items() if role not in absent}
+
+    def _with_policy(self, role: str, because: str) -> str:
+        """Why a role has no instance, and that it will be started again, if so."""
+        policy = self.specification.nodes[role].respawn
+        return because if policy is None else f"{because}\nIt is started again {policy}."
 
     async def close(self) -> None:
         """Disconnect; the components keep running."""

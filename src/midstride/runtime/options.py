@@ -15,6 +15,7 @@ class SystemOptions(msgspec.Struct, frozen=True):
     ``diagnostics``: components publish on ``/diagnostics``.
     ``finish_interrupted``: a change that was interrupted because the manager was killed is finished, not rolled back.
     ``keep_degraded``: what the local reflex has degraded stays so until a command restores it.
+    ``strict``: the first `up` starts all nodes or none.
     """
 
     use_sim_time: bool = False
@@ -23,6 +24,7 @@ class SystemOptions(msgspec.Struct, frozen=True):
     diagnostics: bool = True
     finish_interrupted: bool = False
     keep_degraded: bool = False
+    strict: bool = False
 
     def with_(self, later: SystemOptions) -> SystemOptions:
         """These, and what a later ``up`` asks for besides; `midstride down` ends them."""
@@ -33,6 +35,7 @@ class SystemOptions(msgspec.Struct, frozen=True):
             self.diagnostics and later.diagnostics,
             self.finish_interrupted or later.finish_interrupted,
             self.keep_degraded or later.keep_degraded,
+            self.strict or later.strict,
         )
 
 

@@ -9,7 +9,7 @@ from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
 from midstride.plan.request import require
 from midstride.runtime.backend_protocol import Exited
-from midstride.runtime.instance_life import LifeTable, ProcessEvent, why_exited
+from midstride.runtime.instance_life import LifeTable, ProcessEvent
 from midstride.runtime.watch.reported_values import ReportedValues
 
 
@@ -67,9 +67,9 @@ class RunningSystem:
         return found
 
     def why_missing(self, role: str) -> str | None:
-        """Why a role has no instance, if one has exited unexpectedly."""
+        """Why a role has no instance, if one has exited unexpectedly, or could not be started."""
         crashes = self.crashes.get(role)
-        return why_exited(crashes[-1].instance) if crashes else None
+        return crashes[-1].words if crashes else None
 
     def forget_filled_roles(self) -> None:
         """Forget missing instances whose role has an instance again, or has been removed from the specification."""

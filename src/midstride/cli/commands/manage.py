@@ -40,6 +40,7 @@ CHECK_LOG: Final = 1.0
 @click.option("--no-diagnostics", is_flag=True)
 @click.option("--finish-interrupted", is_flag=True)
 @click.option("--keep-degraded", is_flag=True)
+@click.option("--strict", is_flag=True)
 def manager_command(
     file: Path,
     backend: str,
@@ -51,6 +52,7 @@ def manager_command(
     no_diagnostics: bool,
     finish_interrupted: bool,
     keep_degraded: bool,
+    strict: bool,
 ) -> int:
     """Manage the system of FILE until it is down or SIGTERM arrives."""
     requested = load(file)
@@ -62,7 +64,13 @@ def manager_command(
         try:
             saved = await _still_running(workspace)
             options = SystemOptions(
-                use_sim_time, not no_middleware_settings, spares, not no_diagnostics, finish_interrupted, keep_degraded
+                use_sim_time,
+                not no_middleware_settings,
+                spares,
+                not no_diagnostics,
+                finish_interrupted,
+                keep_degraded,
+                strict,
             )
             if saved is not None:
                 options = saved.options.with_(options)

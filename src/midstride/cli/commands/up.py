@@ -33,6 +33,8 @@ from midstride.runtime.workspace import Workspace
 START_TIMEOUT = 30.0
 POLL = 0.02
 MOST_SPARES = 20
+# The exit status where a part of the system runs.
+DEGRADED = 3
 
 
 def backend_option(help: str) -> Callable[[Callable[..., int]], Callable[..., int]]:
@@ -112,6 +114,11 @@ def manager_arguments(
     help="Do not restore what has degraded because an input failed: a command does.",
 )
 @click.option(
+    "--strict",
+    is_flag=True,
+    help="Start all nodes or none: if one of them cannot be started, stop the others.",
+)
+@click.option(
     "--stop-on-exit",
     is_flag=True,
     help="Show no view, and stop the system when this command ends: for launch files and supervisors.",
@@ -128,10 +135,13 @@ def up_command(
     no_diagnostics: bool,
     finish_interrupted: bool,
     keep_degraded: bool,
+    strict: bool,
     stop_on_exit: bool,
     spares: int,
 ) -> int:
-    """Start the system of FILE and its manager, and watch them.
+    """Start the system of FILE and its manager, and watch them. Exit status 3 if not all is up, 1 if nothing is.
+
+    What can be started runs, in the best modes that this allows; a node that cannot is restarted if it has `respawn`.
 
     Ctrl-C leaves the view; components and manager keep running. If the manager is killed, the next `up` reattaches to
     its components. `midstride down` stops everything.
@@ -153,6 +163,7 @@ def up_command(
     if http is not None:
         arguments += ["--http", str(http), *(["--http-host", http_host] if http_host else [])]
     arguments += ["--finish-interrupted"] * finish_interrupted + ["--keep-degraded"] * keep_degraded
+    arguments += ["--strict"] * strict
     with ended_by_signals() if stop_on_exit else nullcontext():
         status = _up(client, workspace, specification, file, arguments, http, http_host)
         if stop_on_exit:
@@ -169,7 +180,7 @@ def _up(
     http: int | None,
     http_host: str | None,
 ) -> int:
-    """Bring the system up, and print how that went; 1 if not all is as specified."""
+    """Bring the system up, and print how that went; returns the exit status: 3 if not all is up, 1 if nothing is."""
     answer = bring_up(client, workspace, arguments)
     if encode_specification(client.specification()) != encode_specification(specification):
         click.echo(
@@ -177,7 +188,9 @@ def _up(
             f"Run `midstride apply {file}` to change it.",
             err=True,
         )
-    status = int(answer.outcome != "done" or any(not each.planned for each in answer.degraded))
+    status = DEGRADED if answer.outcome != "done" or any(not each.planned for each in answer.degraded) else 0
+    if answer.missing and not answer.instances:
+        status = 1
     if wants_json():
         print_json(answer)
         return status
@@ -193,9 +206,9 @@ def _up(
 
 
 def missing_lines(report: UpReport) -> Iterator[str]:
-    """What could not be restored beside what runs, and what to do."""
+    """What could not be started beside what runs, and what to do."""
     for node, because in report.missing.items():
-        yield f"Missing: {node} could not be restored: {because}"
+        yield f"Missing: {because if because.startswith(node) else f'{node}: {because}'}"
     if report.missing:
         yield f"Fix the cause, then `midstride restart {' '.join(report.missing)}`. The others go on meanwhile."
 

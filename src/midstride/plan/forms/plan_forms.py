@@ -235,7 +235,9 @@ def decode_plan(document: object) -> Plan:
     standing = {} if form.start_modes is UNSET else form.start_modes
     origin = _started(start, {} if form.start_instances is UNSET else form.start_instances, standing)
     measured = {key: Estimate(*each) for key, each in (form.measured or {}).items()}
-    change = change_between(origin, start, target, measured)
+    created = {step.role for step in form.steps if isinstance(step, CreateStep)}
+    away = [role for role in start.nodes if not origin.instances_of(role) and role not in created]
+    change = change_between(origin, start, target, measured, away=away)
     try:
         detours = (Detour(each.role, each.moved, each.stand_in) for each in form.detours or ())
         change = with_detours(change, detours)

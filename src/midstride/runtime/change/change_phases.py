@@ -25,6 +25,7 @@ class ChangePhase(Enum):
 class ChangeEvent(Enum):
     BEGUN = "the first step is about to begin"
     ALL_DONE = "every step is done"
+    LEFT_OUT = "some instances could not be created, and the steps without them are for another plan"
     STEP_FAILED = "a step has failed, or the manager is to end"
     UNDONE = "every step that was done is undone"
     NOT_UNDONE = "something could not be undone"
@@ -42,6 +43,7 @@ CHANGE_PHASES: Final = Transitions(
         },
         ChangePhase.EXECUTING: {
             ChangeEvent.ALL_DONE: ChangePhase.ENDED,
+            ChangeEvent.LEFT_OUT: ChangePhase.ENDED,
             ChangeEvent.STEP_FAILED: ChangePhase.ROLLING_BACK,
             ChangeEvent.SUPERSEDED: ChangePhase.ENDED,
         },
@@ -58,6 +60,7 @@ CHANGE_PHASES: Final = Transitions(
 # What the change is reported as, by the event that ends its steps.
 OUTCOMES: Final[dict[ChangeEvent, OutcomeKind]] = {
     ChangeEvent.ALL_DONE: "done",
+    ChangeEvent.LEFT_OUT: "incomplete",
     ChangeEvent.UNDONE: "rolled_back",
     ChangeEvent.CALLED_OFF: "rolled_back",
     ChangeEvent.NOT_UNDONE: "failed",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
@@ -103,11 +103,14 @@ class ChangeSession:
         request = request.for_roles({name: live.role for name, live in instances if name not in nodes})
         measured = dict(self.journal.estimates)
         request, orders, remarks = with_stalled_first(request, system.configuration, self.monitor.undiscovering)
+        away = [role for role in system.crashes if not system.has_instance(role)]
+        away = [role for role in away if request.stays_away(role, system.specification)]
         plan, target = await asyncio.to_thread(
-            _plan, request, system.specification, system.configuration, values, measured, orders
+            _plan, request, system.specification, system.configuration, values, measured, orders, away
         )
         require_arbiters(plan)
-        return replace(plan, remarks=(*remarks, *plan.remarks)), target
+        left = (f"{role} does not run, and stays so: {system.remedy(role)}" for role in away)
+        return replace(plan, remarks=(*remarks, *left, *plan.remarks)), target
 
     async def change(
         self,
@@ -162,6 +165,7 @@ class ChangeSession:
         by: str | None = None,
         *,
         is_new: bool = False,
+        partial: bool = False,
         required: bool = True,
         verdict: Verdict | UnsetType = UNSET,
         keep: bool = True,
@@ -169,6 +173,7 @@ class ChangeSession:
         wait: float = DEFAULT_WAIT,
     ) -> RunningChange:
         """The change that carries ``plan`` out, from now on in the journal; ``is_new``: no system runs yet.
+        ``partial``: what cannot be created is left out.
 
         ``keep``: with the parameter values that were set at run time. ``brief``: the next command does not wait for the
         whole measurement. ``wait``: after how long a component that hangs, and is to go, is fenced (s). Raises
@@ -182,8 +187,9 @@ class ChangeSession:
         hurried = self.commands.another_waits if brief else None
         recording = Recording(self.client, self.clock, hurried, self._measured_until)
         transfer = ParameterTransfer(self.client, system.values, plan.change, plan.parameters, keep)
+        missing = system.life.missing
         change = RunningChange(
-            plan, target, preview, entry, recording, transfer, wait, system.configuration, system.life.missing, verdict
+            plan, target, preview, entry, recording, transfer, wait, system.configuration, missing, verdict, partial
         )
         if verdict is not UNSET:
             seen = tuple(plan.configurations())
@@ -364,8 +370,12 @@ def _plan(
     values: Mapping[str, Values],
     measured: Mapping[str, Estimate],
     orders: Sequence[Order] = (),
+    away: Collection[str] = (),
 ) -> tuple[Plan, Specification]:
-    """``orders`` are kept by a plan that replaces one role after another; the other strategies remove all first."""
+    """``orders`` are kept by a plan that replaces one role after another; the other strategies remove all first.
+
+    The roles ``away`` do not run, and the plan leaves them so.
+    """
     target, keep = request.target(specification), not request.declared_parameters
     if request.restore:
         return restore(configuration, specification, dict(request.restore), measured), target
@@ -375,7 +385,7 @@ def _plan(
     if request.to is None and len(request.roles()) == 1:
         change = requested_change(configuration, specification, request, planned, measured)
     else:
-        change = change_between(configuration, specification, planned, measured, request.renewed(planned))
+        change = change_between(configuration, specification, planned, measured, request.renewed(planned), away)
     plan = planner(request.strategy, detours=request.detours)(change)
     parameters = of_change(plan.change, values, keep=keep)
     doubt = sensitivity(plan)

@@ -16,7 +16,6 @@ from midstride.runtime.change.mode_changes import lower_modes
 from midstride.runtime.change.reconciler import Reconciler, respond
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.change_observer import ChangeObserver
-from midstride.runtime.instance_life import why_exited
 
 
 @dataclass(slots=True)
@@ -57,14 +56,15 @@ class CrashResponse(ChangeObserver):
             if isinstance(action, (Create, Remove, Handover))
             for name in action.instances()
         }
-        gone = [name for name in system.life.exits if name in configuration.instances and name not in own]
+        exits = system.life.exits
+        gone = [name for name in exits if name in configuration.instances and name not in own]
         _, needed = respond(configuration, gone, {})
         wanted = {ref: index for ref, index in needed.items() if ref.instance not in own}
         live = (ref for ref in self._lowered if ref not in wanted and ref in configuration.modes)
         # A step has given these other support.
         changes = {ref: configuration.modes[ref] for ref in live}
         changes |= {ref: index for ref, index in wanted.items() if self._lowered.get(ref) != index}
-        because = "; ".join(map(why_exited, gone))
+        because = "; ".join(exits[name].words for name in gone)
         await lower_modes(changes, because, reconciler.client, system, reconciler.events)
         self._lowered = wanted
         reconciler.pending |= dict.fromkeys(wanted)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from midstride.errors import MidstrideError, Superseded
+from midstride.errors import MidstrideError, StartFailed, Superseded
 from midstride.model.action import Create
 from midstride.runtime.change.action_driver import ActionDriver
 from midstride.runtime.process.pacing import room_for_a_start
@@ -28,7 +28,10 @@ class StartFailedEarly(Exception):
 
 @dataclass(slots=True)
 class EarlyStarts:
-    """The early starts of the change of ``driver``. What is started is saved, so that the next manager finds it."""
+    """The early starts of the change of ``driver``. What is started is saved, so that the next manager finds it.
+
+    In a partial change, one that fails does not end the step in progress: its own step fails, and is tried twice.
+    """
 
     driver: ActionDriver
     store: StateStore
@@ -39,8 +42,15 @@ class EarlyStarts:
 
     async def start(self, action: Create) -> None:
         """Start the process of a creation unless it is starting already. Raises StartFailed."""
-        async with self._one:
-            await self._start(action)
+        try:
+            async with self._one:
+                await self._start(action)
+        except StartFailed:
+            if not self.driver.change.partial:
+                raise
+            await self.driver.backend.clock.sleep(START_AGAIN)
+            async with self._one:
+                await self._start(action)
 
     async def _start(self, action: Create) -> bool:
         instance, system = action.instance, self.driver.system
@@ -112,12 +122,16 @@ class EarlyStarts:
                 except Superseded:
                     raise
                 except MidstrideError:
+                    if self.driver.change.partial:
+                        raise
                     await clock.sleep(START_AGAIN)  # meanwhile its own step may try it, and fail with the reason
                     await self._start_ahead(action)
             except MidstrideError as error:
+                if self.driver.change.partial and not isinstance(error, Superseded):
+                    continue
                 return self._fail(action, error)
             started[action.instance.name] = action
-        if (exited := await launcher.first_exit(started)) is not None:
+        if not self.driver.change.partial and (exited := await launcher.first_exit(started)) is not None:
             name, failure = exited
             self._fail(started[name], failure)
 

@@ -11,7 +11,7 @@ import contextlib
 import itertools
 import logging
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from midstride.errors import BackendError, MidstrideError, StepFailed, Superseded
@@ -19,6 +19,7 @@ from midstride.model.action import Action, Create, Handover, Remove, SetParamete
 from midstride.model.configuration import Configuration
 from midstride.model.wording import counted
 from midstride.plan.overlap import Overlap, one_by_one
+from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.cancellation import run_to_completion
 from midstride.runtime.change.action_driver import ActionDriver
 from midstride.runtime.change.change_phases import ChangeEvent
@@ -77,6 +78,8 @@ class Executor:
         actions, looked_up = self.change.actions, 0
         overlap = overlap or one_by_one(actions)
         for indices in overlap.rounds:
+            if self.change.left_out and not (self.interrupted or isinstance(actions[indices[0]], Create)):
+                break
             for index in indices:
                 self._described[index] = actions[index].describe(self.system.configuration)
                 self.driver.events.add("step", self._numbered(index, self._described[index]), **self._position(index))
@@ -100,10 +103,15 @@ class Executor:
             await run_to_completion(self._starts.at_rest(), self._interrupt)
             for index in sorted(self._times.keys() & indices):  # of a round when all of it has ended
                 self.driver.events.add("step_done", self._numbered(index, "done"), **self._position(index))
-            if failures:
+            if failures and not await run_to_completion(self._leave_out(indices, failures), self._interrupt):
                 await run_to_completion(self._fail(indices, failures), self._interrupt)
         await run_to_completion(self._starts.stop(), self._interrupt)
-        self.change.happened(ChangeEvent.ALL_DONE)
+        if left_out := self.change.left_out:
+            await run_to_completion(self._abandon(actions), self._interrupt)
+            because = "; ".join(f"{role} is left out: {why}" for role, why in sorted(left_out.items()))
+            self.change.happened(ChangeEvent.LEFT_OUT, because)
+        else:
+            self.change.happened(ChangeEvent.ALL_DONE)
 
     def _interrupt(self) -> None:
         self.interrupted = True
@@ -200,6 +208,41 @@ class Executor:
         self._done.append((action, before))
         if not held:
             await self.change.performed(action)
+
+    async def _leave_out(self, indices: Sequence[int], failures: Mapping[int, BaseException]) -> bool:
+        """In a partial change, end the instances of the failed steps and leave them out; whether that is possible.
+
+        It is where the change creates all of them, and the manager is to go on. What has lost their support is lowered
+        by the caller of the change.
+        """
+        change, life = self.change, self.system.life
+        created = {action.instance.name: action.instance for action in change.actions if isinstance(action, Create)}
+        failed: dict[str, str] = {}
+        for index, error in failures.items():
+            names = change.actions[index].instances()
+            if not isinstance(error, MidstrideError) or isinstance(error, Superseded) or not created.keys() >= {*names}:
+                return False
+            gone = [name for name in names if life.is_gone(name)]  # of several that fail in one step, these are why
+            failed |= dict.fromkeys(gone or names, str(error))
+        if not change.partial or not await change.entry.failed([indices.index(index) for index in failures]):
+            return False
+        for index in failures:
+            words = f"{self._name(index)} failed: {failures[index]}"
+            self.driver.events.add("step_failed", words, **self._position(index))
+        for name, why in failed.items():
+            instance = created[name]
+            if (problem := await self.driver.launcher.abandon(name)) is not None:
+                self.driver.events.add("note", f"{name} could not be terminated: {problem}")
+            exited = life[name].exit if life.has_exited(name) else None
+            exited = exited or Exited(name, None)
+            life.missed(name, instance.role, replace(exited, because=why.partition("\n")[0].rstrip(":")))
+            if name in self.system.configuration.instances:
+                self.system.moved(self.system.configuration.without_instance(name))
+            self.store.remove_instance(name)
+            change.left_out[instance.role] = why
+            self.driver.events.add("left_out", f"{instance.role} is left out: {why}")
+        self._done = [(action, before) for action, before in self._done if failed.keys().isdisjoint(action.instances())]
+        return True
 
     async def _fail(self, indices: Sequence[int], failures: Mapping[int, BaseException]) -> None:
         """Roll back, and raise StepFailed: ``failures`` are those of the steps at ``indices``, by index."""

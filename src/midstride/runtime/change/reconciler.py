@@ -21,7 +21,6 @@ from midstride.model.configuration import Configuration
 from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.mode_changes import lower_modes
 from midstride.runtime.command_queue import CommandQueue
-from midstride.runtime.instance_life import why_exited
 from midstride.runtime.process.component_client import ComponentClient, ComponentEvent, Disconnected
 from midstride.runtime.process.launcher import Launcher
 from midstride.runtime.records.events import EventLog
@@ -141,7 +140,7 @@ class Reconciler:
     def _record_exit(self, event: Exited) -> None:
         self.system.life.exited(event)
         status = "" if event.status is None else f" (status {event.status})"
-        self.events.add("exited", f"{why_exited(event.instance)}{status}", log=event.log_tail)
+        self.events.add("exited", f"{event.words}{status}", log=event.log_tail)
         change = self.commands.change
         if event.instance in self.system.configuration.instances and change is not None:
             change.moved(self.system.configuration, (event.instance,))
@@ -220,6 +219,7 @@ class Reconciler:
         """
         async with self._reconciling:
             configuration = self.system.configuration
+            exits = self.system.life.exits
             crashed = self.system.life.take_exited(configuration.instances)
             for name in crashed:
                 self.client.disconnect(name)
@@ -228,7 +228,7 @@ class Reconciler:
             configuration, touched, because = self._take_over_reported(configuration)
             if not crashed and not degraded and not self.pending and not because:
                 return
-            because += map(why_exited, crashed)
+            because += (exits[name].words for name in crashed)
             for name in {ref.instance for ref in degraded}:
                 self.client.accept(name)
             for ref, index in sorted(degraded.items()):

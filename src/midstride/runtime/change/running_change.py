@@ -33,6 +33,9 @@ class RunningChange:
     ``before`` is the configuration that it started from, and ``missing_before`` what had exited by then. ``verdict`` is
     Alloy's on the plan, if it was asked.
 
+    ``partial``: an instance that cannot be created is left out, and its steps end with the creations; by role,
+    ``left_out`` says why. The caller plans the rest again without these roles.
+
     ``commanding`` is held while an action sends commands to components that run already, and to which the response to a
     crash may send some: a component refuses the second of two changes at one revision.
     """
@@ -47,6 +50,8 @@ class RunningChange:
     before: Configuration
     missing_before: dict[str, Exited] = field(default_factory=dict)
     verdict: Verdict | UnsetType = UNSET
+    partial: bool = False
+    left_out: dict[str, str] = field(default_factory=dict)
     phase: ChangePhase = ChangePhase.PLANNED
     outcome: OutcomeKind | None = None  # until its steps have ended
     because: str | None = None  # why it is not done

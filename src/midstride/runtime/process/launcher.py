@@ -78,6 +78,7 @@ class Launcher:
         self._options = options
         self._starting: dict[str, asyncio.Future[tuple[Greeting, Registration]]] = {}
         self._exits: dict[str, asyncio.Future[Exited]] = {}
+        self._started_at: dict[str, float] = {}  # steady s
         self._stops: dict[str, StopTimes] = {}
         self._last_registration = -REGISTRATION_TIMEOUT  # steady s
         self._life = client.life
@@ -119,6 +120,7 @@ class Launcher:
             return False
         set_values = start_values(instance)
         self._exits[name] = asyncio.get_running_loop().create_future()
+        self._started_at[name] = self._backend.clock.steady()
         self._starting[name] = asyncio.ensure_future(self._client.registered(name))
         self._starting[name].add_done_callback(self._registration_done)
         command, gate = instance.component.run, instance.component.gate
@@ -229,7 +231,10 @@ class Launcher:
     async def _registration(self, instance: Instance) -> tuple[Greeting, Registration]:
         name, run = instance.name, instance.component.run
         registering, exiting = self._starting[name], self._exits[name]
-        timeout, stopped = asyncio.ensure_future(self._patience()), asyncio.ensure_future(self._stopped(name))
+        timeout, stopped = (
+            asyncio.ensure_future(self._patience(self._started_at[name])),
+            asyncio.ensure_future(self._stopped(name)),
+        )
         first: set[asyncio.Future[Any]] = {registering, exiting, timeout, stopped}
         try:
             await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
@@ -274,10 +279,9 @@ class Launcher:
             await clock.sleep(CHECK_STOPPED)
             since = min(since, clock.steady()) if self._backend.is_stopped(name) else math.inf
 
-    async def _patience(self) -> float:
-        """Wait as long as a component may take to register; returns how long that was (s)."""
+    async def _patience(self, begun: float) -> float:
+        """Wait as long as a component started at ``begun`` may take to register; returns how long that was (s)."""
         clock = self._backend.clock
-        begun = clock.steady()
         while True:
             last = max(begun, self._last_registration)
             remaining = min(last + REGISTRATION_TIMEOUT, begun + REGISTRATION_LIMIT) - clock.steady()
@@ -300,6 +304,7 @@ class Launcher:
             raise StartFailed(f"{name} is not the {component.name} that was declared: " + "; ".join(faults))
 
     def _forget_start(self, name: str) -> None:
+        self._started_at.pop(name, None)
         for waiting in (self._starting.pop(name, None), self._exits.pop(name, None)):
             if waiting is not None:
                 waiting.cancel()

@@ -52,7 +52,7 @@ CREATE TABLE IF NOT EXISTS durations (
 );
 """
 # The version of the specification in force after a change.
-IN_FORCE: Final = "CASE outcome WHEN 'done' THEN after ELSE before END"
+IN_FORCE: Final = "CASE WHEN outcome IN ('done', 'incomplete') THEN after ELSE before END"
 _REFERENCED: Final = "SELECT before FROM changes UNION SELECT after FROM changes"
 
 

@@ -21,7 +21,7 @@ from midstride.runtime.records.measure import SwapReport
 from midstride.runtime.records.status_forms import SilenceFault
 from midstride.verify.verdict import Verdict
 
-OutcomeKind: TypeAlias = Literal["done", "refused", "rolled_back", "failed"]
+OutcomeKind: TypeAlias = Literal["done", "incomplete", "refused", "rolled_back", "failed"]
 
 
 class DegradedFunctionality(Report, frozen=True, kw_only=True):
@@ -38,12 +38,12 @@ class DegradedFunctionality(Report, frozen=True, kw_only=True):
 
 
 class UpReport(Report, frozen=True):
-    """The system is up, with these instances. `incomplete`: it ran before, and what is `missing` is not restored."""
+    """The system is up, with these instances; `incomplete`: without those that are `missing`."""
 
     outcome: Literal["done", "incomplete"]
     instances: list[str]
     degraded: Annotated[list[DegradedFunctionality], Meta(description="what is not in its normal mode")] = []
-    missing: Annotated[dict[str, str], Meta(description="why nodes could not be restored")] = {}
+    missing: Annotated[dict[str, str], Meta(description="why nodes could not be started")] = {}
 
 
 class KilledProcess(Report, frozen=True, kw_only=True):

@@ -177,7 +177,10 @@ class RespawnStatus(Report, frozen=True, kw_only=True):
 
 
 class CrashedInstance(Report, frozen=True):
-    """An instance that exited unexpectedly; `status` is negative for a signal, null where it is not known."""
+    """An instance that exited unexpectedly, or could not be started.
+
+    `status` is negative for a signal, null where it is not known.
+    """
 
     name: str
     status: int | None
@@ -185,6 +188,7 @@ class CrashedInstance(Report, frozen=True):
     remedy: Annotated[str | None, Meta(description="what to do, in words")] = None
     respawn: Annotated[RespawnStatus | None, Meta(description="null: the node has no restart policy")] = None
     role: Annotated[str | None, Meta(description="null: the specification does not have it any more")] = None
+    words: Annotated[str, Meta(description="why it does not run")] = ""
 
 
 class TopicStatus(Report, frozen=True, kw_only=True):

@@ -43,23 +43,36 @@ class BringUp:
         """Bring up what does not run, without the roles ``absent``; returns why each of the others could not be.
 
         One that cannot be started does not keep the others down, or the manager from managing what runs. Raises
-        StepFailed or PlanRefused where nothing else runs, or all roles do.
+        StepFailed or PlanRefused where nothing would run, or all roles do; of a strict system, where none ran before
+        and one cannot be started.
         """
         present = self.system.configuration.instances_by_role
         gone = [role for role in self.system.specification.roles() if role not in absent and not present.get(role)]
-        missing, alone = dict.fromkeys(gone, ""), not self.system.configuration.instances
-        for group in [gone, *([role] for role in gone if len(gone) > 1)]:
-            try:
-                without = {*absent, *missing}.difference(group)
-                await self._complete(without, self.system.specification, is_new=is_new)
-            except (PlanRefused, StepFailed) as error:
-                if alone or not gone:
-                    raise
-                missing |= dict.fromkeys(group, str(error))
-            else:
-                missing = {role: because for role, because in missing.items() if role not in group}
-                if not missing:
-                    break
+        alone = not self.system.configuration.instances
+        missing: dict[str, str] = {}
+        try:
+            while left_out := await self._complete(
+                {*absent, *missing},
+                self.system.specification,
+                is_new=is_new and not missing,
+                partial=not (alone and self.options.strict),
+            ):
+                missing |= left_out
+                await self.reconciler.reconcile_all(f"{', '.join(left_out)} could not be started")
+        except (PlanRefused, StepFailed) as error:
+            if alone or not gone:
+                raise
+            missing = dict.fromkeys(gone, str(error))
+            for role in gone if len(gone) > 1 else ():
+                try:
+                    await self._complete({*absent, *missing} - {role}, self.system.specification)
+                except (PlanRefused, StepFailed) as error:
+                    missing[role] = str(error)
+                else:
+                    del missing[role]
+        nodes = self.system.specification.nodes
+        if missing and not self.system.configuration.instances and not any(nodes[role].respawn for role in missing):
+            raise StepFailed("; ".join(missing.values()), "rolled_back")
         return missing
 
     async def finish(self, absent: Collection[str], interrupted: Sequence[Interrupted]) -> bool:
@@ -81,10 +94,13 @@ class BringUp:
             return False
         return True
 
-    async def _complete(self, absent: Collection[str], specification: Specification, *, is_new: bool = False) -> None:
+    async def _complete(
+        self, absent: Collection[str], specification: Specification, *, is_new: bool = False, partial: bool = False
+    ) -> dict[str, str]:
         """Bring up the part of ``specification`` that does not run, without the roles ``absent``; ``is_new``: none ran.
 
-        Raises StepFailed after a roll-back.
+        Returns the roles that a ``partial`` change has left out, and why: what relies on them is lowered, and the rest
+        is for the next call. Raises StepFailed after a roll-back.
         """
         system = self.system
         running = system.specification
@@ -103,12 +119,15 @@ class BringUp:
         # Before any component has the token.
         self.store.begin(self.backend, self.client.token, running, self.options, system.file, system.changed_since)
         if plan.steps or specification != running:
-            begun = await self.session.begin(plan, specification, "up", is_new=is_new, required=False)
+            begun = await self.session.begin(plan, specification, "up", is_new=is_new, partial=partial, required=False)
             outcome = await self.session.carry_out(begun)
-            if outcome.outcome != "done":
+            if outcome.outcome not in ("done", "incomplete"):
                 raise StepFailed(str(outcome.because), outcome.outcome)
-        else:
-            self.system.configuration = change.in_target_context(self.system.configuration)
+            if begun.left_out and begun.recording.broken_off.is_set():
+                raise asyncio.CancelledError  # the manager is to end, and begins no other change
+            return begun.left_out
+        self.system.configuration = change.in_target_context(self.system.configuration)
+        return {}
 
     async def recover(self, saved: SavedState, interrupted: Iterable[Interrupted]) -> set[str]:
         """Find what an earlier manager left, and degrade what is without support.

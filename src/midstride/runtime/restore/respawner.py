@@ -17,7 +17,6 @@ from midstride.plan.request import PlanRequest
 from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.change_session import ChangeSession
 from midstride.runtime.change.reconciler import Reconciler, ReconciliationObserver
-from midstride.runtime.instance_life import why_exited
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.status_forms import RespawnStatus
@@ -83,7 +82,7 @@ class Respawner(ReconciliationObserver):
             record.crashes = crashes
             if new and record.task is None and record.left is None:
                 self._records[role] = record
-                self._on_crash(role, record, policy, why_exited(new[-1].instance))
+                self._on_crash(role, record, policy, new[-1].words)
 
     def status(self, role: str | None) -> RespawnStatus | None:
         """Whether and when the node of that role, which has crashed, is restarted; None without a policy."""

@@ -67,7 +67,7 @@ def system_values(watched: WatchedSystem) -> dict[str, Any]:
 
 
 def crashed(watched: WatchedSystem) -> list[CrashedInstance]:
-    """The instances that have exited unexpectedly, and what to do about each."""
+    """The instances that have exited unexpectedly or could not be started, and what to do about each."""
     system, respawner = watched.system, watched.respawner
     return [
         CrashedInstance(
@@ -77,6 +77,7 @@ def crashed(watched: WatchedSystem) -> list[CrashedInstance]:
             None if role is None else system.remedy(role),
             respawner.status(role),
             role,
+            exited.because or f"{exited.words}{'' if exited.status is None else f' (status {exited.status})'}",
         )
         for name, exited in sorted({**system.life.missing, **system.life.exits}.items())
         if name not in system.configuration.instances

@@ -10,7 +10,6 @@ from midstride.model.component import FunctionalityRef, InputAlternatives, PortR
 from midstride.model.configuration import Configuration
 from midstride.model.diagnostics import suggestion
 from midstride.model.rules import Evaluator
-from midstride.runtime.instance_life import why_exited
 from midstride.runtime.records.status_forms import Why
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.view.watched_system import WatchedSystem
@@ -139,14 +138,14 @@ class Explainer:
 
     def _missing(self, node: str) -> str | None:
         """Why a role or an instance that has exited is missing, and what comes next; None for any other."""
-        for name in reversed(self.system.life.missing):
+        for name, exited in reversed(self.system.life.missing.items()):
             role = self.system.role_of_missing(name)
             if role is None or node not in (name, role) or self.system.has_instance(role):
                 continue
             respawn = self.watched.respawner.status(role)
             next_ = None if respawn is None else respawn.words
             remedy = None if respawn is not None and respawn.restarting else self.system.remedy(role)
-            return "; ".join(filter(None, [why_exited(name), next_, remedy]))
+            return "; ".join(filter(None, [exited.words, next_, remedy]))
         return None
 
 

@@ -99,9 +99,8 @@ function heading(name, close) {
  * @returns {Child[]}
  */
 function crashContent(crash) {
-  const how = crash.status === null ? "It exited unexpectedly." : crash.status < 0 ? `It was ended by signal ${-crash.status}.` : `It exited with status ${crash.status}.`;
   return [
-    h("div", { class: "banner", "data-kind": "bad" }, h("strong", {}, "✕ crashed. "), how, crash.respawn ? ` ${crash.respawn.words}` : "", crash.remedy ? ` ${crash.remedy}` : ""),
+    h("div", { class: "banner", "data-kind": "bad" }, h("strong", {}, "✕ crashed. "), `${crash.words}.`, crash.respawn ? ` ${crash.respawn.words}` : "", crash.remedy ? ` ${crash.remedy}` : ""),
     crash.log === "" ? null : h("details", {}, h("summary", {}, "The last lines of its output"), h("pre", { tabindex: "0" }, crash.log)),
   ];
 }
