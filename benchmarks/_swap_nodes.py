@@ -29,12 +29,12 @@ def source(name: str = "source") -> None:
     comp.start()
 
 
-def sink() -> None:
-    """A component that relies on what the source writes."""
+def sink(queue: str = "10") -> None:
+    """A component that relies on what the source writes; ``queue``: how many messages wait for it."""
     from midstride import Component
 
     comp = Component("sink")
-    heard = comp.create_input("in", String, rate=RATE)
+    heard = comp.create_input("in", String, rate=RATE, qos=int(queue))
     listen = comp.create_functionality("listen", inputs=[heard])
     listen.set_normal_mode(lambda message: None, inputs=[heard])
     listen.set_degraded_mode(lambda: None)
@@ -71,8 +71,11 @@ def lifecycle(name: str) -> None:
     rclpy.spin(Source(name))
 
 
-def recorder(path: str) -> None:
-    """A subscriber that knows nothing of anybody; writes its rows to ``path`` on SIGTERM, none at its first."""
+def recorder(path: str, queue: str = "10") -> None:
+    """A subscriber that knows nothing of anybody; writes its rows to ``path`` on SIGTERM, none at its first.
+
+    ``queue``: how many messages wait for it.
+    """
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
 
@@ -93,7 +96,7 @@ def recorder(path: str) -> None:
         going[0] = False
 
     signal.signal(signal.SIGTERM, end)
-    node.create_subscription(String, TOPIC, take, 10)
+    node.create_subscription(String, TOPIC, take, int(queue))
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     while going[0]:

@@ -3,8 +3,9 @@
 managing.py WORKSPACE down: finds the system and ends it.
 managing.py WORKSPACE swap [OP NUMBER before|after]: brings the system up (or finds it again), fails if it is not valid,
 and replaces the component of ``source`` by the other one. The manager is killed with -9 just before it makes the
-NUMBER-th call OP of that change, or just after that call was answered; OP ``write``: the NUMBER-th durable write. Each
-call and each write is printed, and what the manager has found in the beginning.
+NUMBER-th call OP of that change, or just after the NUMBER-th such call was carried out: one that is refused, as a cut
+whose moment has passed, changes nothing, and is made again. OP ``write``: the NUMBER-th durable write. Each call and
+each write is printed, and what the manager has found in the beginning.
 """
 
 from __future__ import annotations
@@ -38,18 +39,18 @@ FINISH = "MIDSTRIDE_TEST_FINISH"
 
 
 def killed_at(manager: Manager, op: str, number: int, when: str) -> None:
-    """Let this process die at the ``number``-th request ``op`` from now on."""
+    """Let this process die at the ``number``-th request ``op`` from now on; after it: at the ``number``-th done."""
     client = manager._client
-    send, counts = client._send, Counter[str]()
+    send, made, done = client._send, Counter[str](), Counter[str]()
 
     async def counted(instance: str, command: Command[Any], revision: int | None) -> Any:
-        counts[command.name] += 1
-        last = (command.name, counts[command.name]) == (op, number)
+        made[command.name] += 1
         print("call", command.name, flush=True)
-        if last and when == "before":
+        if (command.name, made[command.name], "before") == (op, number, when):
             os.kill(os.getpid(), signal.SIGKILL)
         result = await send(instance, command, revision)
-        if last:
+        done[command.name] += 1
+        if (command.name, done[command.name], "after") == (op, number, when):
             os.kill(os.getpid(), signal.SIGKILL)
         return result
 

@@ -13,25 +13,31 @@ from statistics import median
 
 import pytest
 
+from midstride.runtime.manager import Manager
 from midstride.runtime.records.measure import Observation, SwapReport, report
 from midstride.wire.commands import GateCommand, RecordCommand, RecordsCommand
 from midstride.wire.replies import Receipt
 from tests.acceptance.support import (
     NODES,
     PERIOD,
+    QUEUE,
     Recorder,
     by_source,
     ended,
     kept_observations,
     managed,
     other_source,
+    stopped_for,
     swap_specification,
+    when_the_cut_is_agreed,
     window,
 )
 from tests.backends.ros2_support import Rig, rig, run, until_async
 
 pytestmark = pytest.mark.ros2
 SWAPS = 5
+# For how long a process is stopped (s): longer than a queue of ten messages lasts, and than an old side waits.
+STILL = 0.6
 
 
 @pytest.mark.parametrize("strategy", ["minimal", pytest.param("paper", marks=pytest.mark.full)])
@@ -70,6 +76,11 @@ def test_a_bare_recorder_agrees_with_the_report(strategy: str, tmp_path: Path, m
         theirs = replace(observed, rows=inside)
         assert swap.duplicates == report(theirs).duplicates
     assert abs(median(apart)) / 1e9 <= PERIOD / 2
+
+
+async def has_written(manager: Manager, count: int) -> bool:
+    """Whether the source has written so many messages."""
+    return (await manager.peek("source")).ports["out"]["/swap"].count >= count
 
 
 def longest_gap(observed: Observation) -> float:
@@ -115,6 +126,56 @@ def recorded_swaps(strategy: str, folder: Path) -> tuple[list[Receipt], list[Swa
 
     with ended():
         return run(main(), 100), swaps
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("queue", [10, QUEUE])
+def test_what_a_stopped_subscriber_loses_is_what_its_queue_does_not_hold_and_is_in_the_report(
+    queue: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It stands still while the publishers change, so that some of each one's messages are among the lost."""
+    seen = kept_observations(monkeypatch)
+
+    async def main() -> tuple[SwapReport, list[Receipt]]:
+        async with managed(tmp_path / "system", swap_specification(queue)) as (manager, _):
+            recorder = Recorder(tmp_path)
+            await asyncio.to_thread(recorder.wait_until_it_hears)
+            await until_async(lambda: has_written(manager, 200))  # where rclpy names no publishers, numbers do
+            pid = (await manager.peek("sink")).pid
+            when_the_cut_is_agreed(manager, lambda: stopped_for(pid, STILL))
+            outcome = await manager.change(other_source(manager))
+            assert outcome.outcome == "done", outcome.because
+            return outcome.swaps[0], recorder.stop()
+
+    with ended():
+        swap, rows = run(main())
+    own = by_source(window(seen[0]))
+    published = [source for source in by_source(rows) if min(own) <= source <= max(own)]
+    lost = len(set(published) - own.keys())
+    assert (swap.lost, swap.duplicates) == (lost, 0)
+    assert (lost > 0) == (queue == 10)
+
+
+@pytest.mark.full
+def test_an_old_publisher_stopped_at_the_cut_is_not_heard_beside_the_new_one(tmp_path: Path) -> None:
+    """When it goes on, it is in the middle of a call for a slot that was its own."""
+
+    async def main() -> tuple[SwapReport, list[Receipt]]:
+        async with managed(tmp_path / "system", swap_specification()) as (manager, _):
+            recorder = Recorder(tmp_path)
+            await asyncio.to_thread(recorder.wait_until_it_hears)
+            pid = (await manager.peek("source")).pid
+            when_the_cut_is_agreed(manager, lambda: stopped_for(pid, STILL))
+            outcome = await manager.change(other_source(manager))
+            assert outcome.outcome == "done", outcome.because
+            return outcome.swaps[0], recorder.stop()
+
+    with ended():
+        swap, rows = run(main())
+    numbers = [row.number for row in rows if row.number is not None]
+    first = numbers.index(1, 1)  # the new one's; the old one had been writing before
+    assert numbers[first:] == list(range(1, len(numbers) - first + 1))
+    assert (swap.lost, swap.duplicates) == (0, 0)
 
 
 @pytest.mark.full

@@ -288,10 +288,29 @@ def test_what_comes_after_the_new_side_has_waited_for_it_is_left_out() -> None:
     assert (published, link.gated) == (["in time"], 1)
 
 
-def test_a_call_that_hung_is_outdated_once_the_new_side_has_been_known_to_write_for_a_while() -> None:
+@pytest.mark.parametrize("by", ["its report", "its claim"])
+@pytest.mark.parametrize("passed", [-20_000_000, 0, 50_000_000, 50_000_001, 1_000_000_000])
+def test_a_call_that_hung_is_outdated_if_the_new_side_writes(passed: int, by: str) -> None:
+    """Whichever way the old side learns of it: after a stop it may come to the call before it hears of anything."""
+    link, published = link_of(Owner(slots=(T - 20_000_000, T - 20_000_000)))
+    holders: dict[str, PipeClaim] = {}
+    clocks, new = Clocks(T + passed), PipeClaim(holders, "cut")
+    side = OutgoingCut([link], clocks.host, ClaimArbiter(PipeClaim(holders, "cut")), T)
+    side.arm()
+    write(link, "nobody else writes")
+    if by == "its claim":
+        assert new.take()
+    else:
+        side.taken_at = clocks.steady()
+    write(link, "beside the new one's")
+    assert published == ["nobody else writes", "beside the new one's"][: 1 + (passed <= 50_000_000)]
+    assert side.arbiter.reclaim() == (by != "its claim")
+
+
+def test_a_fast_clock_leaves_a_call_real_time_before_it_is_outdated() -> None:
     owner, clocks = Owner(slots=(T - 20_000_000, T - 20_000_000)), Clocks(T + 1_000_000_000)
+    clocks.simulated_time = True
     side, link = outgoing(owner, clocks)
-    assert side.passes(link)
     side.taken_at = 1_000
     for passed, passes in [(0, True), (49_999_999, True), (50_000_000, False)]:
         clocks.real = side.taken_at + passed

@@ -23,7 +23,7 @@ from midstride.node.component_host import Host
 from midstride.node.handover import cut_protocol
 from midstride.node.handover.arbiter import Arbiter, ClaimArbiter
 from midstride.node.handover.baton import BatonState, BatonStep, BatonWord, SharedSlot
-from midstride.node.handover.cut import IncomingCut, IncomingSide, OutgoingCut, OutgoingSide
+from midstride.node.handover.cut import GRACE, IncomingCut, IncomingSide, OutgoingCut, OutgoingSide
 from midstride.node.handover.cut_life import CutEvent
 from midstride.node.handover.cut_protocol import CutInTask, CutOutTask
 from midstride.wire.pipe import PipeClaim
@@ -280,6 +280,8 @@ class World:
         self.moment = 0
         self.manager, self.mortal, self.fails = manager, mortal, fails
         self.command: Work | None = None
+        # Whether the old side was heard long after T, beside the new one: with one claim it can know.
+        self.outdated, self.one_claim = False, library is None and hosts == 1
         self.reports: list[Report] = []
         self.processes = {"o": Process(self, [T - SLOT, T]), "n": Process(self, [T])}
         old, new = self.processes.values()
@@ -355,6 +357,11 @@ class World:
                     self.command = self.processes[name].start(doing(cast(Any, task)))
             case "manager", _, _:
                 self.manager = ""
+            case "o", "call", _:
+                old, late = self.processes["o"], MOMENTS[self.moment] - T > GRACE * 1e9
+                beside, heard = late and self.one_claim and self.processes["n"].writes(), len(old.published)
+                old.do("call", 0)
+                self.outdated = self.outdated or (beside and len(old.published) > heard)
             case name, what, index:
                 self.processes[name].do(what, index)
 
@@ -382,6 +389,7 @@ class World:
             (out.phase, out.outcome, out._taken, out._wanted, out._watching, out._due_at, out.side.over),
             (into.phase, into.outcome, into._reports, into.side.refused, bool(into.side.written)),
             (self.manager, self.command is None or self.command.waits is None, self.processes["n"].owner.failed),
+            self.outdated,
         )
 
 
@@ -394,6 +402,7 @@ class Seen:
     attached: str
     outcomes: tuple[str | None, str | None]
     confirmed: bool  # the old side knows that the new one has taken over
+    outdated: bool = False  # the old side was heard long after T, beside the new one
     settled: bool = True
 
 
@@ -419,6 +428,7 @@ def explore(**given: Any) -> list[Seen]:
                 "".join(name for name, process in sides if process.link.output.links),
                 (world.outgoing.outcome, world.incoming.outcome),
                 world.outgoing._taken,
+                world.outdated,
             )
             if not (steps := world.steps()):
                 break
@@ -444,12 +454,12 @@ def side_can_write(seen: Seen, side: str) -> bool:
 def assert_one_writer(states: int, **given: Any) -> list[Seen]:
     """Explore: never do both sides write, and one does wherever one can; all worlds, of which there are ``states``.
 
-    Another number means that the protocol has changed, or that the exploration has missed some.
+    Nor is the old one heard long after the new one has begun. Another number means that the protocol has changed, or that the exploration has missed some.
     """
     found = explore(**given)
     assert len(found) == states
     for seen in found:
-        assert len(seen.writes) < 2, seen
+        assert len(seen.writes) < 2 and not seen.outdated, seen
         if seen.settled and (side_can_write(seen, "o") or side_can_write(seen, "n")):
             # The new side has given up for an old one that has died.
             given_up = seen.outcomes[1] == "cancelled" or seen.outcomes[0] in ("resumed", "cancelled")
@@ -572,6 +582,12 @@ def test_the_exploration_finds_a_side_that_does_not_claim(
 ) -> None:
     plant(monkeypatch, task, name, mistake)
     assert any(len(seen.writes) == 2 for seen in explore(manager=manager))
+
+
+def test_the_exploration_finds_an_old_side_that_is_heard_beside_the_new_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was stopped before T, and goes on with the call that it was in, long after the new side has written."""
+    plant(monkeypatch, ClaimArbiter, "is_overtaken", lambda self: False)
+    assert any(seen.outdated for seen in explore())
 
 
 @pytest.mark.full

@@ -39,6 +39,7 @@ class Recorder:
         ended: float,
         *,
         last: int | None = None,
+        first: int | None = None,
         known: bool = True,
         resumed: bool = False,
         own_slots: bool = False,
@@ -54,6 +55,7 @@ class Recorder:
                 guaranteed_period=0.02,
                 grid_period=0.02,
                 last_number=last,
+                first_number=first,
                 resumed=resumed,
                 own_slots=own_slots,
             )
@@ -182,6 +184,33 @@ def test_messages_nobody_received_are_lost() -> None:
     for slot in range(40, 80):
         recorder.write("new", slot, received=slot != 60)
     assert recorder.observe(35, 80, last=40).lost == 3
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["identity", "numbering"])
+@pytest.mark.parametrize(("still", "lost"), [((33, 40), 7), ((35, 45), 10), ((40, 45), 5), ((42, 45), 3)])
+def test_what_a_subscriber_that_stands_still_loses_is_lost_on_either_side_of_the_cut(
+    still: tuple[int, int], lost: int, known: bool
+) -> None:
+    recorder = Recorder()
+    recorder.numbers["old"] = 100  # it has been writing for longer than the new one does here
+    for slot in range(80):
+        recorder.write("old" if slot < 40 else "new", slot, received=not still[0] <= slot < still[1])
+    seen = recorder.observe(32, 80, last=140, first=1, known=known)
+    assert (seen.missed, seen.lost) == (lost, lost)
+    after = max(0, still[1] - max(still[0], 40)) if still[0] <= 40 else 0
+    assert recorder.observe(32, 80, last=140, known=known).lost == lost - after, "where nothing is reported"
+    assert recorder.observe(32, 80, last=140, first=9, known=known).lost == lost - after, "it wrote its first later"
+
+
+def test_the_first_message_is_that_of_the_only_publisher_that_has_appeared() -> None:
+    recorder = Recorder()
+    for slot in range(80):
+        recorder.write("old" if slot < 40 else "new", slot, received=not 40 <= slot < 45)
+        if slot > 60:
+            recorder.write("bystander", slot + 0.5)
+    assert recorder.observe(35, 80, last=40, first=1).lost == 0, "which of the two it is is not known"
+    recorder.rows = [row for row in recorder.rows if row.publisher != "old"]
+    assert recorder.observe(35, 80, first=1).lost == 0
 
 
 def test_a_late_message_is_not_taken_for_two_faults() -> None:

@@ -37,6 +37,22 @@ def test_one_side_has_it(tmp_path: Path) -> None:
     assert folder.present() == {}, "it is no component"
 
 
+def test_whether_another_side_has_it_can_be_seen_without_taking_it(tmp_path: Path) -> None:
+    folder, pipes = SocketFolder(tmp_path), PipeNetwork()
+    for one, other, unrelated in (
+        [folder.claim(cut) for cut in ("a", "a", "b")],
+        [pipes.claim(cut) for cut in ("a", "a", "b")],
+    ):
+        seen = [one.is_taken, other.is_taken]
+        assert one.take()
+        seen += [one.is_taken, other.is_taken, unrelated.is_taken]
+        one.give_back()
+        assert [*seen, one.is_taken, other.is_taken] == [False, False, False, True, False, False, False]
+        assert other.take() and one.is_taken
+        other.give_back()
+    assert not FileClaim(tmp_path / "no folder" / "claims", "a").is_taken
+
+
 def test_a_claim_can_be_renounced_while_it_is_not_held(tmp_path: Path) -> None:
     folder, pipes = SocketFolder(tmp_path), PipeNetwork()
     for one, other in ((folder.claim("a"), folder.claim("a")), (pipes.claim("a"), pipes.claim("a"))):

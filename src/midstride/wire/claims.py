@@ -14,6 +14,8 @@ from pathlib import Path
 
 # How a lock is refused that another open file description holds.
 _HELD = (errno.EAGAIN, errno.EACCES)
+# The kernel's struct flock.
+_FLOCK = "hhqqi4x"
 
 
 class FileClaim:
@@ -52,6 +54,14 @@ class FileClaim:
     __del__ = give_back
 
     @property
+    def is_taken(self) -> bool:
+        with self._mutex:
+            if self._held or not self._open():
+                return False
+            found: int = struct.unpack(_FLOCK, self._request(fcntl.F_OFD_GETLK, fcntl.F_WRLCK))[0]
+            return found != fcntl.F_UNLCK
+
+    @property
     def place(self) -> str:
         with self._mutex:
             return self._place()
@@ -75,9 +85,13 @@ class FileClaim:
 
     def _lock(self, kind: int) -> None:
         """Lock or unlock the byte. Raises OSError."""
+        self._request(fcntl.F_OFD_SETLK, kind)
+
+    def _request(self, request: int, kind: int) -> bytes:
+        """Make a request about a lock of the byte; what the kernel replies. Raises OSError."""
         assert self._descriptor is not None
-        lock = struct.pack("hhqqi4x", kind, os.SEEK_SET, self._byte, 1, 0)
-        fcntl.fcntl(self._descriptor, fcntl.F_OFD_SETLK, lock)
+        lock = struct.pack(_FLOCK, kind, os.SEEK_SET, self._byte, 1, 0)
+        return fcntl.fcntl(self._descriptor, request, lock)
 
     def _open(self) -> bool:
         """Whether the file can be used."""

@@ -87,6 +87,10 @@ class PipeClaim:
         self._shared = self._shared or not held
         return held
 
+    @property
+    def is_taken(self) -> bool:
+        return self._holders.get(self._cut, self) is not self
+
     def renounce(self) -> bool:
         self._renounced = self._holders.get(self._cut) is not self
         return self._renounced

@@ -46,6 +46,10 @@ class CutClaim(Protocol):
     def give_back(self) -> None: ...
 
     @property
+    def is_taken(self) -> bool:
+        """Whether another side has it now, as far as that can be seen from here. Takes nothing."""
+
+    @property
     def place(self) -> str:
         """Where the claim is; empty where that is not known. Two sides have one claim if they have it in one place."""
 

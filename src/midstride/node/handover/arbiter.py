@@ -48,6 +48,10 @@ class Arbiter(Protocol):
     def passed_on(self) -> bool:
         """Return whether the new side is seen to have the right; where that cannot be seen, it reports it."""
 
+    @property
+    def is_overtaken(self) -> bool:
+        """Return whether the new side has the right now; it is looked up, so also where the report of it is late."""
+
     def share(self, place: str) -> None:
         """The new side reports that it has the right, in ``place``."""
 
@@ -94,6 +98,10 @@ class ClaimArbiter:
     def give_back(self) -> None:
         self._has = False
         self.claim.give_back()
+
+    @property
+    def is_overtaken(self) -> bool:
+        return self.claim.is_taken
 
     def share(self, place: str) -> None:
         self.claim.share(place)

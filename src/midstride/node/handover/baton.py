@@ -126,6 +126,8 @@ class SharedSlot:
     def passed_on(self) -> bool:
         return self._slot is not None and self.word().holder != self.me
 
+    is_overtaken = passed_on
+
     def share(self, place: str) -> None:
         """The word says it."""
 

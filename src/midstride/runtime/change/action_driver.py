@@ -59,8 +59,9 @@ class ActionDriver:
     """Performs the actions of ``change`` on the components of ``system``, whose configuration is that before an action.
 
     While the change is rolled back, a removed instance gets back its own state, and a failure to transfer state does
-    not fail the action. ``last_numbers`` holds the number of the last message of each output that was detached. States
-    of replacements that hand over no output move as well.
+    not fail the action. ``last_numbers`` holds the number of the last message of each output that was detached, and
+    ``first_numbers`` that of the first message of each that took over at an agreed moment. States of replacements that
+    hand over no output move as well.
     """
 
     client: ComponentClient
@@ -70,6 +71,7 @@ class ActionDriver:
     events: EventLog
     change: RunningChange
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
+    first_numbers: dict[PortRef, int] = field(default_factory=dict)
     late: dict[str, float] = field(default_factory=dict)
     # By instance: what state of its predecessor it continues without, and why.
     own_state: dict[str, str] = field(default_factory=dict)
@@ -367,6 +369,7 @@ class ActionDriver:
             turn or only_turn(),
         )
         self.last_numbers |= await handover.run()
+        self.first_numbers |= handover.first_numbers
         self.late |= states.late
 
     async def watch(self, action: Action) -> None:

@@ -339,7 +339,12 @@ class ChangeSession:
         done = change.outcome == "done"
         change.happened(ChangeEvent.WATCHING)
         try:
-            swaps = await recording.finish(driver.last_numbers, resumed=not done, hung=self.system.life.fenced)
+            swaps = await recording.finish(
+                driver.last_numbers,
+                first_numbers=driver.first_numbers,
+                resumed=not done,
+                hung=self.system.life.fenced,
+            )
             if done:
                 await recording.wait(execution.ended + self._first_calls(change.actions) - self.clock.steady())
             return swaps

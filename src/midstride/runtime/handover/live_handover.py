@@ -101,6 +101,8 @@ class LiveHandover:
     before_cut: Callable[[str, str], Awaitable[None]] | None = None
     timing: Mapping[str, float] = field(default_factory=Map)  # of the specification
     turn: CutTurn = field(default_factory=only_turn)
+    # Of the new outputs that have published at an agreed moment: the number of the first message.
+    first_numbers: dict[PortRef, int] = field(default_factory=dict, init=False)
     _new: NewPublishers = field(init=False)
     _cuts: list[Cut] = field(default_factory=list)
     _too_slow: bool = False  # the old side was not free until the last moment that was tried
@@ -372,6 +374,9 @@ class LiveHandover:
             for swap in cut.swaps:
                 write = outgoing.last.get(f"{swap.old.port} {self._topic(swap)}")
                 last[swap.old] = None if write is None else write.number
+                first = incoming.first.get(f"{swap.new.port} {self._topic(swap)}")
+                if first is not None:  # of several topics, the latest: what is known to be lost is never too much
+                    self.first_numbers[swap.new] = max(first.number, self.first_numbers.get(swap.new, 0))
         return last
 
     def _await_cut(self, cut: Cut) -> commands.AwaitCutCommand:

@@ -51,12 +51,13 @@ def unknown_report(topic: str, subscriber: str, period: float | None) -> SwapRep
 class Observation:
     """What was recorded at one input between two times of its steady clock (ns).
 
-    ``last_number`` is the number of the old publisher's last message, as it reports it. ``inputs`` are the source times
-    of the messages that a message-driven publisher had to answer, if known: they serve as its time grid. ``resumed``:
-    the change was rolled back, so the old publisher is the one at the end, too. ``watched``: how long the recording
-    continued after the last step (s), where that is not 20 periods; ``earliest``: rows before belong to another change.
-    ``hung``: the old publisher may have been silent before: the figures begin with its last message. ``own_slots``: the
-    new publisher is a program outside, which writes on a grid of its own and not on that of the old one.
+    ``last_number`` is the number of the old publisher's last message, and ``first_number`` that of the new one's first,
+    as they report them. ``inputs`` are the source times of the messages that a message-driven publisher had to answer,
+    if known: they serve as its time grid. ``resumed``: the change was rolled back, so the old publisher is the one at
+    the end, too. ``watched``: how long the recording continued after the last step (s), where that is not 20 periods;
+    ``earliest``: rows before belong to another change. ``hung``: the old publisher may have been silent before: the
+    figures begin with its last message. ``own_slots``: the new publisher is a program outside, which writes on a grid
+    of its own and not on that of the old one.
     """
 
     topic: str
@@ -67,6 +68,7 @@ class Observation:
     guaranteed_period: float | None
     grid_period: float | None = None
     last_number: int | None = None
+    first_number: int | None = None
     inputs: Sequence[int] | None = None
     resumed: bool = False
     watched: float = math.inf
@@ -307,7 +309,10 @@ def _shift_early(written: dict[str, list[int]]) -> None:
 
 
 def _lost(by_publisher: _Publishers | None, by_side: _Publishers | None, seen: Observation) -> int | None:
-    """The holes in each publisher's sequence, and the old publisher's last messages that were not received."""
+    """The holes in each publisher's sequence, and what was not received of the old one's end and the new one's begin.
+
+    Which the new one is must be known for that: the only one that appeared during the change.
+    """
     if not by_publisher or any(row.number is None for own in by_publisher.values() for row in own):
         return None
     numbers = {name: {row.number for row in own if row.number is not None} for name, own in by_publisher.items()}
@@ -320,4 +325,8 @@ def _lost(by_publisher: _Publishers | None, by_side: _Publishers | None, seen: O
         if begins == [old]:
             return None  # these are the new publisher's messages: none of the old one's is in the window
         lost += max(0, seen.last_number - max(numbers[old]))
+    if seen.first_number is not None and by_side is not None:
+        appeared = [name for name, own in by_side.items() if own[0].received > seen.begun]
+        if len(appeared) == 1 < len(by_side):
+            lost += max(0, min(numbers[appeared[0]]) - seen.first_number)
     return lost

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Final, TypeAlias
 
 from midstride.errors import CommandRefused, MidstrideError
@@ -169,10 +170,16 @@ class Recording(ChangeObserver):
                     self._driving_inputs[swap.old] = inputs[0]
 
     async def finish(
-        self, last_numbers: dict[PortRef, int | None], *, resumed: bool = False, hung: Container[str] = ()
+        self,
+        last_numbers: dict[PortRef, int | None],
+        *,
+        first_numbers: Mapping[PortRef, int] = MappingProxyType({}),
+        resumed: bool = False,
+        hung: Container[str] = (),
     ) -> list[SwapReport]:
         """Keep recording for a while, then compute the figures. :meth:`stop` must be called afterwards.
 
+        ``last_numbers`` are those of the old publishers' last messages, ``first_numbers`` those of the new ones' first.
         ``resumed``: the plan was rolled back, so the old publishers publish again. ``hung``: the instances that were
         silent before the change.
         """
@@ -207,6 +214,7 @@ class Recording(ChangeObserver):
             sources = None if driving is None else [row.source for row in driving.rows if row.source is not None]
             last = last_numbers.get(old)
             seen = replace(seen, rows=found.rows, ended=found.now, last_number=last, inputs=sources, resumed=resumed)
+            seen = replace(seen, first_number=first_numbers.get(each.exchange.new))
             seen = replace(seen, watched=watched, earliest=self.earliest, hung=old.instance in hung)
             if found.moments is None:
                 reports.append(report(seen))
