@@ -183,6 +183,17 @@ def stopped_for(pid: int, seconds: float) -> None:
     asyncio.get_running_loop().call_later(seconds, os.kill, pid, signal.SIGCONT)
 
 
+async def sink_receives(manager: Manager, count: int) -> None:
+    """Return when the sink has received so many messages more."""
+
+    async def number() -> int:
+        return (await manager.peek("sink")).ports["in"]["/swap"].count
+
+    begin = await number()
+    while await number() < begin + count:
+        await asyncio.sleep(0.01)
+
+
 def other_source(manager: Manager, strategy: str = "minimal") -> PlanRequest:
     """Replace the source by the other one."""
     now = manager.specification.nodes["source"].component

@@ -27,13 +27,13 @@ from midstride.runtime.records.measure import Observation
 from midstride.runtime.records.reports import Event
 from midstride.wire.replies import Receipt
 from tests.acceptance.support import (
-    PERIOD,
     Recorder,
     by_source,
     ended,
     kept_observations,
     managed,
     other_source,
+    sink_receives,
     swap_specification,
     window,
 )
@@ -182,7 +182,7 @@ def test_the_status_is_true_while_readers_come_and_go(tmp_path: Path, monkeypatc
         async with managed(tmp_path / "system", swap_specification()) as (manager, _):
             recorder = Recorder(tmp_path)
             await asyncio.to_thread(recorder.wait_until_it_hears)
-            await asyncio.sleep(40 * PERIOD)  # it has what comes before the first window, too
+            await sink_receives(manager, 40)  # it has what comes before the first window, too
             others = [asyncio.create_task(poll(manager)), asyncio.create_task(readers(tmp_path))]
             given_up = []
             for number in range(POLLED_REPLACEMENTS):

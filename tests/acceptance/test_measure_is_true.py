@@ -27,6 +27,7 @@ from tests.acceptance.support import (
     kept_observations,
     managed,
     other_source,
+    sink_receives,
     stopped_for,
     swap_specification,
     when_the_cut_is_agreed,
@@ -117,7 +118,7 @@ def recorded_swaps(strategy: str, folder: Path) -> tuple[list[Receipt], list[Swa
             recorder = Recorder(folder)
             # The recorder must hear what comes before the first window, too.
             await asyncio.to_thread(recorder.wait_until_it_hears)
-            await asyncio.sleep(40 * PERIOD)
+            await sink_receives(manager, 40)
             for _ in range(SWAPS):
                 outcome = await manager.change(other_source(manager, strategy))
                 assert outcome.outcome == "done", outcome.because

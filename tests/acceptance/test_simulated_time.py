@@ -25,6 +25,7 @@ from tests.acceptance.support import (
     ended,
     managed,
     other_source,
+    sink_receives,
     swap_specification,
 )
 from tests.backends.ros2_support import Bare, run, until_async
@@ -63,7 +64,7 @@ def test_use_sim_time_set_while_it_runs_travels_to_the_replacement(tmp_path: Pat
             with Bare() as bare:
                 await set_simulated_time(bare, "/source", True)
                 await status_when(manager, None)
-                await received(manager, 50)
+                await sink_receives(manager, 50)
                 outcome = await manager.change(replace("source", "OtherSource"))
                 assert (outcome.outcome, outcome.because) == ("done", None)
                 words = "source: use_sim_time = True, set at run time: kept"
@@ -71,7 +72,7 @@ def test_use_sim_time_set_while_it_runs_travels_to_the_replacement(tmp_path: Pat
                 state = await manager.peek("source_2")
                 assert state.simulated_time and state.set_values() == {"use_sim_time": True}
                 await set_simulated_time(bare, "/source", False)
-                await received(manager, 50)
+                await sink_receives(manager, 50)
                 outcome = await manager.change(other_source(manager))
                 assert (outcome.outcome, outcome.parameters) == ("done", [])
             clock.stop()
@@ -103,7 +104,7 @@ def test_nothing_is_missed_in_simulated_time_and_a_bare_recorder_agrees(
             assert all(row.simulated_time for row in (await manager.status()).instances)
             recorder = Recorder(tmp_path)
             await asyncio.to_thread(recorder.wait_until_it_hears)
-            await asyncio.sleep(40 * PERIOD / speed)
+            await sink_receives(manager, 40)  # the recorder has what comes before the first window, too
             swaps = []
             for _ in range(3):
                 outcome = await manager.change(other_source(manager))
@@ -140,7 +141,7 @@ def test_a_clock_that_stops_and_one_that_starts_again(tmp_path: Path) -> None:
         async with managed(tmp_path / "system", swap_specification(), options=options) as (manager, _):
             clock = ClockSource(tmp_path, 1.0)
             await status_when(manager, None)
-            await received(manager, 50)
+            await sink_receives(manager, 50)
             clock.drive(0.0)
             await until_async(lambda: is_still(manager))
             status = await manager.status()
@@ -148,9 +149,9 @@ def test_a_clock_that_stops_and_one_that_starts_again(tmp_path: Path) -> None:
             outcome = await manager.change(other_source(manager))
             assert outcome.outcome == "rolled_back" and "/clock has not moved for" in str(outcome.because)
             clock.drive(1.0, at=5.0)  # a bag that is played again
-            await received(manager, 50)
+            await sink_receives(manager, 50)
             assert (await manager.change(other_source(manager))).outcome == "done"
-            await received(manager, 50)
+            await sink_receives(manager, 50)
             assert (await manager.status()).valid
             clock.stop()
 
@@ -170,7 +171,7 @@ def test_use_sim_time_set_while_it_runs_neither_silences_nor_bursts(tmp_path: Pa
             with Bare() as bare:
                 for value in (True, False, True, False):
                     await set_simulated_time(bare, "/source", value)
-                    await received(manager, 50)
+                    await sink_receives(manager, 50)
             clock.stop()
             return recorder.stop()
 
@@ -182,20 +183,6 @@ def test_use_sim_time_set_while_it_runs_neither_silences_nor_bursts(tmp_path: Pa
     # Each change of the clock may move the grid within its period, and costs at most one period more.
     assert max(gaps) < 10 * PERIOD
     assert sum(gap < PERIOD / 4 for gap in gaps) <= 4
-
-
-async def received(manager: Manager, count: int) -> None:
-    """Until the sink has received so many messages more."""
-
-    async def number() -> int:
-        return (await manager.peek("sink")).ports["in"]["/swap"].count
-
-    begin = await number()
-
-    async def enough() -> bool:
-        return await number() >= begin + count
-
-    await until_async(enough)
 
 
 async def is_still(manager: Manager) -> bool:

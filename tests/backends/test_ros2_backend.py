@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import pytest
@@ -39,6 +40,7 @@ from tests.backends.ros2_support import (
     without_midstride,
 )
 from tests.foreign.chat import chat
+from tests.planting import plant
 
 pytestmark = pytest.mark.ros2
 
@@ -323,9 +325,9 @@ def test_a_component_that_was_paused_answers_and_works_within_a_second(tmp_path:
             await r.attach("talker", "out", "/chatter", gate="closed")
             await r.modes("talker", talk="normal")
             r.kill("talker", signal.SIGSTOP)
-            await asyncio.sleep(3.0)
+            await until(lambda: r.client.life.responsive("talker") is None)
             before = r.client.life.latest("talker")
-            assert before is not None and r.client.life.responsive("talker") is None
+            assert before is not None
             r.kill("talker", signal.SIGCONT)
             begun = time.monotonic()
             state = await r.client.observe("talker")
@@ -338,8 +340,18 @@ def test_a_component_that_was_paused_answers_and_works_within_a_second(tmp_path:
     run(scenario())
 
 
+def noted(send: Callable[[bytes], Awaitable[None]], sent: list[bytes]) -> Callable[[bytes], Awaitable[None]]:
+    """The same; each frame that the socket has taken is in ``sent``."""
+
+    async def send_and_note(frame: bytes) -> None:
+        await send(frame)
+        sent.append(frame)
+
+    return send_and_note
+
+
 @pytest.mark.full
-def test_a_command_that_is_sent_again_is_carried_out_once(tmp_path: Path) -> None:
+def test_a_command_that_is_sent_again_is_carried_out_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The component is stopped while a command is sent, and sent again; going on, it finds several of it."""
 
     async def scenario() -> None:
@@ -347,13 +359,16 @@ def test_a_command_that_is_sent_again_is_carried_out_once(tmp_path: Path) -> Non
             await r.start("talker", TALKER)
             revision = (await r.client.observe("talker")).revision
             channels = [await r.channel("talker"), await r.channel("talker")]
+            sent: list[bytes] = []
+            for channel in channels:
+                plant(monkeypatch, channel.connection, "send", noted(channel.connection.send, sent))
             r.kill("talker", signal.SIGSTOP)
             command = AttachCommand(port="out", topic="/chatter")
             first, second = (
                 asyncio.ensure_future(channel.request(command, id="once", revision=revision, timeout=30.0))
                 for channel in channels
             )
-            await asyncio.sleep(1.5)
+            await until(lambda: len(sent) == len(channels))
             r.kill("talker", signal.SIGCONT)
             assert await first == await second
             assert (await first).ok

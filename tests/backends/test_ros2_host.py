@@ -926,9 +926,14 @@ def test_acknowledgement_is_unknown_where_a_reader_has_frozen(tmp_path: Path) ->
             await r.attach("listener", "in", "/chatter")
             await r.attach("talker", "out", "/chatter", peers=1)
             await r.modes("talker", talk="normal")
-            await asyncio.sleep(0.2)
+
+            async def has_written(count: int) -> bool:
+                return (await r.link("talker", "out", "/chatter")).count >= count
+
+            await until_async(lambda: has_written(1))
             r.kill("listener", signal.SIGSTOP)
-            await asyncio.sleep(0.1)
+            before = (await r.link("talker", "out", "/chatter")).count
+            await until_async(lambda: has_written(before + 5))
             detaching = asyncio.ensure_future(r.detach("talker", "out", "/chatter", timeout=1.0))
             await r.client.peek("talker")
             assert not detaching.done(), "everything stopped until the acknowledgement was given up"
