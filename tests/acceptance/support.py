@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import importlib.util
+import itertools
 import json
 import os
 import signal
@@ -40,6 +41,8 @@ PERIOD = 0.02
 # How many messages wait for a subscriber here (20 s). With ROS's default of ten, one that gets no processor for 0.2 s
 # loses messages that were published, and that every other subscriber has: that is no fault of a hand-over.
 QUEUE = 1000
+# How often it is looked how long processes have waited for a processor (s): that takes 2 ms.
+LOOK = 0.1
 RUN = "MIDSTRIDE_TEST_RUN"
 
 
@@ -117,7 +120,7 @@ class Recorder:
 
 
 class ClockSource:
-    """A process that publishes ``/clock``."""
+    """A process that publishes ``/clock``; ``pid`` is its own."""
 
     def __init__(self, folder: Path, speed: float, begin: float = 100.0) -> None:
         from midstride.backends.ros2.dds_profiles import tuned_environment
@@ -129,6 +132,7 @@ class ClockSource:
             env=tuned_environment(dict(os.environ)),
             start_new_session=True,
         )
+        self.pid = self._process.pid
 
     def drive(self, speed: float, at: float | None = None) -> None:
         assert self._process.stdin is not None
@@ -181,6 +185,74 @@ def stopped_for(pid: int, seconds: float) -> None:
     """Stop the process for so long; it goes on although nothing waits for that. On the event loop."""
     os.kill(pid, signal.SIGSTOP)
     asyncio.get_running_loop().call_later(seconds, os.kill, pid, signal.SIGCONT)
+
+
+def pids(manager: Manager) -> dict[str, int]:
+    """The processes of the components that run."""
+    found = {name: handle.pid for name, handle in manager.system.life.handles.items()}
+    return {name: pid for name, pid in found.items() if pid is not None}
+
+
+class Starved:
+    """How long processes waited for a processor, by the kernel's own account, from look to look at them.
+
+    A slot is missed where a thread gets no processor for its length. So what was waited bounds how many can have been
+    missed for no fault of a hand-over: on a machine with nothing else to do, none.
+    """
+
+    def __init__(self, *pids: int) -> None:
+        self._last: dict[int, float] = {}
+        self._waits: list[float] = []
+        self.watch(*pids)
+
+    def watch(self, *pids: int) -> None:
+        """From now on, if they have not been watched before."""
+        for pid in pids:
+            self._last.setdefault(pid, _waited(pid))
+
+    def look(self) -> None:
+        now = {pid: max(before, _waited(pid)) for pid, before in self._last.items()}
+        self._waits.append(sum(now.values()) - sum(self._last.values()))
+        self._last = now
+
+    @contextlib.asynccontextmanager
+    async def looked_at(self) -> AsyncIterator[None]:
+        """Look again and again inside."""
+
+        async def keep_looking() -> None:
+            while True:
+                await asyncio.sleep(LOOK)
+                self.look()
+
+        looking = asyncio.ensure_future(keep_looking())
+        try:
+            yield
+        finally:
+            looking.cancel()
+            self.look()
+
+    @property
+    def seconds(self) -> float:
+        """The sum over all of them (s)."""
+        return sum(self._waits)
+
+    @property
+    def longest(self) -> float:
+        """Longer than any wait was (s), which may have ended only after a look."""
+        return max(map(sum, itertools.pairwise([0.0, *self._waits, 0.0])))
+
+    def often(self, length: float) -> int:
+        """How often at most one had to wait for ``length`` seconds."""
+        return sum(int(sum(pair) / length) for pair in itertools.pairwise([0.0, *self._waits, 0.0]))
+
+
+def _waited(pid: int) -> float:
+    """How long the threads of a process have waited for a processor since they began (s); 0 once it has ended."""
+    waited = 0
+    for file in Path(f"/proc/{pid}/task").glob("*/schedstat"):
+        with contextlib.suppress(OSError):  # that thread has ended
+            waited += int(file.read_text().split()[1])
+    return waited / 1e9
 
 
 async def sink_receives(manager: Manager, count: int) -> None:

@@ -21,7 +21,7 @@ from midstride.runtime.instance_life import STOPPED
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Event, Outcome
 from midstride.wire.replies import Receipt
-from tests.acceptance.support import BENCHMARKS, PERIOD, Recorder, ended, managed, swap_specification
+from tests.acceptance.support import BENCHMARKS, PERIOD, Recorder, ended, managed, pids, swap_specification
 from tests.backends.ros2_support import run, until_async
 
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
@@ -148,9 +148,3 @@ def test_a_new_publisher_that_is_stopped_costs_a_bounded_time_and_the_old_one_go
         run(main())
     assert moments["step_failed"] - moments["stopped"] < STOPPED + APART
     assert moments["rolled_back"] - moments["step_failed"] < STOPPED
-
-
-def pids(manager: Manager) -> dict[str, int]:
-    """The processes of the components that run."""
-    found = {name: handle.pid for name, handle in manager.system.life.handles.items()}
-    return {name: pid for name, pid in found.items() if pid is not None}
