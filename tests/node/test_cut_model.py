@@ -454,7 +454,8 @@ def side_can_write(seen: Seen, side: str) -> bool:
 def assert_one_writer(states: int, **given: Any) -> list[Seen]:
     """Explore: never do both sides write, and one does wherever one can; all worlds, of which there are ``states``.
 
-    Nor is the old one heard long after the new one has begun. Another number means that the protocol has changed, or that the exploration has missed some.
+    Nor is the old one heard long after the new one has begun. Another number means that the protocol has changed, or
+    that the exploration has missed some.
     """
     found = explore(**given)
     assert len(found) == states
