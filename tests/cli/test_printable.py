@@ -53,9 +53,9 @@ FILES: dict[str, dict[str, str]] = {
         "x.stride": 'system s\ncomponent C { parameters "p.yaml" }\nnode n : C\n',
         "p.yaml": json.dumps({f"n{HOSTILE}": {HOSTILE: {HOSTILE: 1}}, "n": {"ros__parameters": {HOSTILE: None}}}),
     },
-    "the tags of a parameter file": {
+    "the sections of a parameter file": {
         "x.stride": 'system s\ncomponent C { parameters "p.yaml" }\nnode n : C\n',
-        "p.yaml": "n: {ros__parameters: {a: !<%1b[2J%C2%9b> 1}}\n",
+        "p.yaml": '"n\\e[2J\\u009b": {ros__parameters: {a: 1}}\n',
     },
 }
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,10 +12,13 @@ from immutables import Map
 
 from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.lang import Loaded, load, load_text, render
+from midstride.lang.printer import format_text
 from midstride.model.component import InputAlternatives, NodeEndpoint, ParameterSpec
 from midstride.model.contract import Interval, OneOf, Predicate, QoS
 from midstride.model.specification import Keep, Limit, Order, Specification, initial
 from midstride.model.specification_checks import check
+from midstride.plan.change_builder import change_between
+from midstride.plan.specification_diff import differences
 
 from .known import Known
 
@@ -263,7 +268,7 @@ talker:
   ros__parameters:
     volume: 3
     names: [a, 'b']
-    plugin: {name: "x", gains: [1, 2.5]}
+    plugin: {name: "x", gains: [1.0, 2.5]}
 robot1:
   talker:
     ros__parameters: {volume: 4}
@@ -303,45 +308,16 @@ def test_parameter_files_are_matched_by_role() -> None:
     assert decode_specification(encode_specification(found)) == found
 
 
-TAGGED = [
-    ("!sum [1, 2]", "!sum"),
-    ("! [1, 2]", "!"),
-    ("!!set [1, 2]", "tag:yaml.org,2002:set"),
-    ("!!map [1, 2]", "tag:yaml.org,2002:map"),
-    ("[!one 1, 2]", "!one"),
-    ("[1, !!float 2]", "tag:yaml.org,2002:float"),
-    ("!sum {a: 1}", "!sum"),
-    ("!!seq {a: 1}", "tag:yaml.org,2002:seq"),
-    ("{!a a: 1}", "!a"),
-    ("!!int 5", "tag:yaml.org,2002:int"),
-    ("! 5", "!"),
-    ("! '5'", "!"),
-    ("!!binary YQ==", "tag:yaml.org,2002:binary"),
-    ("!!python/object/apply:os.getcwd []", "tag:yaml.org,2002:python/object/apply:os.getcwd"),
-]
-
-
-@pytest.mark.parametrize(("value", "tag"), TAGGED)
-@pytest.mark.parametrize("file", ["n: {{ros__parameters: {{p: {}}}}}\n", "n:\n  ros__parameters:\n    - &a {}\n"])
-def test_a_tag_in_a_parameter_file_is_an_error_at_its_place(file: str, value: str, tag: str) -> None:
-    text = file.format(value)
-    loaded = load_text('system s\ncomponent C { }\nnode n : C { parameters "p.yaml" }\n', read=lambda path: text)
-    (found,) = [d for d in loaded.diagnostics if d.code == "E150"]
-    assert f"`{tag}`" in found.message and found.help is not None and found.span is not None
-    line, column = found.position
-    assert text.splitlines()[line - 1][column - 1] in {"!", "&"}
-
-
 @pytest.mark.parametrize(
     ("text", "message", "help", "position"),
     [
         (
             "n: {ros__parameters: 5}\n",
-            "`ros__parameters` must contain parameters",
-            "write `ros__parameters: name: value`",
+            "section `n` has no parameters",
+            "write `n: ros__parameters: name: value`",
             (1, 22),
         ),
-        ('n: {ros__parameters: {"": 5}}\n', "the name of a parameter is empty", None, (1, 27)),
+        ('n: {ros__parameters: {"": 5}}\n', "a name is empty, in section `n`", None, (1, 23)),
         (
             "n:\n  x: 2\n",
             "`x` of section `n` is not under `ros__parameters`",
@@ -395,12 +371,37 @@ def test_the_values_of_a_parameter_file_are_those_that_ros_reads(written: str, v
     assert (read, type(read)) == (value, type(value))
 
 
-@pytest.mark.parametrize("written", ["inf", "-Infinity", "NaN", ".inf"])
-def test_what_ros_reads_as_no_finite_number_is_refused(written: str) -> None:
-    text = f"n: {{ros__parameters: {{p: {written}}}}}\n"
-    loaded = load_text('system s\ncomponent C { }\nnode n : C { parameters "p.yaml" }\n', read=lambda path: text)
-    (found,) = loaded.diagnostics
-    assert (found.code, found.message) == ("E150", "parameter values must be finite")
+@pytest.mark.parametrize(
+    ("written", "value"), [("inf", math.inf), ("-Infinity", -math.inf), ("NaN", math.nan), (".inf", math.inf)]
+)
+def test_a_number_that_is_not_finite_is_a_value_in_parameter_files_and_in_json(written: str, value: float) -> None:
+    text = f"n: {{ros__parameters: {{p: {written}, q: [1.0, {written}]}}}}\n"
+    head = "system s\ncomponent C { functionality f { mode a { } mode b { } } }\n"
+    found = load_text(head + 'node n : C { parameters "p.yaml" }\n', read=lambda path: text).require()
+    assert found.nodes["n"].parameters == Map(p=value, q=[1.0, value])
+    document = encode_specification(found)
+    assert document["nodes"]["n"]["parameters"]["p"] == {"float": str(value)}
+    assert decode_specification(json.loads(json.dumps(document))) == found
+    assert differences(found, decode_specification(document)) == []
+
+
+def test_a_number_that_is_not_finite_is_a_value_in_the_language() -> None:
+    text = (
+        "system s\ncomponent C {\n"
+        '  parameters { most = inf, least = -inf, none = nan, all = [-inf, 1.5, nan], word = "nan" }\n'
+        "  functionality f { mode a { } mode b { } }\n}\nnode n : C\n"
+    )
+    found = load_text(text).require()
+    values = {name: each.value for name, each in found.components["C"].parameters.items()}
+    wanted = {"most": math.inf, "least": -math.inf, "none": math.nan, "all": [-math.inf, 1.5, math.nan], "word": "nan"}
+    assert values == wanted
+    formatted = format_text(text).text
+    assert formatted is not None and load_text(formatted).require() == found
+    # NaN is equal to itself: else each `apply` would find a change.
+    again = load_text(text).require()
+    assert (
+        again == found and differences(found, again) == [] and not change_between(initial(found), found, again).coming
+    )
 
 
 @pytest.mark.parametrize("character", ["\x1b", "\x00", "\ud800", "\uffff"])
@@ -411,7 +412,7 @@ def test_a_character_that_no_yaml_contains_is_an_error_at_its_place(character: s
     assert found.position == (2, 12) and ascii(character) in found.message
 
 
-def test_tags_that_say_what_a_value_is_anyway_change_nothing() -> None:
+def test_tags_change_nothing_but_that_a_value_is_a_string() -> None:
     text = "!!map\nn: !!map {ros__parameters: {p: !!seq [!!str 1, !!str 'b'], !!str q: 1, r: !!str true}}\n"
     head = "system s\ncomponent C { functionality f { mode a { } mode b { } } }\n"
     values = load_text(head + 'node n : C { parameters "p.yaml" }\n', read=lambda path: text).require()
@@ -425,8 +426,8 @@ def test_parameters_can_have_any_name_that_ros_allows() -> None:
         + BODY
         + 'topic /t : std_msgs/msg/String\nparameters "p.yaml"\nnode talker : Talker { out -> /t }\n'
     )
-    found = meant(text, {"p.yaml": 'talker: {ros__parameters: {required: {"localization: ekf": 1, "": 2}}}\n'})
-    assert found.instance("talker").parameters == Map({"required.localization: ekf": 1, "required.": 2})
+    found = meant(text, {"p.yaml": 'talker: {ros__parameters: {required: {"localization: ekf": 1, "1st": 2}}}\n'})
+    assert found.instance("talker").parameters == Map({"required.localization: ekf": 1, "required.1st": 2})
     assert decode_specification(encode_specification(found)) == found
 
 

@@ -211,7 +211,7 @@ declare namespace Api {
     instance: string;
     role: string;
     component: string;
-    parameters: Record<string, boolean | number | string | (boolean | number | string)[]>;
+    parameters: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
     seconds: number;
   }
 
@@ -464,7 +464,7 @@ declare namespace Api {
     name: string;
     role: string;
     component: NamedComponentForm;
-    parameters: Record<string, boolean | number | string | (boolean | number | string)[]>;
+    parameters: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
   }
 
   /** An instance, as it last reported itself. */
@@ -556,7 +556,7 @@ declare namespace Api {
     /** by output */
     guarantees?: Record<string, PredicateForm>;
     /** the parameters that are set on entry */
-    parameters?: Record<string, boolean | number | string | (boolean | number | string)[]>;
+    parameters?: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
   }
 
   /** A functionality was in one mode; times in unix seconds. `because` says why it had entered it. */
@@ -622,7 +622,7 @@ declare namespace Api {
     /** the topics of each port */
     attachments?: Record<string, string[]>;
     /** its own values, over its component's */
-    parameters?: Record<string, boolean | number | string | (boolean | number | string)[]>;
+    parameters?: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
     respawn?: RespawnForm;
     role: string;
   }
@@ -633,7 +633,7 @@ declare namespace Api {
     /** the topics of each port */
     attachments?: Record<string, string[]>;
     /** its own values, over its component's */
-    parameters?: Record<string, boolean | number | string | (boolean | number | string)[]>;
+    parameters?: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
     respawn?: RespawnForm;
   }
 
@@ -690,23 +690,23 @@ declare namespace Api {
   /** A parameter's value, and whether it can be set in place. */
   interface ParameterForm {
     /** the value of a parameter; a list is of one kind */
-    value: boolean | number | string | (boolean | number | string)[];
+    value: boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[];
     changeable?: boolean;
   }
 
   /** Values to set at run time, all of them or none: of the parameters of a node, by name. */
   interface ParameterSetting {
     node: string;
-    parameters: Record<string, boolean | number | string | (boolean | number | string)[]>;
+    parameters: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
   }
 
   /** A parameter of a component. Where it was set at run time, `declared` is the value that it was started with. */
   interface ParameterStatus {
     name: string;
     /** the value of a parameter; a list is of one kind */
-    value: boolean | number | string | (boolean | number | string)[];
+    value: boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[];
     /** the value of a parameter; a list is of one kind */
-    declared: boolean | number | string | (boolean | number | string)[];
+    declared: boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[];
     set_at_run_time: boolean;
   }
 
@@ -1043,7 +1043,7 @@ declare namespace Api {
     node: string;
     parameter: string;
     /** the value of a parameter; a list is of one kind */
-    value: boolean | number | string | (boolean | number | string)[];
+    value: boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[];
     fate: "file_wins" | "kept" | "late" | "left_behind" | "not_kept";
     /** the same for people */
     words: string;
@@ -1062,7 +1062,7 @@ declare namespace Api {
   interface SetStep {
     action: "set";
     instance: string;
-    parameters: Record<string, boolean | number | string | (boolean | number | string)[]>;
+    parameters: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
     seconds: number;
     /** the shortest and the longest that were measured (s) */
     between?: [number, number];

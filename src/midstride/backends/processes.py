@@ -15,6 +15,7 @@ from typing import Final
 
 from midstride.backends import heap
 from midstride.backends.spares import Spares, fits
+from midstride.codec.parameter import json_values
 from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
 from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.relayed_program import KILLED, RelayOrder, order_file
@@ -81,7 +82,9 @@ def surroundings(launch: Launch, base: Mapping[str, str]) -> dict[str, str]:
 
 def identity(launch: Launch, backend: str, control: Path) -> dict[str, str]:
     """The environment variables that make a process this component; ``control`` is the folder of the sockets."""
-    set_values = {variables.ENV_SET_PARAMETERS: json.dumps(launch.set_parameters)} if launch.set_parameters else {}
+    set_values = (
+        {variables.ENV_SET_PARAMETERS: json.dumps(json_values(launch.set_parameters))} if launch.set_parameters else {}
+    )
     return {
         **set_values,
         variables.ENV_BACKEND: backend,
@@ -90,7 +93,7 @@ def identity(launch: Launch, backend: str, control: Path) -> dict[str, str]:
         variables.ENV_STANDBY: "1" if launch.standby else "",
         variables.ENV_NAMESPACE: launch.namespace,
         variables.ENV_TOKEN: launch.token,
-        variables.ENV_PARAMETERS: json.dumps(launch.parameters),
+        variables.ENV_PARAMETERS: json.dumps(json_values(launch.parameters)),
         variables.ENV_CONTROL: str(control.absolute()),
         "PYTHONUNBUFFERED": "1",
     }

@@ -58,6 +58,8 @@ def parse_parameter(text: str) -> tuple[str, str]:
 
 def new_node(role: str, component: str, attachments: Iterable[str], parameters: Iterable[str] = ()) -> dict[str, Any]:
     """A node to add, from arguments of the forms ``PORT=TOPIC`` and ``NAME=VALUE``."""
+    from midstride.codec.parameter import json_values
+
     topics: dict[str, list[str]] = {}
     for text in attachments:
         port, topic = parse_pair(text, "PORT=TOPIC, such as out=/chatter")
@@ -67,7 +69,7 @@ def new_node(role: str, component: str, attachments: Iterable[str], parameters: 
         "role": role.removeprefix("/"),  # as ROS writes the full name of a node
         "component": component,
         "attachments": topics,
-        "parameters": {name: parse_value(text) for name, text in values.items()},
+        "parameters": json_values({name: parse_value(text) for name, text in values.items()}),
     }
 
 

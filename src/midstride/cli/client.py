@@ -112,10 +112,11 @@ class Client:
 
     def set_parameters(self, node: str, values: Mapping[str, Any]) -> ParametersReport:
         """Set parameters of a role or an instance, once the commands before are done; all of them or none."""
+        from midstride.codec.parameter import json_values
         from midstride.runtime.records.status_forms import ParametersReport
 
         return self._form(
-            ParametersReport, "POST", "/parameters", {"node": node, "parameters": dict(values)}, timeout=None
+            ParametersReport, "POST", "/parameters", {"node": node, "parameters": json_values(values)}, timeout=None
         )
 
     def specification(self) -> Specification:

@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from midstride.cli.console import PrintableTable
+from midstride.codec.parameter import from_json
 from midstride.model import wording
 from midstride.model.instance_names import is_named_after
 
@@ -96,7 +97,9 @@ def step_text(step: AnyStep) -> str:
         case forms.HandoverStep():
             return wording.handover((swap.topic, swap.old, swap.new) for swap in step.swaps)
         case forms.SetStep():
-            return wording.parameters(step.instance, step.parameters)
+            return wording.parameters(
+                step.instance, {name: from_json(value) for name, value in step.parameters.items()}
+            )
 
 
 def plan(plan: AnyPlan, title: str) -> RenderableType:

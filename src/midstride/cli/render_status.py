@@ -11,6 +11,7 @@ from rich.text import Text
 from midstride.cli.changed_programs import code_words
 from midstride.cli.input_files import as_typed_here
 from midstride.cli.render import UNKNOWN, hertz, seconds, silence, table
+from midstride.codec.parameter import from_json
 from midstride.runtime.records.status_forms import (
     FunctionalityStatus,
     InstanceStatus,
@@ -138,8 +139,8 @@ def _set(status: Status) -> Iterable[Text]:
     for component in status.instances:
         for each in component.parameters:
             if each.set_at_run_time:
-                words = f"{component.name}: {each.name} = {each.value!r}, set at run time"
-                yield Text(f"{words} (started with {each.declared!r})")
+                words = f"{component.name}: {each.name} = {from_json(each.value)!r}, set at run time"
+                yield Text(f"{words} (started with {from_json(each.declared)!r})")
 
 
 def _problems(status: Status) -> Iterable[Text]:

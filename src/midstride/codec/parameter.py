@@ -1,17 +1,33 @@
-"""The JSON forms of parameters: values, alone and with whether they can be set in place."""
+"""The JSON forms of parameters: values, alone and with whether they can be set in place.
+
+JSON has no numbers that are not finite, and a text `nan` is another value than the number: so such a number is an
+object, as in ``{"float": "nan"}``.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import Annotated, ClassVar, TypeAlias, cast
+from typing import Annotated, Any, ClassVar, Final, Literal, TypeAlias, cast
 
 from immutables import Map
 
-from midstride.codec.form import FiniteNumber, Form, ScalarForm, field, finite
-from midstride.model.component import ParameterSpec, ParameterValue
+from midstride.codec.form import FiniteNumber, Form, field, finite
+from midstride.model.component import ParameterSpec, ParameterValue, canonical
 
-_KINDS = {bool: "booleans", int: "integers", float: "reals", str: "texts"}
-_LISTS = [{"type": "array", "items": {"type": kind}} for kind in ("string", "number", "boolean")]
+NotFinite: TypeAlias = Literal["nan", "inf", "-inf"]
+NotFiniteForm: TypeAlias = Annotated[
+    dict[Literal["float"], NotFinite],
+    field('an object with `float`: "nan", "inf" or "-inf"', "a number that is not finite", min_length=1),
+]
+_NUMBERS: Final[Mapping[str, float]] = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
+
+_KINDS = {bool: "booleans", int: "integers", float: "reals", str: "texts", dict: "reals"}
+_OBJECT = {"type": "object"}
+_LISTS = [
+    {"type": "array", "items": items}
+    for items in ({"type": "string"}, {"anyOf": [{"type": "number"}, _OBJECT]}, {"type": "boolean"})
+]
 _ONE_TYPE = {"allOf": [{"anyOf": [{"not": {"type": "array"}}, *_LISTS]}]}
 
 
@@ -20,9 +36,15 @@ def _mixed(value: object) -> str | None:
     return f"the values of a list must be of one type, here are {' and '.join(kinds)}" if len(kinds) > 1 else None
 
 
-PlainValue: TypeAlias = bool | int | float | str | list[bool | int | float | str]
+PlainValue: TypeAlias = (
+    bool | int | float | str | dict[Literal["float"], NotFinite]
+    | list[bool | int | float | str | dict[Literal["float"], NotFinite]]
+)  # fmt: skip
+_MemberForm: TypeAlias = Annotated[
+    bool | int | FiniteNumber | str | NotFiniteForm, field("a text, a number or a boolean")
+]
 ValueForm: TypeAlias = Annotated[
-    bool | int | FiniteNumber | str | list[ScalarForm],
+    bool | int | FiniteNumber | str | NotFiniteForm | list[_MemberForm],
     field(
         "a text, a number or a boolean",
         "the value of a parameter; a list is of one kind",
@@ -33,13 +55,38 @@ ValueForm: TypeAlias = Annotated[
 ]
 
 
+def json_value(value: Any) -> Any:
+    """The form of a parameter's value; of one that is a form already, the same."""
+    if isinstance(value, list):
+        return [json_value(member) for member in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return {"float": "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"}
+    return value
+
+
+def json_values(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The forms of the values of parameters."""
+    return {name: json_value(value) for name, value in values.items()}
+
+
+def from_json(value: Any) -> Any:
+    """The parameter's value of a form, which is not judged; of one that is a value already, the same."""
+    if isinstance(value, list):
+        return [from_json(member) for member in value]
+    if isinstance(value, dict):
+        return _NUMBERS.get(value.get("float", ""), value)
+    return canonical(value)
+
+
 def value_of(value: PlainValue) -> ParameterValue:
     """The value of a parameter. Raises ValueError for a list of mixed types and for a number no float can hold."""
     for member in value if isinstance(value, list) else [value]:
+        if isinstance(member, dict) and member.get("float") not in _NUMBERS:
+            raise ValueError('an object is expected to have `float`: "nan", "inf" or "-inf"')
         finite(member)
     if (wrong := _mixed(value)) is not None:
         raise ValueError(wrong)
-    return cast("ParameterValue", value)
+    return cast("ParameterValue", from_json(value))
 
 
 def values_of(values: Mapping[str, PlainValue]) -> Map[str, ParameterValue]:
@@ -49,7 +96,7 @@ def values_of(values: Mapping[str, PlainValue]) -> Map[str, ParameterValue]:
 
 def values_form(parameters: Mapping[str, ParameterValue]) -> dict[str, PlainValue]:
     """The values of parameters, sorted by name."""
-    return {name: cast("PlainValue", value) for name, value in sorted(parameters.items())}
+    return {name: json_value(value) for name, value in sorted(parameters.items())}
 
 
 class ParameterForm(Form, frozen=True):
@@ -62,7 +109,7 @@ class ParameterForm(Form, frozen=True):
 
     @classmethod
     def of(cls, parameter: ParameterSpec) -> ParameterForm:
-        return cls(value=cast("PlainValue", parameter.value), changeable=parameter.changeable)
+        return cls(value=json_value(parameter.value), changeable=parameter.changeable)
 
     def parameter(self) -> ParameterSpec:
         """Raises ValueError as :func:`value_of` does."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
+from midstride.codec.parameter import from_json
 from midstride.errors import CommandRefused
 from midstride.foreign.services import NoAnswer, ParameterSetter
 from midstride.model.component import ComponentSpec, ParameterValue
@@ -42,6 +43,7 @@ async def set_parameters(
     """
     if not values:
         return
+    values = {name: from_json(value) for name, value in values.items()}
     what = ", ".join(f"{name} = {value!r}" for name, value in values.items())
     try:
         refused = await services.set_parameters(typed(component, values, known or {}), SET_TIMEOUT)
@@ -57,6 +59,7 @@ def typed(component: ComponentSpec, values: Mapping[str, Any], known: Mapping[st
     ``known``: the parameters of the node, where it has said them.
     """
     declared = component.parameters
+    known = {name: from_json(value) for name, value in known.items()}
 
     def as_declared(name: str, value: Any) -> Any:
         fitted = fitted_to(value, known.get(name, declared[name].value if name in declared else None))

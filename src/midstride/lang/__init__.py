@@ -15,7 +15,7 @@ from midstride.lang.printer import Formatted, format_text
 
 PUBLIC = (
     "Bounds CATALOGUE ComponentDeclaration Diagnostic File INCLUDE_PATH InvalidYaml Item LanguageService MAX_TOTAL "
-    "NamespaceBlock NodeDeclaration ParameterSection RESERVED Reporter Source Span TopicDeclaration Tree Unreadable "
+    "NamespaceBlock NodeDeclaration RESERVED Reporter SectionInFile Source Span TopicDeclaration Tree Unreadable "
     "explain format_text include_folders installed load load_text parse read_sections read_source read_text read_tree "
     "resolve_name"
 )

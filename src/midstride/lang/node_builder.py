@@ -10,7 +10,8 @@ from immutables import Map
 
 from midstride.lang.declarations import MAX_PARTS, Declarations, NodeEntry, ancestry, limited, resolve_topic
 from midstride.lang.diagnostic_text import Note, Reporter
-from midstride.lang.parameter_files import KEY, ParameterSection, ParameterValueAt, read_sections
+from midstride.lang.parameter_files import SectionInFile, read_sections
+from midstride.lang.rcl_parameters import KEY, ParameterValueAt
 from midstride.lang.respawn_builder import respawn_policy
 from midstride.lang.source import Source, Span
 from midstride.lang.source_files import Bounds, FileReader, Unreadable, read_source, shown_path
@@ -32,7 +33,7 @@ class NodeBuilder:
     reporter: Reporter
     parameter_spans: dict[tuple[str, str], Span] = field(default_factory=dict)
     sources: list[Source] = field(default_factory=list)
-    _files: dict[str, list[ParameterSection] | None] = field(default_factory=dict)
+    _files: dict[str, list[SectionInFile] | None] = field(default_factory=dict)
 
     def build(self) -> dict[str, Node]:
         """Every declared node that names a component. Parameters given only in files are added to the components."""
@@ -103,14 +104,14 @@ class NodeBuilder:
         return given
 
     def _apply(
-        self, given: dict[str, ParameterValueAt], role: str, sections: Iterable[ParameterSection] | None, namespace: str
+        self, given: dict[str, ParameterValueAt], role: str, sections: Iterable[SectionInFile] | None, namespace: str
     ) -> bool:
-        matching = [section for section in sections or () if section.matches(role, namespace)]
+        matching = [section for section in sections or () if section.matches(role)]
         for section in matching:
             given.update(section.values)
         return bool(matching)
 
-    def _sections(self, path: Name) -> list[ParameterSection] | None:
+    def _sections(self, path: Name) -> list[SectionInFile] | None:
         try:
             key = self.bounds.path(path, ".yaml", ".yml")
             if key not in self._files:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Final
 
@@ -17,6 +18,8 @@ SECONDS: Final = {"s": 1.0, "ms": 0.001, "us": 0.000001, "min": 60.0}
 
 _TYPE: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*/(msg/)?[A-Za-z][A-Za-z0-9_]*")
 _COMPARISONS: Final = frozenset({"=", "<", "<=", ">", ">=", "==", "!="})
+# As the value of a parameter; elsewhere, `-inf` is a number that is too large.
+_NOT_FINITE: Final = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 _INTEGER: Final = re.compile(r"[+-]?[0-9]+")
 
 
@@ -185,12 +188,19 @@ class ContractParser(BlockParser):
             raise self.fail(what)
         return syntax.ScalarValue(text == "true" if text in {"true", "false"} else text, self.take().span)
 
+    def _number_or_scalar(self, what: str) -> syntax.ScalarValue:
+        """A scalar, or a number that is not finite."""
+        if self.kinds[self.i] in {"name", "number"} and self.texts[self.i] in _NOT_FINITE:
+            text, span = self.take()
+            return syntax.ScalarValue(_NOT_FINITE[text], span)
+        return self.scalar(what)
+
     def parameter_value(self) -> syntax.Value:
         """A scalar, or a list of scalars of one type."""
         start = self.i
         if not self.accept("["):
-            return syntax.Value(*self.scalar("a value"))
-        listed = [self.scalar("a value, or `]` to close the list") for _ in self.items("]")]
+            return syntax.Value(*self._number_or_scalar("a value"))
+        listed = [self._number_or_scalar("a value, or `]` to close the list") for _ in self.items("]")]
         values = [value.value for value in listed]
         kinds = {type(value) for value in values}
         if kinds == {int, float}:

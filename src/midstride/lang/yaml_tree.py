@@ -1,4 +1,7 @@
-"""YAML as a tree of values with their places. It is parsed event by event, which limits nesting and aliases."""
+"""YAML as a tree of values with their places. It is parsed event by event, which limits nesting and aliases.
+
+Launch files are YAML as PyYAML reads it. Parameter files are not: see :mod:`midstride.lang.rcl_parameters`.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from collections.abc import Iterator
 from typing import Any, Final, TypeAlias
 
 from midstride.lang.source import Source, Span
+from midstride.model.component import canonical
 from midstride.model.contract import Scalar
 
 MAX_DEPTH: Final = 32
@@ -15,9 +19,6 @@ MAX_VALUES: Final = 50_000
 
 _TRUE: Final = frozenset("true True TRUE yes Yes YES on On ON".split())
 _FALSE: Final = frozenset("false False FALSE no No NO off Off OFF".split())
-# What rcl's parameter files have in addition: YAML 1.1 lists them, and PyYAML, which launch files use, does not.
-_ROS_TRUE: Final = _TRUE | {"y", "Y"}
-_ROS_FALSE: Final = _FALSE | {"n", "N"}
 _INTEGER: Final = re.compile(r"[-+]?(0[xX](?P<hex>[0-9a-fA-F]+)|0(?P<octal>[0-7]+)|0|[1-9][0-9]*)")
 _REAL: Final = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 # The tags that say what an event of each kind is anyway, and that a scalar is a string, which ROS reads as well.
@@ -27,7 +28,6 @@ _TAGS: Final = {
     "ScalarEvent": "tag:yaml.org,2002:str",
 }
 _NOT_FINITE: Final = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
-_ROS_NOT_FINITE: Final = re.compile(rf"{_NOT_FINITE.pattern}|(?i:[-+]?(inf|infinity|nan))")  # as for strtod
 
 
 class InvalidYaml(Exception):
@@ -43,52 +43,51 @@ class InvalidYaml(Exception):
 Tree: TypeAlias = "tuple[dict[str, Tree] | list[Tree] | Scalar | None, Span]"
 
 
-def read_tree(source: Source, *, ros: bool = False) -> Tree | None:
-    """The value of a YAML document; None if it is empty. Raises InvalidYaml.
+def read_tree(source: Source) -> Tree | None:
+    """The value of a YAML document; None if it is empty. Raises InvalidYaml."""
+    return _TreeBuilder(source).build(events(source))
 
-    ``ros``: plain scalars are what they are in a ROS parameter file, where `y` is true, for example.
-    """
-    return _TreeBuilder(source, ros).build()
+
+def events(source: Source) -> Iterator[Any]:
+    """PyYAML's events. Raises InvalidYaml where the text is not YAML."""
+    import yaml  # type: ignore[import-untyped, unused-ignore]  # with its stubs or without
+
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    try:
+        yield from yaml.parse(source.text, Loader=loader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        reason = error.problem or error.context or "it cannot be parsed"
+        offset = 0 if mark is None else source.offset(mark.line + 1, mark.column + 1)
+        message = f"invalid YAML: {reason}"
+        raise InvalidYaml(Span(source, offset, offset), message, "indent with spaces, not tabs") from None
+    except (yaml.YAMLError, UnicodeEncodeError):  # a character that no YAML contains, or a lone surrogate
+        match = yaml.reader.Reader.NON_PRINTABLE.search(source.text)
+        start, end = match.span() if match else (0, 0)
+        message = f"invalid YAML: it contains {source.text[start:end]!a}" if match else "invalid YAML"
+        raise InvalidYaml(Span(source, start, end), message, "write it in double quotes, escaped") from None
+
+
+def span_of(source: Source, event: Any) -> Span:
+    """Where an event is in the text; of one over several lines, where it begins."""
+    start, end = event.start_mark, event.end_mark
+    first = source.offset(start.line + 1, start.column + 1)
+    last = source.offset(end.line + 1, end.column + 1) if end.line == start.line else first
+    return Span(source, first, max(last, first))
 
 
 class _TreeBuilder:
     """Builds values from YAML events, within limits."""
 
-    def __init__(self, source: Source, ros: bool) -> None:
+    def __init__(self, source: Source) -> None:
         self.source = source
-        self.ros = ros
         self.count = 0
         self.anchors: dict[str, tuple[Tree, int]] = {}
 
-    def build(self) -> Tree | None:
-        import yaml  # type: ignore[import-untyped, unused-ignore]  # with its stubs or without
-
-        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-        try:
-            return self._build(yaml.parse(self.source.text, Loader=loader))
-        except yaml.MarkedYAMLError as error:
-            mark = error.problem_mark or error.context_mark
-            reason = error.problem or error.context or "it cannot be parsed"
-            raise InvalidYaml(self._at(mark), f"invalid YAML: {reason}", "indent with spaces, not tabs") from None
-        except (yaml.YAMLError, UnicodeEncodeError):  # a character that no YAML contains, or a lone surrogate
-            match = yaml.reader.Reader.NON_PRINTABLE.search(self.source.text)
-            start, end = match.span() if match else (0, 0)
-            message = f"invalid YAML: it contains {self.source.text[start:end]!a}" if match else "invalid YAML"
-            raise InvalidYaml(Span(self.source, start, end), message, "write it in double quotes, escaped") from None
-
-    def _at(self, mark: Any) -> Span:
-        if mark is None:
-            return Span(self.source, 0, 0)
-        offset = self.source.offset(mark.line + 1, mark.column + 1)
-        return Span(self.source, offset, offset)
-
     def _span(self, event: Any) -> Span:
-        start, end = event.start_mark, event.end_mark
-        first = self.source.offset(start.line + 1, start.column + 1)
-        last = self.source.offset(end.line + 1, end.column + 1) if end.line == start.line else first
-        return Span(self.source, first, max(last, first))
+        return span_of(self.source, event)
 
-    def _build(self, events: Iterator[Any]) -> Tree | None:
+    def build(self, events: Iterator[Any]) -> Tree | None:
         # Each open collection: its value, its span, the key without a value yet, its anchor, the count before it.
         stack: list[tuple[Any, Span, list[tuple[str, Span]], str | None, int]] = []
         root: Tree | None = None
@@ -122,7 +121,7 @@ class _TreeBuilder:
                 done, size = self.anchors[event.anchor]
                 self.count += size
             else:
-                done = (_scalar(event, self._span(event), self.ros), self._span(event))
+                done = (_scalar(event, self._span(event)), self._span(event))
                 self.count += 1
                 if event.anchor:
                     self.anchors[event.anchor] = (done, 1)
@@ -145,23 +144,23 @@ class _TreeBuilder:
         return None if root is None or root[0] is None else root
 
 
-def _scalar(event: Any, span: Span, ros: bool) -> Scalar | None:
+def _scalar(event: Any, span: Span) -> Scalar | None:
     text: str = event.value
     if not event.implicit[0]:
         return text  # quoted, a block of text, or tagged as a string
     if text in {"", "~", "null", "Null", "NULL"}:
         return None
-    if text in (true := _ROS_TRUE if ros else _TRUE) or text in (_ROS_FALSE if ros else _FALSE):
-        return text in true
+    if text in _TRUE or text in _FALSE:
+        return text in _TRUE
     if (match := _INTEGER.fullmatch(text)) is not None:
         base = 16 if match["hex"] else 8 if match["octal"] else 10
         if len(text) > 40 or not -(2**63) <= (number := int(text, base)) < 2**63:
             raise InvalidYaml(span, "integers have at most 64 bits")
         return number
-    if _REAL.fullmatch(text) and (ros or "." in text):  # PyYAML has `08` and `1e3` as text
+    if _REAL.fullmatch(text) and "." in text:  # PyYAML has `08` and `1e3` as text
         if math.isinf(value := float(text)):
             raise InvalidYaml(span, "this number is too large")
         return value
-    if (_ROS_NOT_FINITE if ros else _NOT_FINITE).fullmatch(text):
-        raise InvalidYaml(span, "parameter values must be finite", "use a large finite number instead")
+    if _NOT_FINITE.fullmatch(text):
+        return float(canonical(float(text.replace(".", ""))))
     return text

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from midstride.lang.diagnostic_text import Reporter
-from midstride.lang.parameter_files import ParameterSection, read_sections
+from midstride.lang.parameter_files import SectionInFile, read_sections
 from midstride.lang.source import Source
 from midstride.launch_files.allowed_files import ReadableFiles
 from midstride.launch_files.context import ParameterFileName
@@ -31,7 +31,7 @@ class ParameterReader:
         self._files = files
         self._findings = findings
         self._may_name = may_name
-        self._sections: dict[str, list[ParameterSection] | None] = {}
+        self._sections: dict[str, list[SectionInFile] | None] = {}
 
     def parameters(self, node: LaunchedNode) -> LaunchedParameters:
         """A file that may not be named, or that comes after a value, is stated by its values for this node."""
@@ -48,11 +48,11 @@ class ParameterReader:
                 found.files.append(setting.path)
                 continue
             for section in sections:
-                if section.matches(node.role, ""):
+                if section.matches(node.role):
                     found.values |= {name: value for name, (value, _) in section.values.items()}
         return found
 
-    def _read(self, file: ParameterFileName) -> list[ParameterSection] | None:
+    def _read(self, file: ParameterFileName) -> list[SectionInFile] | None:
         if file.text is not None:
             return self._sections_of(Source(os.path.basename(file.path), file.text), file)
         if file.path not in self._sections:
@@ -65,7 +65,7 @@ class ParameterReader:
             self._sections[file.path] = self._sections_of(source, file)
         return self._sections[file.path]
 
-    def _sections_of(self, source: Source, file: ParameterFileName) -> list[ParameterSection] | None:
+    def _sections_of(self, source: Source, file: ParameterFileName) -> list[SectionInFile] | None:
         reporter = Reporter()
         sections = read_sections(source, reporter)
         if not reporter.has_errors:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from typing import Final, TypeAlias
+from typing import Final, TypeAlias, cast
 
 from midstride.lang.source import Source
 from midstride.lang.yaml_tree import InvalidYaml, read_tree
 from midstride.launch_files.entity import Entity, EntityValue, Plain
 from midstride.launch_files.findings import UnknownValue
-from midstride.model.component import ParameterValue
+from midstride.model.component import ParameterValue, canonical
 
 Substitute: TypeAlias = Callable[[str], str]
 _TYPES: Final[dict[str, type]] = {"str": str, "int": int, "float": float, "bool": bool}
@@ -53,14 +52,14 @@ def _of_type(text: str, stated: str) -> ParameterValue:
         return text
     try:
         words = {"1": True, "0": False, "true": True, "false": False}
-        return words[text.lower()] if wanted is bool else _finite(wanted(text))
+        return words[text.lower()] if wanted is bool else cast("ParameterValue", canonical(wanted(text)))
     except (KeyError, ValueError):
         raise UnknownValue(f"the value is not of the type `{stated}`", "parameters") from None
 
 
 def _plain_or_list(value: Plain, substitute: Substitute, typed: bool) -> ParameterValue:
     if not isinstance(value, str) or (typed and "$(" not in value):
-        return _finite(value)
+        return cast("ParameterValue", canonical(value))
     return _yaml(substitute(value))
 
 
@@ -85,7 +84,7 @@ def _yaml(text: str) -> ParameterValue:
             return _list(members)
     if value is None or isinstance(value, (dict, list)):
         raise UnknownValue("the value is no text, number, boolean or list of them", "parameters")
-    return _finite(value)
+    return value
 
 
 def _list(values: list[Plain]) -> ParameterValue:
@@ -95,10 +94,4 @@ def _list(values: list[Plain]) -> ParameterValue:
         return [float(value) for value in values]
     if len(kinds) > 1:
         raise UnknownValue("a list mixes types", "parameters")
-    return [_finite(value) for value in values]  # type: ignore[return-value]
-
-
-def _finite(value: Plain) -> Plain:
-    if isinstance(value, float) and not math.isfinite(value):
-        raise UnknownValue("the value is not finite", "parameters")
-    return value
+    return [canonical(value) for value in values]

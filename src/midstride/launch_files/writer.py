@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Iterable, Sequence
@@ -142,4 +143,6 @@ def _value(value: ParameterValue) -> str | None:
         return None if None in members else f"[{', '.join(str(each) for each in members)}]"
     if isinstance(value, str):
         return quoted(value)
+    if math.isnan(value) or math.isinf(value):
+        return str(value)
     return repr(value) if abs(value) <= MAX_NUMBER else None

@@ -10,9 +10,10 @@ nothing, so a functionality that loses its inputs can always degrade to it inste
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Final, Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, Final, Literal, NamedTuple, TypeAlias, get_args
 
 from immutables import Map
 
@@ -64,6 +65,24 @@ def value_fits(value: ParameterValue, declared: ParameterValue) -> bool:
     if isinstance(declared, list):
         return isinstance(value, list) and (not declared or all(value_fits(member, declared[0]) for member in value))
     return type(value) is type(declared) or (type(value) is int and type(declared) is float)
+
+
+def canonical(value: Any) -> Any:
+    """The value of a parameter with ``math.nan`` for any NaN in it: as one object, it is equal to itself in containers.
+
+    Whatever reads values from outside, of files, JSON or ROS, calls this.
+    """
+    if isinstance(value, list):
+        return [canonical(member) for member in value]
+    return math.nan if isinstance(value, float) and math.isnan(value) else value
+
+
+def same_value(first: object, second: object) -> bool:
+    """Whether two values of a parameter are equal. Unlike in arithmetic, NaN is equal to itself: else it would count as
+    changed for ever."""
+    if isinstance(first, list) and isinstance(second, list):
+        return len(first) == len(second) and all(map(same_value, first, second))
+    return bool(first == second) or (first != first and second != second)
 
 
 class PortRef(NamedTuple):

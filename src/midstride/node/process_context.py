@@ -16,6 +16,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Any, Final, cast
 
+from midstride.codec.parameter import from_json
 from midstride.errors import NodeError
 from midstride.node.component_host import HostFactory
 from midstride.node.loaded_program import process_started
@@ -117,4 +118,4 @@ def _parameters(variable: str) -> dict[str, Any]:
         raise NodeError(f"{variable} is not JSON: {error}") from None
     if not isinstance(document, dict):
         raise NodeError(f"{variable} must be a JSON object of parameter values, not {text!r}")
-    return document
+    return {name: from_json(value) for name, value in document.items()}

@@ -15,7 +15,7 @@ from immutables import Map
 from midstride.errors import PlanRefused
 from midstride.model.action import contract_reasons
 from midstride.model.best import best, rebalanced
-from midstride.model.component import Connector, FunctionalityRef, ParameterValue, PortRef
+from midstride.model.component import Connector, FunctionalityRef, ParameterValue, PortRef, same_value
 from midstride.model.configuration import Configuration, Instance, SystemContext
 from midstride.model.instance_names import fresh_name
 from midstride.model.name_checks import node_names
@@ -163,7 +163,7 @@ class ChangeBuilder:
 
     def _keep(self, instance: Instance, wanted: Instance) -> None:
         current = instance.parameters
-        changed = {key: value for key, value in wanted.parameters.items() if current.get(key) != value}
+        changed = {key: value for key, value in wanted.parameters.items() if not same_value(current.get(key), value)}
         if changed:
             self.parameters.append((instance.name, Map(changed)))
         if instance.component is not wanted.component and instance.component != wanted.component:
@@ -252,7 +252,7 @@ def _differs(instance: Instance, wanted: Instance) -> bool:
         return True
     declared, asked = instance.component.parameters, wanted.component.parameters
     return any(
-        current[name] != value
+        not same_value(current[name], value)
         and not (name in declared and declared[name].changeable and name in asked and asked[name].changeable)
         for name, value in wanted.parameters.items()
     )

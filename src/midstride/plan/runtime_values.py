@@ -7,12 +7,19 @@ wins. Pure: the runtime says which values were set, and does what is decided her
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated, ClassVar, Literal, TypeAlias, cast
+from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from midstride.codec.form import Form, field
-from midstride.codec.parameter import PlainValue, ValueForm
+from midstride.codec.parameter import ValueForm, json_value
 from midstride.errors import PlanRefused
-from midstride.model.component import ROS_PARAMETERS, ComponentSpec, ParameterValue, value_fits, value_kind
+from midstride.model.component import (
+    ROS_PARAMETERS,
+    ComponentSpec,
+    ParameterValue,
+    same_value,
+    value_fits,
+    value_kind,
+)
 from midstride.model.specification import Specification
 from midstride.plan.change import Change
 
@@ -63,7 +70,7 @@ def _decisions(
                 yield runtime_value(role, name, value, "kept", "kept")
             else:
                 yield runtime_value(role, name, value, "kept", f"kept if the program of {will.name} declares it")
-        elif declares[name] == value:
+        elif same_value(declares[name], value):
             continue
         elif not keep:
             yield runtime_value(role, name, value, "not_kept", f"not kept, as requested; it becomes {declares[name]!r}")
@@ -89,9 +96,9 @@ def _file_changed(before: Specification, after: Specification, role: str, name: 
     That another component has another default is not such a change: it says nothing about the value for this node.
     """
     old, new = before.nodes[role], after.nodes[role]
-    if before.instance(role).parameters.get(name) == after.instance(role).parameters[name]:
+    if same_value(before.instance(role).parameters.get(name), after.instance(role).parameters[name]):
         return False
-    return old.component == new.component or old.parameters.get(name) != new.parameters.get(name)
+    return old.component == new.component or not same_value(old.parameters.get(name), new.parameters.get(name))
 
 
 def of_change(change: Change, values: Mapping[str, Values], *, keep: bool = True) -> tuple[RuntimeValue, ...]:
@@ -116,4 +123,4 @@ def left_behind(role: str, name: str, value: ParameterValue, component: str) -> 
 def runtime_value(role: str, name: str, value: ParameterValue, fate: Fate, fate_words: str) -> RuntimeValue:
     """What becomes of one value; ``fate_words`` is the same for people."""
     words = f"{role}: {name} = {value!r}, set at run time: {fate_words}"
-    return RuntimeValue(node=role, parameter=name, value=cast("PlainValue", value), fate=fate, words=words)
+    return RuntimeValue(node=role, parameter=name, value=json_value(value), fate=fate, words=words)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Literal, TypeVar
 
 from midstride.codec.form import Form
-from midstride.model.component import ComponentSpec, Connector, EnvironmentGuarantee, Resource
+from midstride.model.component import ComponentSpec, Connector, EnvironmentGuarantee, Resource, same_value
 from midstride.model.contract import format_number
 from midstride.model.specification import Node, Specification
 
@@ -213,7 +213,7 @@ def _node(
         details.append(f"component {after.component} is declared differently")
     then, now = old.instance(before.role).parameters, new.instance(after.role).parameters
     for name in sorted({*then, *now}):
-        if name in then and name in now and then[name] == now[name]:
+        if name in then and name in now and same_value(then[name], now[name]):
             continue
         declared = [component.parameters.get(name) for component in (was, will)]
         in_place = not replaced and all(parameter is not None and parameter.changeable for parameter in declared)

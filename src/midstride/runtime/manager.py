@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Literal
 
 from midstride.codec.configuration_form import ConfigurationForm
+from midstride.codec.parameter import json_values
 from midstride.errors import BackendError, ManagerError, MidstrideError
 from midstride.model.component import ParameterValue
 from midstride.model.configuration import Configuration
@@ -320,7 +321,7 @@ class Manager:
         async with self._reconciler.command(f"param set {node} {words}"):
             try:
                 instance = self.system.live_instance(node)
-                await self._client.change(instance, SetParametersCommand(parameters=dict(values), declared={}))
+                await self._client.change(instance, SetParametersCommand(parameters=json_values(values), declared={}))
             except MidstrideError as error:  # it may have been set where there was no answer
                 outcome = "failed" if isinstance(error, BackendError) else "refused"
                 self.events.add("parameters", f"{outcome}: {error}", outcome=outcome)

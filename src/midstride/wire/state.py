@@ -7,6 +7,8 @@ from typing import Any, Final, Literal, TypeAlias
 
 import msgspec
 
+from midstride.codec.parameter import from_json
+
 GateState: TypeAlias = Literal["open", "closed"]
 
 # By how much a measured rate may be below the declared one: the tolerance of ROS's own diagnostic_updater.
@@ -138,4 +140,4 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
 
     def set_values(self) -> dict[str, Any]:
         """The values of the parameters that were set while it ran."""
-        return {name: self.parameters[name] for name in self.declared}
+        return {name: from_json(self.parameters[name]) for name in self.declared}

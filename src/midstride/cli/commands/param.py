@@ -110,5 +110,7 @@ def _component(status: Status, node: str) -> InstanceStatus:
 
 
 def _line(parameter: ParameterStatus) -> str:
-    started = f", set at run time (started with {parameter.declared!r})" if parameter.set_at_run_time else ""
-    return f"{parameter.name} = {parameter.value!r}{started}"
+    from midstride.codec.parameter import from_json
+
+    started = f", set at run time (started with {from_json(parameter.declared)!r})" if parameter.set_at_run_time else ""
+    return f"{parameter.name} = {from_json(parameter.value)!r}{started}"

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from array import array
 from collections.abc import Callable
 from typing import Any
 
 from midstride.errors import NodeError
-from midstride.model.component import ParameterValue
+from midstride.model.component import ParameterValue, same_value
 
 _SCALARS = (bool, int, float, str)
 
@@ -52,7 +51,7 @@ class Parameter:
         if self.closed:
             raise NodeError(f"parameter {self.name} cannot be set any more: {self.closed}")
         if self.on_change is None:
-            if fitted == self._value:
+            if same_value(fitted, self._value):
                 return
             raise NodeError(
                 f"parameter {self.name} keeps the value that the component was started with: replace the component, or "
@@ -69,7 +68,7 @@ class Parameter:
         self.changed()
 
     def fitted(self, value: Any) -> Any:
-        """``value`` as a value of this parameter: of the default's type, and finite; an integer also fits a float."""
+        """``value`` as a value of this parameter: of the default's type; an integer also fits a float."""
         fitted = fitted_to(value, self.default)
         if fitted is None:
             kind = type(self.default).__name__
@@ -90,8 +89,6 @@ def check_parameter(name: object, value: object) -> None:
             f"parameter {name}: {value!r} cannot be the value of a ROS parameter; write a boolean, a number, a string, "
             "or a list of one of these types"
         )
-    if any(isinstance(member, float) and not math.isfinite(member) for member in members):
-        raise NodeError(f"parameter {name}: {value!r} is not finite")
 
 
 def fitted_to(value: Any, like: Any) -> Any:
@@ -103,5 +100,4 @@ def fitted_to(value: Any, like: Any) -> Any:
         return None if any(member is None for member in members) else members
     if isinstance(like, float) and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
-    finite = not isinstance(value, float) or math.isfinite(value)  # no other can be reported, and so kept
-    return value if type(value) is type(like) and finite else None
+    return value if type(value) is type(like) else None

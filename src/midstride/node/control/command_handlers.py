@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, NamedTuple, TypeVar
 
+from midstride.codec.parameter import from_json, json_value
 from midstride.errors import BackendError, CommandRefused
-from midstride.model.component import ROS_PARAMETERS
+from midstride.model.component import ROS_PARAMETERS, same_value
 from midstride.node.author.declaration import DeclaredParts
 from midstride.node.component_host import HeldParameter, Host
 from midstride.node.control.attachments import Attachments
@@ -211,7 +212,7 @@ class CommandHandlers:
             revision=self.revision.value,
             functionalities={runner.name: runner.state() for runner in self._runners},
             ports={name: port.states() for name, port in self.parts.ports.items()},
-            parameters={each.name: each.value for each in parameters if _is_shown(each)},
+            parameters={each.name: json_value(each.value) for each in parameters if _is_shown(each)},
             stopping=self._stopping_seconds(),
             waiting=waiting,
             simulated_time=self.host.simulated_time,
@@ -219,7 +220,7 @@ class CommandHandlers:
             answers=self.host.admission.is_open,
             imported=imported,
             clock_speed=self.host.clock_history.speed(self.host.steady()) if self.host.simulated_time else 1.0,
-            declared={each.name: each.declared for each in parameters if _is_shown(each) and each.is_set},
+            declared={each.name: json_value(each.declared) for each in parameters if _is_shown(each) and each.is_set},
             keeps_state=self.parts.callbacks.export_state is not None,
             host=THIS_HOST,
         )
@@ -338,14 +339,19 @@ class CommandHandlers:
                 raise CommandRefused(
                     f"there is no parameter {name}; the parameters are: {', '.join(declared) or 'none'}"
                 )
-        started_with = command.parameters if command.declared is None else command.declared
-        fitted = {name: declared[name].fitted(value) for name, value in started_with.items() if name in declared}
+        values = {name: from_json(value) for name, value in command.parameters.items()}
+        started_with = values if command.declared is None else command.declared
+        fitted = {
+            name: declared[name].fitted(from_json(value)) for name, value in started_with.items() if name in declared
+        }
 
         def set_all() -> replies.PreviousParameters:
             parameters = [declared[name] for name in command.parameters]
-            before = {each.name: each.value for each in parameters}
-            set_before = {each.name: each.declared for each in parameters if each.value != each.declared}
-            self.host.parameters.set(command.parameters)
+            before = {each.name: json_value(each.value) for each in parameters}
+            set_before = {
+                each.name: json_value(each.declared) for each in parameters if not same_value(each.value, each.declared)
+            }
+            self.host.parameters.set(values)
             for name, value in fitted.items():
                 declared[name].declared = value
             return replies.PreviousParameters(before=before, declared=set_before)
@@ -400,7 +406,7 @@ class _Seen(NamedTuple):
 
     @property
     def is_set(self) -> bool:
-        return bool(self.value != self.declared)
+        return not same_value(self.value, self.declared)
 
 
 def _is_shown(parameter: _Seen) -> bool:

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 from immutables import Map
 
+from midstride.codec.parameter import from_json, json_values
 from midstride.errors import CallTimeout, CommandRefused, MidstrideError, StepFailed, Unreachable
 from midstride.model.action import (
     Action,
@@ -215,15 +216,17 @@ class ActionDriver:
 
     async def _set_parameters(self, instance: str, declared: dict[str, Any]) -> None:
         """Set parameters to the specification's values; a roll-back restores what was set at run time before."""
-        command = commands.SetParametersCommand(parameters=declared)
+        command = commands.SetParametersCommand(parameters=json_values(declared))
         before = self._before_setting.get(instance) if self.rolling_back else None
         if before is not None and before.declared:
             values = {name: before.before[name] for name in before.declared}
-            command = commands.SetParametersCommand(parameters=declared | values, declared=declared | before.declared)
+            command = commands.SetParametersCommand(
+                parameters=json_values(declared | values), declared=json_values(declared | before.declared)
+            )
         reply = await self.client.change(instance, command)
         if not self.rolling_back:
             self._before_setting[instance] = reply
-            values = {name: reply.before[name] for name in reply.declared}
+            values = {name: from_json(reply.before[name]) for name in reply.declared}
             self.change.parameters.set_in_place(self.configuration.instances[instance], values)
 
     async def _move_state(self, old: str, new: str) -> None:

@@ -10,8 +10,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
+from midstride.codec.parameter import from_json, json_values
 from midstride.errors import CommandRefused, MidstrideError, PlanRefused, StepFailed
-from midstride.model.component import ROS_PARAMETERS, ParameterValue
+from midstride.model.component import ROS_PARAMETERS, ParameterValue, same_value
 from midstride.model.configuration import Configuration, Instance
 from midstride.plan.change import Change
 from midstride.plan.runtime_values import RuntimeValue, Values, decide, left_behind, runtime_value
@@ -85,14 +86,14 @@ class ParameterTransfer:
         except PlanRefused as error:
             raise StepFailed(str(error)) from error
         self._record(*decided)
-        return {value.parameter: value.value for value in decided if value.fate == "kept"}
+        return {value.parameter: from_json(value.value) for value in decided if value.fate == "kept"}
 
     async def started(self, instance: Instance) -> None:
         """Have a new instance accept the values that it was started with. Raises StepFailed with its reason."""
         old, given = self._predecessors.get(instance.name), self._given.get(instance.name, {})
         now = given if old is None else self.reported.of(old)
         for name, value in given.items():
-            if name in now and now[name] == value:
+            if name in now and same_value(now[name], value):
                 await self._set(instance, name, value)
         if old is not None:
             await self._compare(old, instance)
@@ -112,7 +113,9 @@ class ParameterTransfer:
             self._record(left_behind(instance.role, name, value, instance.component.name))
             return
         try:
-            await self.client.change(instance.name, SetParametersCommand(parameters={name: value}, declared={}))
+            await self.client.change(
+                instance.name, SetParametersCommand(parameters=json_values({name: value}), declared={})
+            )
         except CommandRefused as error:
             raise StepFailed(f"{name} = {value!r}, set at run time: {error}") from error
 
@@ -147,13 +150,15 @@ class ParameterTransfer:
         if before is None or before == now:
             return
         self._carried[old] = now
-        changed = {name: value for name, value in now.items() if name not in before or before[name] != value}
+        changed = {
+            name: value for name, value in now.items() if name not in before or not same_value(before[name], value)
+        }
         back = before.keys() - now.keys()  # set back to the declared value: so is the new one's
         for name in (*changed, *back):
             self._found.pop((new.role, name), None)
         values = changed if self._returns(new) else self._kept(new, changed)
         state = await self.client.peek(new.name)
-        values |= {name: state.declared[name] for name in back if name in state.declared}
+        values |= {name: from_json(state.declared[name]) for name in back if name in state.declared}
         for name, value in values.items():
             try:
                 await self._set(new, name, value)

@@ -20,6 +20,7 @@ from immutables import Map
 
 from midstride.codec.component_form import ComponentForm
 from midstride.codec.configuration_form import InstanceForm
+from midstride.codec.parameter import from_json, json_values
 from midstride.codec.specification_form import NodeForm, SpecificationForm, TopicForm, decode_saved_specification
 from midstride.codec.writing import to_json
 from midstride.errors import ManagerError, MidstrideError, Superseded
@@ -117,7 +118,9 @@ class StateStore:
                 tuple(_instance(form, handle) for form, handle in rows),
                 msgspec.json.decode(system.get("options", "{}"), type=SystemOptions),
                 {
-                    key.removeprefix(_VALUES): msgspec.json.decode(value, type=dict[str, Any])
+                    key.removeprefix(_VALUES): {
+                        name: from_json(each) for name, each in msgspec.json.decode(value, type=dict[str, Any]).items()
+                    }
                     for key, value in system.items()
                     if key.startswith(_VALUES)
                 },
@@ -220,7 +223,7 @@ class StateStore:
         """The values of a role's parameters that were set at run time."""
         key = f"{_VALUES}{role}"
         if values:
-            self._write(_puts(key, msgspec.json.encode(values).decode()))
+            self._write(_puts(key, msgspec.json.encode(json_values(values)).decode()))
         else:
             self._write({key: ("DELETE FROM system WHERE key = ?", (key,))})
 

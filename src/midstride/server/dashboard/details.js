@@ -4,7 +4,7 @@
  * @module
  */
 
-import { h, hz, plural, replace, seconds } from "./dom.js";
+import { h, hz, plural, replace, seconds, valueText } from "./dom.js";
 import { endpointsContent, serviceContent } from "./endpoints.js";
 import { namesIn, owner } from "./graph/names.js";
 import { isService } from "./graph/services.js";
@@ -281,14 +281,6 @@ function parametersContent({ parameters }) {
       ),
     ),
   ];
-}
-
-/**
- * @param {unknown} value
- * @returns {string}
- */
-function valueText(value) {
-  return typeof value === "string" ? value : JSON.stringify(value);
 }
 
 /**

@@ -131,3 +131,20 @@ export function seconds(duration) {
 export function hz(rate) {
   return rate >= 100 ? String(Math.round(rate)) : String(Number(rate.toPrecision(3)));
 }
+
+/**
+ * The value of a parameter, a text as it is, numbers that are not finite as YAML has them.
+ *
+ * @param {unknown} value in its form in the API
+ * @returns {string}
+ */
+export function valueText(value) {
+  return typeof value === "string" ? value : written(value);
+}
+
+/** @param {unknown} value @returns {string} */
+function written(value) {
+  if (Array.isArray(value)) return `[${value.map(written).join(",")}]`;
+  if (value !== null && typeof value === "object" && "float" in value) return String(value.float).replace(/(?=inf|nan)/, ".");
+  return JSON.stringify(value);
+}

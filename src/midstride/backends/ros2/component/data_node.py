@@ -33,7 +33,7 @@ class NodeParameter:
 
     @property
     def value(self) -> Any:
-        """None where it has none (any more), or one that cannot be written as JSON: of bytes, or not finite."""
+        """None where it has none (any more), or one that cannot be written as JSON: of bytes."""
         try:
             return as_json(self._node.get_parameter(self.name).value)
         except (ParameterUninitializedException, ParameterNotDeclaredException):
@@ -46,7 +46,7 @@ class NodeParameter:
 
     @declared.setter
     def declared(self, value: Any) -> None:
-        self._declared = value
+        self._declared = as_json(value)
 
     def fitted(self, value: Any) -> Any:
         return value  # the node checks it

@@ -10,7 +10,6 @@ a reading request never waits for user code.
 
 from __future__ import annotations
 
-import math
 from array import array
 from collections.abc import Mapping
 from typing import Any, Final
@@ -24,6 +23,7 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from midstride.backends.ros2.names import PARAMETER_EVENTS, PREFIX, STATE
+from midstride.codec.parameter import json_value
 from midstride.node.data.functionality_runner import CAUGHT
 from midstride.node.legible import legible
 from midstride.wire.state import ComponentState
@@ -157,12 +157,12 @@ def _value(name: str, value: Any) -> Any:
 
 
 def as_json(value: Any) -> Any:
-    """``value`` as in JSON, None where it cannot be written so."""
+    """The form of a parameter's value in JSON; None where it has none: of bytes, or where it is not set."""
     if isinstance(value, (list, tuple, array)):
         members = [as_json(member) for member in value]
         return None if None in members else members
     if isinstance(value, float):
-        return value if math.isfinite(value) else None
+        return json_value(value)
     return value if isinstance(value, (bool, int, str)) and not isinstance(value, Parameter.Type) else None
 
 

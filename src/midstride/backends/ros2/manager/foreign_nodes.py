@@ -20,6 +20,7 @@ from msgspec.structs import replace
 from midstride.backends.common import in_background
 from midstride.backends.naming import topics_of
 from midstride.codec.component_form import NamedComponentForm
+from midstride.codec.parameter import json_values
 from midstride.errors import BackendError, CommandRefused
 from midstride.foreign import build
 from midstride.foreign.gated_agent import ForeignAgent
@@ -98,8 +99,8 @@ class ForeignNodes:
             topics=topics,
             modes={functionality.name: functionality.modes[-1].name for functionality in component},
             outputs=[port for port in component.outputs if port in launch.topics],
-            stated=launch.parameters,
-            taken_over=launch.set_parameters,
+            stated=json_values(launch.parameters),
+            taken_over=json_values(launch.set_parameters),
         )
         return variables, record
 
@@ -120,7 +121,7 @@ class ForeignNodes:
             topics=topics,
             environment=dict(environment),
             real={port: topic for port, topic in launch.topics.items() if component.has_output(port)},
-            stated=dict(launch.parameters),
+            stated=json_values(launch.parameters),
         )
         path = order_file(self._folder, launch.instance)
         order.write(path)

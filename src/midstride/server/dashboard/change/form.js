@@ -4,7 +4,7 @@
  * @module
  */
 
-import { h, replace } from "../dom.js";
+import { h, replace, valueText } from "../dom.js";
 import { NewNodeFields } from "./newnode.js";
 import { STRATEGIES, keepsParameters, replacements } from "./request.js";
 
@@ -101,7 +101,7 @@ export class Form {
     fill(this.version, versions.map(([each, words]) => [String(each), `version ${each}: ${words}`]), String(version ?? ""));
     fill(this.parameter, known.map((each) => [each.name, each.name]), parameter?.name ?? "");
     fill(this.strategy, STRATEGIES.map((each) => [each, each]), choice.strategy);
-    this.value.placeholder = parameter === undefined ? "" : String(JSON.stringify(parameter.value));
+    this.value.placeholder = parameter === undefined ? "" : typeof parameter.value === "string" ? JSON.stringify(parameter.value) : valueText(parameter.value);
     this.with.textContent = adding ? "of component" : kind === "param" ? "" : "with";
     show(kind !== "apply", this.kind);
     show(["replace", "restart", "remove", "param"].includes(kind), this.node);

@@ -4,7 +4,7 @@
  * @module
  */
 
-import { h, replace } from "../dom.js";
+import { h, replace, valueText } from "../dom.js";
 
 /** @typedef {import("./request.js").Choice} Choice */
 
@@ -68,5 +68,5 @@ export class NewNodeFields {
 /** @param {unknown} declared a parameter's value, or an object with it */
 function written(declared) {
   const value = declared !== null && typeof declared === "object" && "value" in declared ? declared.value : declared;
-  return typeof value === "string" ? value : JSON.stringify(value);
+  return valueText(value);
 }

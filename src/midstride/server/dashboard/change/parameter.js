@@ -4,7 +4,7 @@
  * @module
  */
 
-import { h } from "../dom.js";
+import { h, valueText } from "../dom.js";
 import { valueOf } from "./request.js";
 
 /**
@@ -16,7 +16,7 @@ import { valueOf } from "./request.js";
 export async function setParameter(ask, { node, parameter, value }) {
   /** @type {Api.ParametersReport} */ const report = await ask("POST", "/parameters", { node, parameters: { [parameter]: valueOf(value) } });
   return report.parameters.map((each) => {
-    const text = typeof each.value === "string" ? each.value : JSON.stringify(each.value);
+    const text = valueText(each.value);
     return h("p", { class: "banner", "data-kind": "good" }, `✓ ${report.instance}: ${each.name} = ${text}`);
   });
 }

@@ -14,6 +14,8 @@
  *   file: string | null, strategy: string, detours: boolean, declared: boolean, verify: boolean}} Choice
  */
 
+import { valueText } from "../dom.js";
+
 export const STRATEGIES = ["minimal", "paper", "quiesce", "stop"];
 
 /** @type {Choice} */
@@ -85,10 +87,14 @@ function filled(texts) {
   return Object.entries(texts).flatMap(([name, text]) => (text.trim() === "" ? [] : [/** @type {[string, string]} */ ([name, text.trim()])]));
 }
 
-/** The value of a parameter: JSON, or else a string. @param {string} text */
+const NOT_FINITE = /(?<![^[,\s])\+?(-?)\.(inf|nan)(?![^\],\s])/gi;
+
+/** The value of a parameter: JSON, with YAML's `.inf` and `.nan`, or else a string. @param {string} text */
 export function valueOf(text) {
+  /** @type {(match: string, sign: string, word: string) => string} */
+  const form = (_, sign, word) => JSON.stringify({ float: word.toLowerCase() === "nan" ? "nan" : `${sign}inf` });
   try {
-    return JSON.parse(text);
+    return JSON.parse(text.includes('"') ? text : text.replace(NOT_FINITE, form));
   } catch {
     return text;
   }
@@ -126,6 +132,7 @@ function added({ role, component, topics }) {
 /** A value as `param set` and `add --param` read it: YAML has other strings without quotes, and no `1e-7`. @param {unknown} value */
 function yaml(value) {
   if (typeof value === "number") return String(value).replace(/^(-?\d+)e/, "$1.0e");
+  if (value !== null && typeof value === "object" && JSON.stringify(value).includes('"float"')) return valueText(value);
   const plain = typeof value === "string" && /^[A-Za-z/][\w./-]*$/.test(value) && !/^(y|n|yes|no|on|off|true|false|null)$/i.test(value);
   return plain ? String(value) : JSON.stringify(value);
 }

@@ -29,6 +29,7 @@ function written(value) {
   if (typeof value === "string") return `'${value}'`;
   if (typeof value === "boolean") return value ? "True" : "False";
   if (Array.isArray(value)) return `[${value.map(written).join(", ")}]`;
+  if (value !== null && typeof value === "object" && "float" in value) return String(value.float);
   return String(value);
 }
 
