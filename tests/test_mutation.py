@@ -67,3 +67,48 @@ def test_asserts_annotations_and_docstrings_are_left_alone(mutation: Any) -> Non
     tree = ast.parse('def f(a: int = 1) -> int:\n    """1 + 1"""\n    assert a > 1\n    return a\n')
     changed = [mutant.before for mutant, _ in mutation._changed(tree, "f.py")]
     assert changed == ["return a"]
+
+
+def test_the_tests_that_reach_the_line_of_a_mutant_are_asked_those_of_its_module_first(mutation: Any) -> None:
+    [mutant] = [
+        each for each in mutants(mutation, "Interval.is_subset") if each.after == "starts_inside or ends_inside"
+    ]
+    costs = {
+        "tests/runtime/test_a.py::close": 0.5,
+        "tests/model/test_why.py::close": 5.0,
+        "tests/model/test_contract.py::slow": 3.0,
+        "tests/model/test_contract.py::quick": 1.0,
+        "tests/model/test_contract.py::elsewhere": 0.1,
+    }
+    reached = {name: {"model/contract.py": 1 << mutant.line} for name in costs}
+    reached["tests/model/test_contract.py::elsewhere"] = {
+        "model/contract.py": 1 << mutant.line - 1,
+        "model/best.py": -1,
+    }
+    recorded = mutation.Recorded(costs, reached)
+    quick, slow = "tests/model/test_contract.py::quick", "tests/model/test_contract.py::slow"
+    assert recorded.chosen(mutant, 100.0) == [
+        quick,
+        slow,
+        "tests/model/test_why.py::close",
+        "tests/runtime/test_a.py::close",
+    ]
+    assert recorded.chosen(mutant, 4.6) == [quick, slow, "tests/runtime/test_a.py::close"]
+    assert recorded.chosen(mutant, 0.1) == [quick], "one at least"
+
+
+def test_the_lines_that_are_reached_are_noted_once_for_each_test(mutation: Any) -> None:
+    def lines(of: Any) -> int:
+        return sum(1 << line for line in {line for *_, line in of.__code__.co_lines() if line is not None})
+
+    noted, before = mutation._Lines(), sys.gettrace()
+    for _ in range(2):
+        noted.reached = {}
+        sys.settrace(noted)
+        try:
+            Interval(1.0, 4.0).is_subset(Interval(0.0, 3.0))
+        finally:
+            sys.settrace(before)
+        assert set(noted.reached) == {"model/contract.py"}
+        assert noted.reached["model/contract.py"] & lines(Interval.is_subset)
+        assert not noted.reached["model/contract.py"] & lines(Interval.__str__)

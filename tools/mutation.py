@@ -1,11 +1,12 @@
 """tools/mutation.py: how many small changes of the code, drawn from a seed, some test notices.
 
 Each change (a *mutant*) is of one place in the body of a function or method of `model`, `plan`, `node`, `runtime` or
-`wire`: a comparison, a condition, an operator, a number, a statement that is left out. Every place is as likely as any
-other, so each package has its share. No file is changed: the tests are collected once, and for each mutant a forked
-process exchanges the code of that function in memory and runs the tests that call it, first those of its package, the
-quickest first. The mutant is killed if one fails, or exceeds its time. Which tests call which function is recorded by
-running them once (in some minutes; kept in the folder .mutation until the source or a test changes).
+`wire`: a comparison, a condition, an operator, a number, a statement that is left out. Every place is as likely as
+any other, so each package has its share. No file is changed: the tests are collected once, and for each mutant a
+forked process exchanges the code of that function in memory and runs the tests that reach its lines, first those of
+its package, the quickest first. The mutant is killed if one fails, or exceeds its time. Which tests reach which line
+is recorded by running them once (in some minutes; kept in the folder .mutation until the source, or the file of the
+test, changes). Survivors that are tried again (--again) have more time, and the tests marked `full` as well.
 
     tools/in-venv python tools/mutation.py --mutants 300 --seed 7    # exit status 1 below the score of --at-least
 
@@ -47,9 +48,11 @@ import pytest
 ROOT: Final = Path(__file__).resolve().parent.parent
 SOURCE: Final = ROOT / "src" / "midstride"
 PACKAGES: Final = ("model", "plan", "node", "runtime", "wire")
-# The tests that are asked: those of the packages, and of what is built on `node`.
-TESTS: Final = (*PACKAGES, "foreign")
-MARKERS: Final = "not full and not long and not ros1 and not ros2 and not alloy and not browser"
+# The tests that are asked: those of the packages, and of what is built on them and runs in the same process.
+TESTS: Final = (*PACKAGES, "foreign", "server", "simulation", "backends")
+MARKERS: Final = "not long and not ros1 and not ros2 and not alloy and not browser"
+# Only survivors that are tried again are given to these as well.
+QUICK: Final = f"not full and {MARKERS}"
 EQUIVALENT: Final = ROOT / "tools" / "equivalent_mutants.json"
 CACHE: Final = ROOT / ".mutation"
 # How much processor time the tests of a mutant may take together as they were recorded (s): the rest is not run, unless
@@ -57,6 +60,8 @@ CACHE: Final = ROOT / ".mutation"
 BUDGET, PATIENTLY = 10.0, 10.0
 # A mutant has so many times the processor time that its tests took, and as much more (s): then it hangs.
 FACTOR, MORE = 4.0, 10.0
+# How much memory its process may have (bytes): one that never ends may collect without end.
+MEMORY: Final = 3 * 2**30
 # One that has used no processor time for so long waits for something that does not come (s).
 LONGEST: Final = 60.0
 SURVIVED, KILLED, IMPOSSIBLE, BROKEN = 0, 1, 3, 4
@@ -75,6 +80,7 @@ class Mutant:
     function: str = field(compare=False)
     first_line: int = field(compare=False)  # of the function, with its decorators
     line: int = field(compare=False)
+    last_line: int = field(compare=False)
     before: str = field(compare=False)
     after: str = field(compare=False)
     number: int = field(compare=False)
@@ -171,6 +177,13 @@ def _functions(tree: ast.AST, prefix: str = "") -> Iterator[tuple[str, Function]
             yield from _functions(node, prefix)
 
 
+def _lines(node: ast.AST, parent: ast.AST) -> tuple[int, int]:
+    """The first and the last line on which a change of ``node`` shows."""
+    where = node.test if isinstance(node, (ast.If, ast.IfExp)) else node if hasattr(node, "lineno") else parent
+    assert isinstance(where, (ast.expr, ast.stmt))
+    return where.lineno, where.end_lineno or where.lineno
+
+
 def _shown(node: ast.AST, changed: ast.AST) -> tuple[str, str]:
     def text(each: ast.AST) -> str:
         if isinstance(each, (ast.If, ast.IfExp)):
@@ -193,8 +206,8 @@ def _changed(tree: ast.Module, path: str) -> Iterator[tuple[Mutant, Callable[[],
             for changed in _changes(node):
                 shown = _shown(node, changed)
                 same[shown] += 1
-                line = getattr(node, "lineno", getattr(parent, "lineno", function.lineno))
-                mutant = Mutant(path, place, name, first, line, *shown, same[shown])
+                lines = _lines(node, parent)
+                mutant = Mutant(path, place, name, first, *lines, *shown, same[shown])
                 place += 1
                 yield mutant, partial(_put, parent, attribute, index, ast.copy_location(changed, node))
 
@@ -249,54 +262,66 @@ def exchange(mutant: Mutant) -> bool:
     return bool(found)
 
 
-# -- which tests call which function ----------------------------------------------------------------------
+# -- which tests reach which lines ------------------------------------------------------------------------
+
+# By file of our packages, the lines that a test has reached, as the bits of a number.
+Reached = dict[str, int]
 
 
 @dataclass
 class Recorded:
-    """``tests``: the processor time of each (s). ``callers``: by "file:first line" of a function."""
+    """``tests``: the processor time of each (s). ``reached``: the lines of each."""
 
     tests: dict[str, float] = field(default_factory=dict)
-    callers: dict[str, list[str]] = field(default_factory=dict)
+    reached: dict[str, Reached] = field(default_factory=dict)
 
     def chosen(self, mutant: Mutant, budget: float) -> list[str]:
-        """Those that call the function of ``mutant``, in the order in which they are asked, for ``budget`` seconds."""
+        """Those that reach the lines of ``mutant``, in the order in which they are asked, for ``budget`` seconds."""
         package = f"tests/{mutant.path.partition('/')[0]}/"
         module = Path(mutant.path).stem
-        callers = self.callers.get(f"{mutant.path}:{mutant.first_line}", [])
+        lines = (1 << mutant.last_line + 1) - (1 << mutant.line)
+        reaching = [test for test, reached in self.reached.items() if reached.get(mutant.path, 0) & lines]
 
         def rank(test: str) -> tuple[int, float]:
             close = 0 if f"test_{module}" in test else 1 if test.startswith(package) else 2
             return close, self.tests[test]
 
-        found, left = [], budget
-        for test in sorted(callers, key=rank):
-            if (left := left - self.tests[test]) > 0:
+        found, left = list[str](), budget
+        for test in sorted(reaching, key=rank):
+            if self.tests[test] <= left or not found:
                 found.append(test)
+                left -= self.tests[test]
         return found
 
 
-class _Calls:
-    """Notes the functions of our packages that are called, on any thread, while it is in use."""
+class _Lines:
+    """Notes the lines of our packages that are reached, on any thread, while it is in use."""
 
     def __init__(self) -> None:
-        self.known: dict[CodeType, str | None] = {}
-        self.called: set[str] = set()
+        self.places: dict[CodeType, tuple[str, int] | None] = {}  # the file of each code, and all of its lines
+        self.reached: Reached = {}
 
-    def __call__(self, frame: FrameType, event: str, argument: object) -> None:
+    def __call__(self, frame: FrameType, event: str, argument: object) -> Callable[..., Any] | None:
         code = frame.f_code
         try:
-            name = self.known[code]
+            place = self.places[code]
         except KeyError:
-            name = self.known[code] = self._name(code)
-        if name is not None:
-            self.called.add(name)
+            place = self.places[code] = self._place(code)
+        if place is None or not place[1] & ~self.reached.get(place[0], 0):
+            return None  # there is nothing more to note
+        name, reached = place[0], self.reached
 
-    def _name(self, code: CodeType) -> str | None:
-        package = code.co_filename.removeprefix(f"{SOURCE}/").partition("/")[0]
-        if package not in PACKAGES or not code.co_filename.startswith(str(SOURCE)):
+        def note(frame: FrameType, event: str, argument: object) -> Callable[..., Any]:
+            reached[name] = reached.get(name, 0) | 1 << frame.f_lineno
+            return note
+
+        return note(frame, event, argument)
+
+    def _place(self, code: CodeType) -> tuple[str, int] | None:
+        name = code.co_filename.removeprefix(f"{SOURCE}/")
+        if name == code.co_filename or name.partition("/")[0] not in PACKAGES:
             return None
-        return f"{code.co_filename.removeprefix(f'{SOURCE}/')}:{code.co_firstlineno}"
+        return name, sum(1 << line for line in {line for *_, line in code.co_lines() if line is not None})
 
 
 class _Reports:
@@ -312,8 +337,8 @@ class _Reports:
 class _Session:
     """A collection of tests, some of which forked processes run."""
 
-    def __init__(self, work: Any) -> None:
-        self.work = work
+    def __init__(self, work: Any, markers: str) -> None:
+        self.work, self.markers = work, markers
         self.items: dict[str, pytest.Item] = {}
         self.error: BaseException | None = None
 
@@ -345,12 +370,12 @@ class _Session:
             yield name, not reports.failed, time.process_time() - begun
 
 
-def collect(work: Any) -> None:
-    session = _Session(work)
+def collect(work: Any, markers: str = QUICK) -> None:
+    session = _Session(work, markers)
     tests = [str(ROOT / "tests" / name) for name in TESTS if (ROOT / "tests" / name).exists()]
     options = ["-q", "-q", "-p", "no:cacheprovider", "--timeout=0"]
     os.chdir(ROOT)
-    status = pytest.main([*options, "-m", MARKERS, *tests], plugins=[session])
+    status = pytest.main([*options, "-m", markers, *tests], plugins=[session])
     if session.error is not None:
         raise session.error
     if not session.items:
@@ -377,6 +402,7 @@ class Fork:
                 os.dup2(silent, stream)
             if cpu is not None:
                 resource.setrlimit(resource.RLIMIT_CPU, (int(cpu), int(cpu) + 1))
+                resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
             resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
             status = body(Path(self.folder))
         finally:
@@ -410,70 +436,66 @@ def _fresh_folder(session: _Session, folder: Path) -> None:
         factory._given_basetemp, factory._basetemp = folder / "t", None
 
 
-def _key() -> str:
-    """Of the source and the tests as they are."""
-    digest = hashlib.sha256()
-    for folder in (SOURCE, ROOT / "tests"):
-        for path in sorted(folder.rglob("*.py")):
-            digest.update(str(path).encode() + path.read_bytes())
+def _digest(paths: Iterable[Path], also: str = "") -> str:
+    digest = hashlib.sha256(also.encode())
+    for path in sorted(paths):
+        digest.update(str(path).encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 
 
 def record(session: _Session, jobs: int) -> Recorded:
-    cached = CACHE / f"{_key()}.json"
-    if cached.exists():
-        kept = json.loads(cached.read_text())
-        return Recorded(kept["tests"], kept["callers"])
-    files = sorted({name.partition("::")[0] for name in session.items})
-    random.Random(0).shuffle(files)
-    waiting, running, found = files, dict[Fork, Path](), Recorded()
+    """Run each file of tests whose lines are not known for the source and the helpers of the tests as they are."""
+    tests = set((ROOT / "tests").rglob("test_*.py"))
+    common = _digest([*SOURCE.rglob("*.py"), *(set((ROOT / "tests").rglob("*.py")) - tests)])
     CACHE.mkdir(exist_ok=True)
-    total, lost = len(files), list[str]()
+    files = sorted({name.partition("::")[0] for name in session.items})
+    kept = {file: CACHE / f"{common}-{_digest([ROOT / file], session.markers)}" for file in files}
+    waiting, running, lost = [file for file in files if not kept[file].exists()], dict[Fork, str](), list[str]()
+    random.Random(0).shuffle(waiting)
+    total = len(waiting)
     while waiting or running:
         while waiting and len(running) < jobs:
             file = waiting.pop()
-            tests = [name for name in session.items if name.partition("::")[0] == file]
-            out = CACHE / f"part{len(waiting)}"
-            running[Fork(None, lambda folder, tests=tests, out=out: _record(session, tests, folder, out))] = out
+            names = [name for name in session.items if name.partition("::")[0] == file]
+            fork = Fork(None, lambda folder, names=names, out=kept[file]: _record(session, names, folder, out))
+            running[fork] = file
         time.sleep(0.05)
-        for fork in [fork for fork in running if fork.ended() is not None]:
-            out = running.pop(fork)
-            try:
-                lines = out.read_text().splitlines()
-                out.unlink()
-            except FileNotFoundError:
-                lines = []
-                lost.append(str(out))
-            for line in lines:
-                name, passed, cpu, called = json.loads(line)
-                if passed:
-                    found.tests[name] = cpu
-                    for function in called:
-                        found.callers.setdefault(function, []).append(name)
-            print(
-                f"\r{total - len(waiting) - len(running)} of {total} files recorded",
-                end="",
-                file=sys.stderr,
-                flush=True,
-            )
+        for fork in list(running):
+            if (status := fork.ended()) is None:
+                continue
+            file = running.pop(fork)
+            print(f"\r{total - len(waiting) - len(running)} of {total} files recorded", end="", file=sys.stderr)
+            if status != SURVIVED:
+                lost.append(file)
+    for old in CACHE.iterdir():
+        if not old.name.startswith(common):
+            old.unlink()
+    found = Recorded()
+    for path in filter(Path.exists, kept.values()):
+        for line in path.read_text().splitlines():
+            name, passed, cpu, reached = json.loads(line)
+            if passed:
+                found.tests[name] = cpu
+                found.reached[name] = {file: int(bits, 16) for file, bits in reached.items()}
     print(
-        f"\n{len(found.tests)} tests of {len(session.items)} passed; {len(lost)} files without result", file=sys.stderr
+        f"\n{len(found.tests)} tests of {len(session.items)} passed; without result: {lost or 'none'}", file=sys.stderr
     )
-    cached.write_text(json.dumps({"tests": found.tests, "callers": found.callers}))
     return found
 
 
 def _record(session: _Session, tests: list[str], folder: Path, out: Path) -> int:
     _fresh_folder(session, folder)
-    calls = _Calls()
-    threading.settrace(calls)
-    sys.settrace(calls)
-    with out.open("w") as file:
+    part = out.with_name(f"{out.name}.part")
+    lines = _Lines()
+    threading.settrace(lines)
+    sys.settrace(lines)
+    with part.open("w") as file:
         for name, passed, cpu in session.run(tests):
-            file.write(json.dumps([name, passed, cpu, sorted(calls.called)]) + "\n")
-            file.flush()
-            calls.called.clear()
-            sys.settrace(calls)
+            bits = {path: f"{each:x}" for path, each in lines.reached.items()}
+            file.write(json.dumps([name, passed, cpu, bits]) + "\n")
+            lines.reached = {}
+            sys.settrace(lines)
+    part.rename(out)
     return 0
 
 
@@ -572,7 +594,7 @@ def main() -> int:
             if arguments.minutes and time.monotonic() - begun > 60 * arguments.minutes:
                 break
 
-    collect(work)
+    collect(work, QUICK if arguments.again is None else MARKERS)
     counts = Counter(result.verdict for result in results)
     killed, lived = counts["killed"] + counts["timed out"], counts["survived"] + counts["uncalled"]
     score = 100 * killed / max(1, killed + lived)

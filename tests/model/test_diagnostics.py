@@ -15,6 +15,18 @@ def test_a_name_is_not_unknown_where_the_section_that_may_declare_it_could_not_b
     assert independent([elsewhere], [UNKNOWN]) == [elsewhere, UNKNOWN]
 
 
+def test_only_an_unknown_entry_like_the_section_may_be_that_section_misspelt() -> None:
+    unknown = Problem("E008", ("nodes", "a", "component"), "there is no component `T`", declared=("components",))
+    for subject, code, kept in [
+        (("componets",), "E002", False),
+        (("componets",), "E005", True),  # known, whatever is wrong with it
+        (("timing",), "E002", True),
+        (("nodes", "componets"), "E002", True),  # elsewhere
+    ]:
+        other = Problem(code, subject, "something is wrong")
+        assert independent([other], [unknown]) == ([other, unknown] if kept else [other]), (subject, code)
+
+
 def test_an_unknown_name_has_a_near_miss_or_what_is_known() -> None:
     def problem(*known: str) -> Problem:
         return Problem("E008", ("nodes",), "there is no component `Talkr`", candidates=("Talkr", known))

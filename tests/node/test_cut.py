@@ -208,6 +208,17 @@ def test_a_grid_whose_slot_before_the_moment_is_over_has_passed_it() -> None:
     assert side.passed() and link.gate == "closed"
 
 
+def test_an_old_side_has_passed_once_each_of_its_functionalities_has() -> None:
+    past, late = Owner(rate=Grid(slot=T - 1)), Owner(rate=Grid(slot=T - 20_000_000))
+    links = [link_of(owner, topic)[0] for owner, topic in ((past, "/a"), (late, "/b"))]
+    side = OutgoingCut(links, Clocks(T + 1).host, claim(), T)
+    side.arm()
+    assert not side.passed() and not any(link.gate == "closed" and not link.cut for link in links)
+    assert late.rate is not None
+    late.rate.slot = T - 1
+    assert side.passed() and [link.gate for link in links] == ["closed", "closed"]
+
+
 def test_a_fast_clock_leaves_a_call_real_time_to_be_late_in() -> None:
     """At 50x, two periods of 20 ms are less than 1 ms."""
     clocks = Clocks(T + 10**9)

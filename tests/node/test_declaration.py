@@ -22,6 +22,7 @@ from midstride import (
 from midstride.codec.component_form import decode_component, encode_component
 from midstride.model.component import InputAlternatives
 from midstride.model.contract import NOTHING, Interval, OneOf, Predicate
+from midstride.node.author.declared_contracts import type_name
 from midstride.node.author.declared_parameters import Parameter
 
 from .author import Image, String
@@ -127,7 +128,9 @@ class Parts:
         self.scan = self.comp.create_input("scan", String)
         self.odom = self.comp.create_input("odom", String)
         self.out = self.comp.create_output("out", String)
-        self.work = self.comp.create_functionality("work", inputs=[self.scan, self.odom], outputs=[self.out])
+        self.imu = self.comp.create_input("imu", String)
+        inputs = [self.scan, self.odom, self.imu]
+        self.work = self.comp.create_functionality("work", inputs=inputs, outputs=[self.out])
 
     def normal(self, fn: Any = nothing, **options: Any) -> None:
         self.work.set_normal_mode(fn, **options)
@@ -242,6 +245,10 @@ MISUSES: list[tuple[Callable[[Parts], object], str]] = [
     (lambda p: p.normal(fn=one, inputs=[p.scan], sync=approximate(0.1)), "several inputs"),
     (
         lambda p: p.normal(fn=one, inputs=[any_of(p.scan, p.odom)], sync=approximate(0.1)),
+        "any_of() cannot be used with it",
+    ),
+    (
+        lambda p: p.normal(fn=two, inputs=[any_of(p.scan, p.odom), p.imu], sync=approximate(0.1)),
         "any_of() cannot be used with it",
     ),
     (lambda p: p.normal(rate=1, sync=approximate(0.1)), "without rate="),
@@ -362,3 +369,14 @@ def test_a_parameter_may_be_set_to_a_value_that_is_not_finite(value: float) -> N
     fixed.change(float(str(value)))  # the same, also as another NaN
     with pytest.raises(NodeError, match="keeps the value"):
         fixed.change(1.0)
+
+
+@pytest.mark.parametrize("module", ["chat_msgs.msg", "chat_msgs.msg._line", "chat_msgs.msg.detail._line"])
+def test_a_message_class_is_known_by_the_package_whose_msg_module_it_is_from(module: str) -> None:
+    assert type_name(type("Line", (), {"__module__": module})) == "chat_msgs/msg/Line"
+
+
+@pytest.mark.parametrize("module", ["chat_msgs", "chat_msgs.srv", "chat.chat_msgs.msg"])
+def test_any_other_class_is_no_message_class(module: str) -> None:
+    with pytest.raises(NodeError, match="Line is not a ROS message class"):
+        type_name(type("Line", (), {"__module__": module}))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from midstride.node.control.shortfall import FLOOR, LONG_FLOOR, Shortfall, tolerated_periods
+from midstride.node.control.shortfall import FLOOR, LONG_FLOOR, SHARE, SLOW, Shortfall, tolerated_periods
 
 from .author import Bench, simulate
 
@@ -128,6 +128,17 @@ def test_what_has_come_too_much_is_not_saved_up() -> None:
     assert not stream.exceeds(11)
     stream.advance(1.0, 1000)
     assert stream.exceeds(11)
+
+
+def test_half_of_what_is_lacking_is_forgiven_where_the_stream_is_not_all_to_blame() -> None:
+    silent, slow = Shortfall(0), Shortfall(0)
+    silent.advance(8.0, 0)
+    silent.halve()
+    assert silent.exceeds(3.99, slow=False) and not silent.exceeds(4.01, slow=False)
+    slow.advance(32.0, 1)
+    lacking = (SHARE * 32 - 1) / 2
+    slow.halve()
+    assert slow.exceeds(0.99 * lacking / (SLOW * SHARE)) and not slow.exceeds(1.01 * lacking / (SLOW * SHARE))
 
 
 # -- what breaks an assumption -----------------------------------------------------------------------------

@@ -15,11 +15,13 @@ from midstride.plan.change import Change
 from midstride.plan.change_builder import change_between
 from midstride.plan.core.conflict_core import parts
 from midstride.plan.core.core_losses import PartLosses, fullest
-from midstride.plan.core.core_plan import Budget, search_core
+from midstride.plan.core.core_plan import Budget, plans_along, search_core
 from midstride.plan.core.core_search import PartResult, PartSearch
+from midstride.plan.core.search_state import SearchState
 from midstride.plan.disruption import Levels
 from midstride.plan.plan import Plan
 from midstride.plan.strategies.minimal import minimal
+from midstride.plan.strategies.plan_builder import PlanBuilder
 from tests.plan import systems
 from tests.plan.cases import changed, system, work
 from tests.plan.exhaustive import Exhaustive, Limited
@@ -137,6 +139,34 @@ def test_outputs_are_exchanged_jointly_where_none_may_be_missing() -> None:
     plan = minimal(between((start, replace(target, constraints=keeps))))
     assert plan.degraded == ()
     assert replay(plan).holds
+
+
+def test_an_output_takes_over_the_exclusive_topic_of_another_node_without_a_gap() -> None:
+    """Both nodes stay; the one that reads the topic may not degrade."""
+    components = [work("A", outputs=["out"]), work("B", outputs=["out"]), work("User", inputs=["in"])]
+    user = ("User", {"in": "/x"})
+    caps = {"/x": 1}
+    start = system(components, {"a": ("A", {"out": "/x"}), "b": ("B", {}), "user": user}, caps=caps)
+    target = system(components, {"a": ("A", {}), "b": ("B", {"out": "/x"}), "user": user}, caps=caps)
+    keep = Keep(FunctionalityRef("user", "work"), "normal")
+    levels = Levels(between((start, replace(target, constraints=(keep,)))))
+    core = search_core(levels, (keep,), Budget())
+    assert core.moves is not None and [[op.kind for op in move] for move in core.moves] == [["attach", "detach"]]
+    state = SearchState.at_start(PlanBuilder.at_start(levels), [])
+    plans = [[type(step.action).__name__ for step in plan.steps] for plan in plans_along(state, core.moves)]
+    assert plans and all("Handover" in plan and "Detach" not in plan for plan in plans)
+
+
+def test_where_an_order_waits_for_an_output_to_leave_its_topic_that_is_a_step_of_the_search() -> None:
+    """Nothing else brings it: the node stays, and no other output takes its place."""
+    components = [work(name, outputs=["out"]) for name in ("A", "B", "NewB")]
+    start = system(components, {"a": ("A", {"out": ("/x", "/y")}), "b": ("B", {"out": "/z"})})
+    target = system(components, {"a": ("A", {"out": "/x"}), "b": ("NewB", {"out": "/z"})})
+    change = between((start, replace(target, constraints=(Order("a", "b"),))))
+    plan = minimal(change)
+    assert plan.proved_minimal and plan.lower_bound == plan.disruption == 0.0
+    first = [action for step in plan.steps if (action := step.action).instances() == ("a",)]
+    assert first and plan.steps[0].action == first[0]
 
 
 # -- what cannot be met ------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from midstride.model.action import (
 )
 from midstride.model.component import Connector
 from midstride.model.configuration import Configuration, SystemContext, configure
+from midstride.model.specification import Specification
 from midstride.runtime.change.mode_changes import DRAIN_TIMEOUT, HELD_LONGER, lower_modes
 from midstride.runtime.change_observer import ChangeObserver
 from midstride.runtime.handover.fences import DEFAULT_WAIT
@@ -33,6 +35,7 @@ from midstride.wire.commands import (
     AnswerCommand,
     AttachCommand,
     AwaitCutCommand,
+    AwaitRateCommand,
     AwaitWriteCommand,
     Command,
     CutInCommand,
@@ -57,6 +60,7 @@ from midstride.wire.replies import (
     LastWrite,
     PreviousModes,
     PreviousParameters,
+    RateVerdict,
     StateOffer,
 )
 from tests.model import build
@@ -71,6 +75,7 @@ from tests.runtime.scripted import (
     bench,
     instance,
     reported,
+    started,
     talking,
 )
 
@@ -556,6 +561,28 @@ def test_a_hand_over_that_fails_keeps_no_number(tmp_path: Path) -> None:
         assert b.driver.last_numbers == {}
 
     bench(replacing(), tmp_path, body)
+
+
+@pytest.mark.parametrize(("guaranteed", "rate"), [(10.0, 10.0), (None, 0.0)])
+def test_a_new_publisher_is_watched_at_the_rate_that_it_guarantees_if_any(
+    guaranteed: float | None, rate: float, tmp_path: Path
+) -> None:
+    """Of one that guarantees none, only whether it raises."""
+    promised = changed(build.at(10.0), rate=guaranteed)
+    modes = [build.mode("normal", out=promised), build.mode("degraded")]
+    source = started(build.component("Talker", {}, ["out"], modes))
+    new = instance("talker_2", source, role="talker")
+    configuration = talking(talker=source).with_instance(new).with_modes({work("talker_2"): 0})
+
+    async def body(b: Bench) -> None:
+        b.client.reply("talker_2", AwaitRateCommand, RateVerdict(reached=False, rate=0.0, pause=0.0, failed=False))
+        await perform(b, HANDOVER)
+        await b.driver.watch(HANDOVER)
+        [command] = b.client.of(AwaitRateCommand, "talker_2")
+        assert (command.rate, command.until, command.timeout) == (rate, "broken", 5.0)
+        assert b.words("watching") == ["watching talker_2.out for 5 s"]
+
+    bench(configuration, tmp_path, body, specification=Specification("bench", timing=Map({"watch_after": 5.0})))
 
 
 # -- what degrades by itself ---------------------------------------------------------------------------

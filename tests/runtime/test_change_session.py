@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
 from dataclasses import replace as changed
@@ -23,6 +24,7 @@ from midstride.plan.request import PlanRequest
 from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.change_session import ChangeSession
 from midstride.runtime.change.runtime_verification import Verifier
+from midstride.runtime.instance_life import LatestState
 from midstride.runtime.records.measure import WINDOW_PERIODS
 from midstride.runtime.records.reports import Outcome
 from midstride.runtime.records.state_store import StateStore
@@ -157,6 +159,28 @@ def test_a_change_moves_configuration_and_specification_on_and_is_measured(tmp_p
         assert s.kinds() == ["plan", *steps, "measuring", "measured", "outcome"]
 
     session(tmp_path, body)
+
+
+def test_the_report_has_the_modes_in_which_a_change_found_what_it_replaces(tmp_path: Path) -> None:
+    """Since when is known from a report that may be old, however little is reported during the change."""
+
+    async def body(s: SessionBench) -> None:
+        s.client.life.latest = lambda name: LatestState(aged(s.client.states[name]), s.clock.steady() - 2.0)  # type: ignore[method-assign]
+        await asyncio.sleep(10.0)
+        begun = time.time()
+        await s.session.change(REPLACEMENT)
+        timeline = (await s.journal.report()).timeline
+        assert timeline is not None
+        [old] = [each for each in timeline.modes if each.instance == "talker"]
+        assert old.mode == "normal" and begun - old.began == pytest.approx(32.0, abs=1.0)
+
+    session(tmp_path, body)
+
+
+def aged(state: ComponentState) -> ComponentState:
+    """Its functionalities have been in their modes for 30 s."""
+    views = {name: structs.replace(view, since=30.0) for name, view in state.functionalities.items()}
+    return structs.replace(state, functionalities=views)
 
 
 def test_recording_begins_before_the_first_step_and_ends_after_the_last(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
 import sqlite3
 from collections.abc import Coroutine, Iterable
 from contextlib import suppress
@@ -332,3 +333,38 @@ def test_a_manager_that_is_killed_while_it_brings_the_system_up_leaves_nothing_i
 
     simulator.run(main())
     assert reached == {0, 1, 2}
+
+
+def test_a_change_that_the_next_manager_cannot_finish_is_rolled_back_and_that_is_said(tmp_path: Path) -> None:
+    """The program of the new component cannot be started any more."""
+    programs = tmp_path / "programs"
+    shutil.copytree(EXAMPLES / "talker", programs)
+    simulator, workspace, disk = Simulator(), Workspace(tmp_path / "system"), MortalDisk(when="after")
+    workspace.path.mkdir()
+
+    async def main() -> None:
+        first = Manager(START, simulator, workspace, programs, disk=disk)
+        await first.up()
+        disk.dies_at = disk.writes + 5  # in the midst of it
+        await until_killed(first, first.change(PlanRequest(to=REPLACED)), disk)
+        with suppress(Killed):
+            await first.close()
+        assert disk.dead
+        await asyncio.sleep(1)
+        disk.revive()
+        (programs / "new_talker.py").write_text("raise SystemExit('no camera')\n")
+        options = SystemOptions(finish_interrupted=True)
+        second = Manager(
+            disk.saved(workspace).specification, simulator, workspace, programs, options=options, disk=disk
+        )
+        await second.up()
+        try:
+            await asyncio.sleep(1)
+            await assert_whole(second, simulator, disk, START)
+            notes = [event.words for event in second.log() if "cannot be finished" in event.words]
+            assert len(notes) == 1 and "was interrupted, and cannot be finished: " in notes[0]
+            assert (await second.history(99)).changes[1].outcome == "rolled_back"
+        finally:
+            await second.close()
+
+    simulator.run(main())

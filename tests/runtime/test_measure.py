@@ -9,7 +9,7 @@ import pytest
 from msgspec import structs
 
 from midstride.codec.form import encode
-from midstride.runtime.records.measure import Observation, SwapReport, report
+from midstride.runtime.records.measure import Observation, SwapReport, _assign, _phase, report
 from midstride.wire.replies import Receipt
 
 MS = 1_000_000
@@ -392,3 +392,39 @@ def test_the_new_one_is_not_charged_with_what_an_old_one_wrote_that_was_silent_a
         recorder.write("new", slot)
     assert recorder.observe(10, 60, last=70, known=known).lost is None
     assert recorder.observe(10, 60, last=10, known=known).lost is None
+
+
+# -- slots and phases, without a swap --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("late", [0.0, 0.3, 0.6])
+def test_the_phase_of_a_publisher_is_at_the_early_end_of_its_jitter(late: float) -> None:
+    """However late a message now and then is: less than half a period off, it would be in another slot."""
+    rng = random.Random(1)
+    sources = [round(slot * PERIOD) + rng.randrange(2 * MS) for slot in range(50)]
+    sources[20] += round(late * PERIOD)
+    for offset in (0, 3 * MS, 19 * MS):
+        phase = _phase([source + offset for source in sources], PERIOD) - offset
+        assert 0 <= phase % PERIOD < 2 * MS
+
+
+@pytest.mark.parametrize(
+    ("places", "slots"),
+    [
+        ([0.0, 1.0, 2.0, 3.0], [0, 1, 2, 3]),
+        ([0.0, 1.0, 2.9, 3.0], [0, 1, 2, 3]),  # late, and followed by one on time
+        ([0.0, 1.0, 2.0, 3.9, 4.0], [0, 1, 2, 3, 4]),
+        ([0.0, 1.0, 3.9, 4.0], [0, 1, 3, 4]),  # one is missing before it
+        ([0.0, 1.0, 2.8, 4.0], [0, 1, 2, 4]),  # after a hole: late for the slot before
+        ([0.0, 1.0, 2.8, 3.9, 4.0, 5.0], [0, 1, 2, 3, 4, 5]),  # a burst
+        ([0.0, 1.0, 3.0, 4.0], [0, 1, 3, 4]),  # one is missing
+        ([0.0, 1.0, 3.8, 5.0, 6.0, 7.0], [0, 1, 4, 5, 6, 7]),  # two may be
+    ],
+)
+def test_each_message_of_a_publisher_is_in_the_slot_that_it_was_due_in(places: list[float], slots: list[int]) -> None:
+    on_time = [float(place) for place in range(-40, 0)]  # enough to tell the phase
+    sources = [round(place * PERIOD) for place in [*on_time, *places]]
+    for origin in (0.0, 0.2 * PERIOD, 100.0 * PERIOD):
+        found = list(_assign(sources, origin, PERIOD))[len(on_time) :]
+        shift = -round((origin - 0.2 * PERIOD) / PERIOD) if origin > PERIOD else 0
+        assert found == [slot + shift for slot in slots], origin

@@ -126,6 +126,26 @@ def test_a_process_lists_its_script_and_its_own_modules(helper: Path) -> None:
     assert program.complete
 
 
+@pytest.mark.parametrize("installed", ["under its name", "under its real path", "not at all"])
+def test_a_module_of_the_environment_is_known_by_its_name_and_by_its_real_path(
+    installed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An environment may link to files elsewhere, and a folder of modules may link into an environment."""
+    (tmp_path / "environment").mkdir()
+    (tmp_path / "own").mkdir()
+    name, real = ("environment", "own") if installed == "under its name" else ("own", "environment")
+    if installed == "not at all":
+        name = real = "own"
+    (tmp_path / real / "real.py").touch()
+    path = tmp_path / name / "linked.py"
+    path.symlink_to(tmp_path / real / "real.py")
+    monkeypatch.setattr(node_program, "_environment", lambda: (f"{tmp_path}/environment/",))
+    module = ModuleType("linked")
+    module.__file__ = str(path)
+    listed = [file.path for file in ProgramFiles({"linked": module}, LATER).listed().files]
+    assert listed == ([str(path)] if installed == "not at all" else [])
+
+
 def test_a_file_is_listed_as_it_was_when_it_was_listed_first(helper: Path) -> None:
     files = ProgramFiles(sys.modules, LATER)
     before = files.listed()

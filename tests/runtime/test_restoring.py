@@ -246,6 +246,36 @@ def test_a_restore_that_fails_is_tried_again_later(tmp_path: Path, monkeypatch: 
     in_chain(tmp_path, body)
 
 
+def test_a_manager_that_takes_the_system_down_or_leaves_it_restores_nothing_more(tmp_path: Path) -> None:
+    async def body(chain: Chain) -> None:
+        await fall(chain)
+        chain.manager._restorer.stop()
+        (chain.folder / "silent").unlink()
+        await asyncio.sleep(20.0)
+        assert modes(chain)[1:] == ["degraded"] * 3 and words(chain, "restore") == []
+
+    in_chain(tmp_path, body)
+
+
+def test_how_often_something_has_fallen_is_forgotten_with_its_instance_and_not_before(tmp_path: Path) -> None:
+    """Commands end, and reports come, in between; the next instance begins anew."""
+
+    async def body(chain: Chain) -> None:
+        restorer, ref = chain.manager._restorer, FunctionalityRef("b", "work")
+        for number in (1, 2):
+            await fall(chain)
+            (chain.folder / "silent").unlink()
+            await restored(chain, 10.0)
+            await asyncio.sleep(3.0)  # it is measured
+            assert len(restorer._records[ref].attempts.made) == number
+        ran = restorer._records[ref].attempts
+        assert ran.runs_since is not None and 0.0 < ran.ran < 60.0, "the time between the two falls counts"
+        assert (await chain.manager.change(PlanRequest(restart=("b",)))).outcome == "done"
+        assert ref not in restorer._records
+
+    in_chain(tmp_path, body)
+
+
 def test_a_command_that_restores_comes_first_and_begins_the_count_anew(tmp_path: Path) -> None:
     async def body(chain: Chain) -> None:
         for _ in range(8):

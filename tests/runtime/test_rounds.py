@@ -76,6 +76,26 @@ def test_the_steps_of_one_round_are_taken_at_once_and_each_is_in_the_model_when_
     bench(idle(), tmp_path, body)
 
 
+def test_when_each_step_began_and_how_long_it_took_is_counted_from_the_beginning_of_the_change(tmp_path: Path) -> None:
+    seconds = {"first": 1.0, "second": 3.0, "third": 0.5}
+
+    async def body(b: Bench) -> None:
+        async def end(instance: str, grace: float) -> None:
+            await asyncio.sleep(seconds[instance])
+            await ScriptedBackend.end(b.backend, instance, grace)
+
+        b.backend.end = end  # type: ignore[method-assign]
+        await asyncio.sleep(100.0)
+        await b.carry_out(REMOVALS, Overlap(((0,), (1, 2)), {}))
+        assert [(each.step, round(each.began, 3), round(each.seconds, 3)) for each in b.executor.times] == [
+            (1, 0.0, 1.0),
+            (2, 1.0, 3.0),
+            (3, 1.0, 0.5),
+        ]
+
+    bench(idle(), tmp_path, body)
+
+
 def test_where_one_of_a_round_fails_the_others_end_and_are_undone(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.startable(*OLD.values())

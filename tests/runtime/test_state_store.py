@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from immutables import Map
+from msgspec import structs
 
 from midstride.errors import ManagerError
 from midstride.model.component import ComponentSpec, Connector, EnvironmentGuarantee, Resource
@@ -85,6 +86,9 @@ def test_a_later_up_adds_to_what_an_earlier_one_was_given() -> None:
     assert sim_time.with_(NO_OPTIONS) == sim_time and untouched.with_(NO_OPTIONS) == untouched
     assert sim_time.with_(untouched) == untouched.with_(sim_time) == SystemOptions(True, False)
     assert not SystemOptions(diagnostics=False).with_(NO_OPTIONS).diagnostics
+    for name, asked in [("finish_interrupted", True), ("keep_degraded", True), ("diagnostics", False), ("spares", 2)]:
+        once = structs.replace(NO_OPTIONS, **{name: asked})
+        assert once.with_(NO_OPTIONS) == NO_OPTIONS.with_(once) == once.with_(once) == once
 
 
 def test_what_was_written_is_found(path: Path) -> None:
@@ -231,6 +235,18 @@ def test_a_manager_after_which_another_has_taken_over_saves_nothing_more(path: P
     second.delete()
     second.begin("sim", "another token", SPECIFICATION)
     assert second.unwritten is None
+
+
+def test_what_was_refused_to_a_manager_is_not_written_to_a_database_that_it_begins_anew(path: Path) -> None:
+    first, second = begun(path), StateStore(path)
+    second.take_over()
+    first.write_instance(TALKER, HANDLE)
+    assert first.superseded
+    second.close()
+    first.forget()
+    first.begin("sim", "a token", SPECIFICATION)
+    found = StateStore(path).load()
+    assert first.unwritten is None and found is not None and found.instances == ()
 
 
 def test_a_manager_that_was_killed_before_it_could_start_anything_left_nothing(path: Path) -> None:
@@ -403,6 +419,14 @@ def test_a_state_that_makes_no_sense_says_so(path: Path, statement: str, why: st
     words = str(raised.value)
     assert words.startswith(f"cannot read {path}: ") and "Error" not in words
     assert "they keep running" in words and f"{path.parent / 'components'}), then remove the file" in words
+
+
+def test_what_has_been_written_is_not_written_again(path: Path) -> None:
+    store = begun(path)
+    insert = "INSERT OR REPLACE INTO instances"
+    assert statements(store, lambda: store.write_instance(TALKER, HANDLE)) == [insert]
+    [deleted] = statements(store, lambda: store.remove_instance("listener"))
+    assert deleted.startswith("DELETE FROM instances")
 
 
 def test_a_write_costs_a_row_whatever_the_size_of_the_system(path: Path) -> None:

@@ -31,6 +31,13 @@ def test_the_workspace_is_a_private_folder_named_after_the_system(runtime_folder
     assert stat.S_IMODE(workspace.path.stat().st_mode) == 0o700
 
 
+def test_the_folder_of_logs_is_there_and_private_when_it_is_asked_for() -> None:
+    workspace = Workspace.of("patrol")
+    for _ in range(2):
+        assert stat.S_IMODE(workspace.logs.stat().st_mode) == 0o700
+    assert workspace.manager_log.parent == workspace.logs == workspace.path / "logs"
+
+
 @pytest.mark.parametrize("name", ["", "../patrol", "a/b", ".hidden"])
 def test_a_name_that_is_no_folder_is_refused(name: str) -> None:
     with pytest.raises(ManagerError, match="cannot name a running system"):

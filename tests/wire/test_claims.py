@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from midstride.wire.claims import FileClaim
 from midstride.wire.pipe import PipeClaim, PipeNetwork
 from midstride.wire.sockets import SocketFolder
@@ -105,6 +107,19 @@ def test_a_claim_is_given_back_while_a_forked_child_lives_and_not_by_that_child(
         "False",
         "True",
     ]
+
+
+def test_a_forked_child_closes_the_file_and_leaves_the_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As above, in one process: a second descriptor is that of the parent."""
+    claim, other = FileClaim(tmp_path / "claims", "cut"), FileClaim(tmp_path / "claims", "cut")
+    assert claim.take() and claim._descriptor is not None
+    of_the_parent = os.dup(claim._descriptor)
+    with monkeypatch.context() as child:
+        child.setattr(os, "getpid", lambda: -1)
+        claim.give_back()
+    assert not other.take()
+    os.close(of_the_parent)
+    assert other.take()
 
 
 def test_a_claim_costs_a_descriptor_until_it_is_given_back(tmp_path: Path) -> None:

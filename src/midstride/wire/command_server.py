@@ -40,7 +40,6 @@ class _Client:
         self._state: frames.StateChanged | None = None
         self._arrived = asyncio.Event()
         self.flushed = asyncio.Event()
-        self.flushed.set()
 
     def put(self, frame: frames.Frame) -> None:
         """Send ``frame`` after earlier ones; a state replaces an earlier one that is not yet sent."""

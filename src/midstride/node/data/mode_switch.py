@@ -191,8 +191,6 @@ class ModeSwitch:
             runner.stop_calls()
             runner.enter_mode(index, self.because, reflex=self.reflex, conditional=self.conditional)
             self.at = runner.since
-        if self.hold is not None:
-            self.hold.release()
         self.ended()
         for runner in moved:
             runner.start_calls()

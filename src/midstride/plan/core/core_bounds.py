@@ -155,7 +155,7 @@ class RoleBounds:
                         more[3] - this.old[resource],
                     ),
                 )
-        return queue[0][0] if queue else 0.0
+        return queue[0][0]  # more sets are left: there are 2**n - 1, which is never the number of those looked at
 
     def _least(self, place: int, own: int) -> float:
         """The least cost of the actions of one role that are not in ``own``, in any order."""

@@ -1,0 +1,40 @@
+"""An attachment of an output: what its gate and its fence let pass, and how that is counted."""
+
+from __future__ import annotations
+
+import pytest
+
+from midstride.node.author.ports import OutputLink
+from tests.node.test_cut import Owner, link_of, write
+
+
+def passing(link: OutputLink) -> tuple[bool, bool, bool]:
+    return link.fenced, link.lets_pass, link.is_live
+
+
+@pytest.mark.parametrize("open_", [True, False])
+def test_nothing_passes_a_fence_however_the_gate_is_set_and_it_is_not_counted_as_sent(open_: bool) -> None:
+    link, published = link_of(Owner())
+    link.set_gate(True)
+    write(link, "before")
+    link.fence(True)
+    assert passing(link) == (True, False, False)
+    link.set_gate(open_)
+    write(link, "fenced")
+    write(link, "fenced")
+    assert (published, link.count, link.gated) == (["before"], 1, 2)
+    link.fence(False)
+    link.set_gate(True)
+    write(link, "after")
+    assert passing(link) == (False, True, True)
+    assert (published, link.count, link.gated) == (["before", "after"], 2, 2)
+
+
+def test_the_last_message_that_the_gate_has_held_back_is_written_for_late_joiners() -> None:
+    link, published = link_of(Owner())
+    assert not link.write_last_gated() and published == []
+    write(link, "first")
+    write(link, "last")
+    assert (published, link.gated) == ([], 2)
+    assert link.write_last_gated()
+    assert (published, link.count) == (["last"], 1)

@@ -1,0 +1,90 @@
+"""In which ways an instance is not as specified, in the words of its status."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from immutables import Map
+from msgspec import structs
+
+from midstride.model.component import FunctionalityRef
+from midstride.model.configuration import Configuration
+from midstride.model.specification import Node, Specification
+from midstride.runtime.records.status_forms import FunctionalityStatus, PortStatus
+from midstride.runtime.view.instance_status import _deviations
+from midstride.runtime.view.watched_system import Baseline
+from tests.model.build import work
+from tests.runtime.scripted import TALKER, instance, reported
+
+RUNNING = instance("talker_2", TALKER, "talker")
+STATE = reported(RUNNING)
+WORK = FunctionalityStatus(
+    name="work",
+    mode="normal",
+    modes=["normal", "degraded"],
+    modelled="normal",
+    normal=True,
+    because=None,
+    reflex=False,
+    restoring=None,
+    since=None,
+)
+OUT = PortStatus(
+    name="out",
+    direction="out",
+    functionalities=["work"],
+    topic="/chatter",
+    type=None,
+    gate="open",
+    declared=10.0,
+    rate=10.0,
+    met=True,
+    age=0.0,
+    jitter=0.0,
+    longest=0.1,
+)
+
+
+def specified(component: str = "Talker", role: str = "talker", level: int = 0) -> Baseline:
+    specification = Specification("chat", nodes=Map({role: Node(role, component, Map())}))
+    modes: dict[FunctionalityRef, int] = {work(role): level}
+    return Baseline(specification, Configuration(modes=Map(modes)))
+
+
+def deviations(baseline: Baseline, state: Any = STATE, work: Any = WORK, port: Any = OUT) -> list[str]:
+    return list(_deviations(RUNNING, state, [work], [port], baseline))
+
+
+def test_one_that_is_as_specified_does_not_deviate() -> None:
+    assert deviations(specified()) == []
+
+
+@pytest.mark.parametrize(
+    ("baseline", "changes", "words"),
+    [
+        (specified(), {"state": None}, "it does not answer"),
+        (specified(), {"state": structs.replace(STATE, waiting="for /clock")}, "it is waiting: for /clock"),
+        (specified(role="other"), {}, "the specification does not have it"),
+        (specified("Camera"), {}, "the specification has Camera there"),
+        (specified(), {"state": structs.replace(STATE, differences=["it has no out"])}, "it has no out"),
+        (specified(), {"work": structs.replace(WORK, mode="degraded")}, "work is in mode degraded"),
+        (specified(level=1), {"work": structs.replace(WORK, mode="unknown")}, "work is in mode unknown"),
+        (specified(), {"port": structs.replace(OUT, met=False)}, "out publishes less than declared"),
+        (specified(), {"port": structs.replace(OUT, met=False, direction="in")}, "out receives less than declared"),
+    ],
+)
+def test_each_way_in_which_it_deviates_is_said(baseline: Baseline, changes: dict[str, Any], words: str) -> None:
+    assert deviations(baseline, **changes) == [words]
+
+
+@pytest.mark.parametrize(
+    ("level", "changes"),
+    [
+        (1, {"work": structs.replace(WORK, mode="degraded")}),  # the system does not allow a better one
+        (0, {"port": structs.replace(OUT, met=None)}),  # nothing is known yet
+        (0, {"port": structs.replace(OUT, met=False, gate="closed")}),  # it waits for its cut
+    ],
+)
+def test_what_is_as_good_as_it_can_be_is_no_deviation(level: int, changes: dict[str, Any]) -> None:
+    assert deviations(specified(level=level), **changes) == []
