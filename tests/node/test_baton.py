@@ -29,7 +29,7 @@ class Slot(SharedSlot):
 
 
 @pytest.mark.parametrize(
-    ("slot", "inherits", "steps"),
+    ("slot", "reclaimed", "steps"),
     [
         (Slot(holder=ME), True, [BatonStep.FENCE]),  # it has come back, and no other node can take it any more
         (Slot(holder=OTHER), False, []),  # that may still be writing, and is not disturbed
@@ -37,9 +37,9 @@ class Slot(SharedSlot):
     ],
 )
 def test_the_old_side_writes_again_only_once_it_has_the_baton_back(
-    slot: Slot, inherits: bool, steps: list[BatonStep]
+    slot: Slot, reclaimed: bool, steps: list[BatonStep]
 ) -> None:
-    assert slot.inherit() is inherits
+    assert slot.reclaim_freed() is reclaimed
     assert slot.steps == steps
 
 

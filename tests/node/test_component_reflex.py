@@ -226,7 +226,7 @@ def test_it_wakes_as_soon_as_a_condition_has_turned_and_else_after_its_pause() -
         scene.runner.inputs = (condition,)
         assert await scene.reflex._pause(0.5) is False
         assert seconds() == pytest.approx(0.5 + LONGEST)
-        asyncio.get_running_loop().call_later(0.02, scene.reflex._turn.set)
+        asyncio.get_running_loop().call_later(0.02, scene.reflex._changed.set)
         assert await scene.reflex._pause(0.5) is True
         assert seconds() == pytest.approx(0.5 + LONGEST + 0.02 + SETTLING)
         assert await scene.reflex._pause(0.05) is False

@@ -118,7 +118,7 @@ def test_without_outputs_the_old_side_watches_only_where_it_is_wanted_again(want
         assert task.outcome == "done"
         await asyncio.sleep(20 * SLOW_TICK)
         assert running.done() is not wanted
-        rights.inherits = True
+        rights.frees = True
         await asyncio.sleep(2 * SLOW_TICK)
         assert running.done() and task.outcome == ("resumed" if wanted else "done")
 

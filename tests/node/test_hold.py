@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from .author import Bench, simulate
 
 NODE = """
@@ -110,5 +112,40 @@ def test_what_is_not_there_cannot_be_held(tmp_path: Path) -> None:
         await bench.start("node", NODE)
         refused = await bench.refusal("node", "hold", functionalities=["c"], seconds=1.0)
         assert refused == "there is no functionality c; the functionalities are: a, b"
+
+    simulate(tmp_path, main)
+
+
+LONG = """
+import time
+from midstride import Component
+
+comp = Component("node")
+a = comp.create_functionality("a")
+
+def calibrate():
+    print("it begins")
+    time.sleep(3.0)
+    print("it is done")
+
+a.set_normal_mode(calibrate)
+a.set_degraded_mode(lambda: None)
+comp.start()
+"""
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_mode_change_is_answered_before_the_first_call_of_the_new_mode_has_returned(
+    tmp_path: Path, held: bool
+) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start("node", LONG)
+        if held:
+            await bench.send("node", "hold", functionalities=["a"], seconds=10.0)
+        begun = bench.simulator.clock.steady()
+        await bench.mode("node", "a", "normal")
+        assert bench.simulator.clock.steady() - begun < 0.5
+        await bench.sleep(3.1)
+        assert bench.log("node")[-2:] == ["it begins", "it is done"]
 
     simulate(tmp_path, main)

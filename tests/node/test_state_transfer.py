@@ -14,7 +14,7 @@ from midstride.node.author.ports import OutputLink
 from midstride.node.component_host import MessageInfo
 from midstride.node.data.functionality_runner import Admission, Call
 from midstride.node.handover.state_transfer import REPORT_INTERVAL, TICK, StateExport, StateImport
-from midstride.node.service_gate import ServiceGate
+from midstride.node.request_admission import RequestAdmission
 from midstride.wire.commands import Command, FetchStateCommand, StateTransfer
 from midstride.wire.frames import Reply, encode_value
 from midstride.wire.replies import Confirmed, FetchedState
@@ -61,7 +61,7 @@ def transfer(at: float = 0.0, **more: Any) -> StateTransfer:
 
 
 def answering() -> Any:
-    return SimpleNamespace(gate=ServiceGate(lambda: 0), take_over=lambda *_: None, pause=lambda: False)
+    return SimpleNamespace(admission=RequestAdmission(lambda: 0), take_over=lambda *_: None, pause=lambda: False)
 
 
 def importing(

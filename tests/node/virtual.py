@@ -51,7 +51,7 @@ class Rights:
     settled: bool = True
     passed_on: bool = False
     reclaims: bool = False
-    inherits: bool = False
+    frees: bool = False
     asked: int = 0
     left_at: float | None = None
     shared: list[str] = field(default_factory=list)
@@ -78,8 +78,8 @@ class Rights:
     def reclaim(self) -> bool:
         return self.reclaims
 
-    def inherit(self) -> bool:
-        return self.inherits
+    def reclaim_freed(self) -> bool:
+        return self.frees
 
     def leave(self) -> None:
         self.left_at = seconds()

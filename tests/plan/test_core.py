@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks._conflict_core_systems import FUNCTIONALITIES, TIED, instance
 from midstride.errors import PlanRefused
+from midstride.model.action import Handover
 from midstride.model.component import FunctionalityRef
 from midstride.model.specification import Keep, Limit, Order, Specification, initial
 from midstride.plan.change import Change
@@ -155,6 +156,31 @@ def test_an_output_takes_over_the_exclusive_topic_of_another_node_without_a_gap(
     state = SearchState.at_start(PlanBuilder.at_start(levels), [])
     plans = [[type(step.action).__name__ for step in plan.steps] for plan in plans_along(state, core.moves)]
     assert plans and all("Handover" in plan and "Detach" not in plan for plan in plans)
+
+
+def test_two_outputs_take_over_from_two_others_on_a_topic_that_is_full() -> None:
+    names = ("a", "b", "c", "d")
+    components = [*(work(name.upper(), outputs=["out"]) for name in names), work("User", inputs=["in"])]
+
+    def writing(*writers: str) -> Specification:
+        nodes = {name: (name.upper(), {"out": "/x"} if name in writers else {}) for name in names}
+        return system(components, {**nodes, "user": ("User", {"in": "/x"})}, caps={"/x": 2})
+
+    keep = Keep(FunctionalityRef("user", "work"), "normal")
+    levels = Levels(between((writing("a", "b"), replace(writing("c", "d"), constraints=(keep,)))))
+    core = search_core(levels, (keep,), Budget())
+    assert core.moves is not None
+    assert [sorted(op.kind for op in move) for move in core.moves] == [["attach", "attach", "detach", "detach"]]
+    state = SearchState.at_start(PlanBuilder.at_start(levels), [])
+    for plan in plans_along(state, core.moves):
+        swaps = [swap for step in plan.steps if isinstance(step.action, Handover) for swap in step.action.swaps]
+        assert {swap.old.instance for swap in swaps} == {"a", "b"} and {swap.new.instance for swap in swaps} == {
+            "c",
+            "d",
+        }
+        break
+    else:
+        pytest.fail("there is no plan along the core")
 
 
 def test_where_an_order_waits_for_an_output_to_leave_its_topic_that_is_a_step_of_the_search() -> None:

@@ -80,9 +80,9 @@ def test_when_each_step_began_and_how_long_it_took_is_counted_from_the_beginning
     seconds = {"first": 1.0, "second": 3.0, "third": 0.5}
 
     async def body(b: Bench) -> None:
-        async def end(instance: str, grace: float) -> None:
+        async def end(instance: str, stop: StopTimes) -> list[RemainingProcess]:
             await asyncio.sleep(seconds[instance])
-            await ScriptedBackend.end(b.backend, instance, grace)
+            return await ScriptedBackend.end(b.backend, instance, stop)
 
         b.backend.end = end  # type: ignore[method-assign]
         await asyncio.sleep(100.0)

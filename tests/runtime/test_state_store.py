@@ -243,7 +243,7 @@ def test_what_was_refused_to_a_manager_is_not_written_to_a_database_that_it_begi
     first.write_instance(TALKER, HANDLE)
     assert first.superseded
     second.close()
-    first.forget()
+    first.delete()
     first.begin("sim", "a token", SPECIFICATION)
     found = StateStore(path).load()
     assert first.unwritten is None and found is not None and found.instances == ()

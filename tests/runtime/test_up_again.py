@@ -67,6 +67,30 @@ async def whole(manager: Manager, simulator: Simulator, report: UpReport) -> Non
     assert all(row.normal for each in status.instances for row in each.functionalities)
 
 
+def test_an_earlier_manager_saves_nothing_more_once_the_next_one_looks_at_what_runs(tmp_path: Path) -> None:
+    """What that one finds would not be so any more."""
+    simulator, specification, workspace = Simulator(), example("filter"), Workspace(tmp_path)
+    superseded: list[bool] = []
+
+    async def main() -> None:
+        first = Manager(specification, simulator, workspace, EXAMPLES / "filter")
+        await first.up()
+        second = Manager(saved(workspace).specification, simulator, workspace, EXAMPLES / "filter")
+        adopt = second._launcher.adopt
+
+        async def looking(*arguments: Any, **options: Any) -> Any:
+            superseded.append(first._store.superseded)
+            return await adopt(*arguments, **options)
+
+        second._launcher.adopt = looking  # type: ignore[method-assign]
+        await second.up()
+        await second.close()
+        await first.close()
+
+    simulator.run(main())
+    assert superseded == [True] * 3
+
+
 @pytest.mark.parametrize(
     "killed",
     [("source",), ("filter",), ("sink",), ("source", "filter"), ("filter", "sink"), ("source", "filter", "sink")],
