@@ -50,6 +50,7 @@ class Rights:
     refused: bool = False
     settled: bool = True
     passed_on: bool = False
+    is_overtaken: bool = False
     reclaims: bool = False
     frees: bool = False
     asked: int = 0
