@@ -69,6 +69,8 @@ class Launched:
         )
         self._Node__ros_arguments = stated.get("ros_arguments")
         self._ExecuteLocal__respawn = stated.get("respawn", False)
+        self._ExecuteLocal__sigterm_timeout = stated.get("sigterm_timeout", ["5"])
+        self._ExecuteLocal__sigkill_timeout = stated.get("sigkill_timeout", ["5"])
 
     def _perform_substitutions(self, _: object) -> None:
         pass
@@ -98,7 +100,10 @@ def test_what_is_stated_of_a_process_is_not_lost_without_a_word(
     monkeypatch.setitem(sys.modules, "launch_ros", SimpleNamespace(actions=ros_actions))
     monkeypatch.setitem(sys.modules, "launch_ros.actions", ros_actions)
     visitor = _Visitor({}, "")
+    visitor.visit(Launched(sigterm_timeout=["1", "2.5"], sigkill_timeout=["soon"]))
+    assert visitor.nodes.pop()["stop"] == {"sigterm": 12.5}
     visitor.visit(Launched(**stated))
+    assert visitor.nodes[-1]["stop"] == {}
     assert visitor.left == ([] if option is None else [("unsupported", f"`{option}` of `a` is left out")])
     del visitor.left[:]
     context.environment = {"KEPT": "1", "NEW": "2"}

@@ -12,7 +12,7 @@ from midstride.codec.component_form import decode_component, encode_component
 from midstride.codec.reading import parse_json
 from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import SpecificationError
-from midstride.model.component import Connector, InputAlternatives
+from midstride.model.component import Connector, InputAlternatives, StopTimes
 from midstride.model.contract import Interval, OneOf
 from midstride.model.diagnostics import Problem
 from midstride.model.specification import Order
@@ -33,6 +33,7 @@ DOCUMENT: dict[str, Any] = {
         "Detector": {
             "run": "python3 -m patrol.detector --name 'the detector'",
             "takes_seconds": 2.5,
+            "stop_seconds": {"sigterm": 10, "sigkill": 0.5},
             "holds": {"/dev/video0": 1, "gpu_memory": 2048},
             "parameters": {
                 "model": {"value": "small.onnx"},
@@ -117,6 +118,7 @@ def test_the_form_says_what_it_shows() -> None:
     }
     assert specification.nodes["robot1/detector"].role == "robot1/detector"
     assert detector.startup_seconds == 2.5
+    assert detector.stop == StopTimes(10.0, 0.5)
     assert dict(specification.timing) == {"attach": 0.05, "create": 0.5}
 
 

@@ -37,7 +37,7 @@ class SimulatedNode:
     """A node that takes 20 ms for each transition. ``events`` is that of all nodes of a system.
 
     ``refuses`` and ``hangs`` have transitions; ``rejects``: by parameter, why it cannot be set. ``ends_on``: the signal
-    on which its process ends; on None of them, it has to be killed.
+    on which its process ends; on None of them, it has to be killed. ``slow``: how long a transition takes besides (s).
     """
 
     instance: str
@@ -48,6 +48,7 @@ class SimulatedNode:
     rejects: dict[str, str] = field(default_factory=dict)
     state: str = UNCONFIGURED
     hung: bool = False
+    slow: dict[str, float] = field(default_factory=dict)
     ends_on: str | None = "SIGINT"
     closed: bool = False
 
@@ -67,7 +68,10 @@ class SimulatedNode:
     async def transition(self, name: str, state: str, timeout: float) -> bool:
         self.hung |= name in self.hangs
         await self._answers(timeout)
-        await asyncio.sleep(0.02)
+        if (seconds := self.slow.get(name, 0.0)) > timeout:
+            await asyncio.sleep(timeout)
+            raise NoAnswer(f"{self.instance} has not answered within {timeout:g} s")
+        await asyncio.sleep(0.02 + seconds)
         if name in self.refuses:
             return False
         self.state = _AFTER[name]

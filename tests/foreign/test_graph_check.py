@@ -13,6 +13,7 @@ import pytest
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import CommandRefused
 from midstride.foreign import gated_agent as agent_module
+from midstride.foreign import graph_check
 from midstride.foreign.gated_agent import ForeignAgent
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import DeclaredEndpoints, GraphEndpoint
@@ -130,6 +131,25 @@ def test_what_is_lacking_is_named_with_what_there_is_instead(
     assert declared.lacking([IN, *found], ["out"]) == [LACKING + instead]
 
 
+def test_what_is_lacking_is_named_with_how_long_it_was_waited_and_what_to_state(component: ComponentSpec) -> None:
+    late = "if it takes longer to start, state `takes 40 s` after its `run` command"
+    declared = DeclaredEndpoints(component, TOPICS, "/robot/node")
+    lazy = "; if the topic exists only while something subscribes to it, state `output out lazy`"
+    assert declared.lacking([IN], ["out"], 20.0) == [f"{LACKING}, 20 s after its start; {late}{lazy}"]
+    assert declared.lacking([OUT], ["in"], 20.0) == [
+        f"node /robot/node has no subscription to /image, the topic of input in of Thing, 20 s after its start; {late}"
+    ]
+    # Where the topic has another name, no time helps.
+    assert declared.lacking([IN, CHATTER], ["out"], 20.0) == declared.lacking([IN, CHATTER], ["out"])
+
+
+def test_what_is_lazy_need_not_be_shown(component: ComponentSpec) -> None:
+    declared = DeclaredEndpoints(component, TOPICS, "/node")
+    assert not declared.shown([IN])
+    lazy = replace(declared, component=replace(component, lazy=frozenset({"out"})))
+    assert lazy.shown([IN]) and not lazy.shown([OUT])
+
+
 def test_topics_that_are_no_ports_are_listed(component: ComponentSpec) -> None:
     clock = GraphEndpoint(False, "/clock", "rosgraph_msgs/msg/Clock", LOOSE)
     heard = GraphEndpoint(False, "/chat", OUT.type, LATCHED)  # its own output
@@ -185,7 +205,7 @@ def refuses(
     """A node that the gate sees nothing of, and the graph ``found``, is refused; how often it was asked meanwhile."""
     monkeypatch.setattr(agent_module, "SETTLED", 0.0)
     monkeypatch.setattr(agent_module, "HEARTBEAT", 0.01)
-    monkeypatch.setattr(agent_module, "ENDPOINTS_TIMEOUT", 1e9 if answers else patience)
+    monkeypatch.setattr(graph_check, "ENDPOINTS_TIMEOUT", 1e9 if answers else patience)
     page = Page(tmp_path / "page", gate_library)
     gates = Gates(page, page.allocate("node"), TALKER)
     gates.prepare({"out": "/chat"})

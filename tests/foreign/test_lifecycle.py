@@ -166,6 +166,27 @@ def test_one_that_does_not_make_a_transition_is_not_let_in(
     managed(tmp_path, body, {"Other": behaviour})
 
 
+@pytest.mark.parametrize("transition", ["configure", "activate"])
+@pytest.mark.parametrize("is_stated", [False, True])
+def test_a_slow_transition_has_the_time_that_is_stated(transition: str, is_stated: bool, tmp_path: Path) -> None:
+    """Unstated, the message says how long it has been waited, and what to state."""
+    behaviour: dict[str, Any] = {"Other": {"slow": {transition: 14.0}}}
+    word, waited = ("takes", 12) if transition == "configure" else ("activate", 5)
+    text = TEXT.replace(" gate lifecycle", f" {word} 20 s gate lifecycle") if is_stated else TEXT
+
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        outcome = await manager.change(REPLACE)
+        if is_stated:
+            assert (outcome.outcome, outcome.because) == ("done", None)
+            return await settled(manager, outcome, ["listener", "talker_2"], simulator)
+        assert outcome.outcome == "rolled_back"
+        words = f"talker_2 has not answered `{transition}` within {waited} s; it was "
+        assert words in str(outcome.because)
+        assert f"(if it needs longer, state `{word} {2 * waited} s` after its `run` command)" in str(outcome.because)
+
+    simulated.managed(tmp_path, text, body, behaviour)
+
+
 @pytest.mark.parametrize("during", ["configure", "activate"])
 def test_one_whose_process_ends_in_a_transition_is_not_let_in(during: str, tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: SimulatedRos) -> None:
@@ -273,7 +294,7 @@ def test_a_transition_that_was_begun_before_is_waited_for() -> None:
     [
         ("finalized", "active", {}, "talker cannot become active: it is finalized, so replace it"),
         ("activating", "active", {}, "talker cannot become active: it stays in state activating"),
-        ("unconfigured", "inactive", {"hangs": {"configure"}}, "not answered `configure` within 20 s"),
+        ("unconfigured", "inactive", {"hangs": {"configure"}}, "not answered `configure` within 32 s"),
         ("inactive", "finalized", {"hangs": {"cleanup"}}, "not answered `cleanup` within 5 s; it was inactive before"),
         ("unconfigured", "finalized", {"refuses": {"shutdown"}}, "`shutdown` with a failure; it is unconfigured"),
         ("active", "inactive", {"hung": True}, "talker cannot become inactive: talker has not answered within 2 s"),

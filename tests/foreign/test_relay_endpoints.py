@@ -15,8 +15,8 @@ import pytest
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import CallTimeout, NodeError
 from midstride.foreign import relay_endpoints
-from midstride.foreign.graph_check import GraphEndpoint
-from midstride.foreign.relay_endpoints import ADVERTISES, ENDPOINTS_TIMEOUT, ProgramEndpoints
+from midstride.foreign.graph_check import ENDPOINTS_TIMEOUT, GraphEndpoint
+from midstride.foreign.relay_endpoints import ADVERTISES, ProgramEndpoints
 from midstride.foreign.relayed_program import RelayOrder, private_topics
 from midstride.lang.load import load
 from midstride.model.contract import QoS
@@ -131,9 +131,36 @@ def test_one_that_takes_no_notice_of_its_name_is_refused(tmp_path: Path, time: T
     assert ENDPOINTS_TIMEOUT <= time.now < ENDPOINTS_TIMEOUT + 0.2
 
 
-def test_an_endpoint_that_never_comes_is_named(tmp_path: Path, time: Time) -> None:
-    with pytest.raises(NodeError, match=f"has no publisher on {PRIVATE}, the topic of output out of Throttle; it publ"):
-        endpoints(tmp_path, time, lambda _: [subscribed("/chat"), published("/other")]).wait()
+@pytest.mark.parametrize(("startup", "waited"), [(None, 20), (40.0, 60)])
+def test_an_endpoint_that_never_comes_is_named_with_how_long_it_was_waited_and_what_to_state(
+    tmp_path: Path, time: Time, startup: float | None, waited: int
+) -> None:
+    program = endpoints(tmp_path, time, lambda _: [subscribed("/chat")])
+    program = replace(program, component=replace(program.component, startup_seconds=startup))
+    with pytest.raises(NodeError) as raised:
+        program.wait()
+    assert str(raised.value) == (
+        f"node /throttle has no publisher on {PRIVATE}, the topic of output out of Throttle, {waited} s "
+        "after its start; "
+        f"if it takes longer to start, state `takes {2 * waited} s` after its `run` command; "
+        "if the topic exists only while something subscribes to it, state `output out lazy`"
+    )
+    assert waited <= time.now < waited + 0.2
+
+
+def test_an_endpoint_that_comes_within_the_time_that_is_stated_is_waited_for(tmp_path: Path, time: Time) -> None:
+    def graph(now: float) -> Sequence[GraphEndpoint]:
+        return [published(PRIVATE), subscribed("/chat")] if now > 25 else []
+
+    program = endpoints(tmp_path, time, graph)
+    replace(program, component=replace(program.component, startup_seconds=40.0)).wait()
+    assert 25 < time.now < 25.2
+
+
+def test_a_lazy_output_is_not_waited_for(tmp_path: Path, time: Time) -> None:
+    program = endpoints(tmp_path, time, lambda _: [subscribed("/chat")])
+    replace(program, component=replace(program.component, lazy=frozenset({"out"}))).wait()
+    assert time.now < 0.2
 
 
 def test_a_program_that_has_exited_is_not_waited_for(tmp_path: Path, time: Time) -> None:

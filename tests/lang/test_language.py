@@ -13,7 +13,7 @@ from immutables import Map
 from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.lang import Loaded, load, load_text, render
 from midstride.lang.printer import format_text
-from midstride.model.component import InputAlternatives, NodeEndpoint, ParameterSpec
+from midstride.model.component import InputAlternatives, NodeEndpoint, ParameterSpec, StopTimes
 from midstride.model.contract import Interval, OneOf, Predicate, QoS
 from midstride.model.specification import Keep, Limit, Order, Specification, initial
 from midstride.model.specification_checks import check
@@ -105,6 +105,20 @@ component Listener {
   functionality listen { uses in   mode normal { assume in }   mode deaf { } }
 }
 """
+
+
+def test_how_a_program_starts_and_ends_is_stated() -> None:
+    words = "takes 40 s activate 8 s stop sigterm 10 s sigkill 500 ms gate lifecycle"
+    text = "system s\n" + BODY.replace("takes 1500 ms", words).replace("output out", "output out as chat lazy")
+    talker = meant(text).components["Talker"]
+    assert (talker.startup_seconds, talker.activate_seconds, talker.gate) == (40.0, 8.0, "lifecycle")
+    assert (talker.stop, talker.topics) == (StopTimes(10.0, 0.5), Map(out="chat"))
+    assert talker.lazy == {"out"}
+    # What is not stated is as in ROS launch; an output is one part, which `like` replaces whole.
+    child = 'component Child like Talker { run "child" stop sigkill 1 s gate preload   output out }\n'
+    found = meant(text + child).components["Child"]
+    assert (found.stop, found.activate_seconds, found.lazy) == (StopTimes(5.0, 1.0), None, frozenset())
+    assert meant(text + "component Same like Talker").components["Same"].lazy == {"out"}
 
 
 def test_namespaces_resolve_as_in_ros() -> None:

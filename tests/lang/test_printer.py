@@ -42,7 +42,7 @@ system   s  # name
 component   C   # heading
 { # brace
 # first
-run "x"   takes 2s
+run "x"   takes 2s stop  sigterm 1s sigkill 500ms
   holds a 1 b 2,c
       parameters {changeable a=1 b=[1 2,3],
 
@@ -72,7 +72,7 @@ NEAT = """system s    # name
 component C {   # heading
   # brace
   # first
-  run "x" takes 2 s
+  run "x" takes 2 s stop sigterm 1 s sigkill 500 ms
   holds a 1, b 2, c
   parameters {
     changeable a = 1, b = [1, 2, 3]

@@ -8,10 +8,12 @@ from pathlib import Path
 import pytest
 
 from midstride.errors import SpecificationError
+from midstride.lang.load import load_text
 from midstride.lang.source_files import INCLUDE_PATH
 from midstride.launch_files import interpreter, python_files
 from midstride.launch_files.findings import UnknownValue
 from midstride.launch_files.launch_import import import_launch_file
+from midstride.model.component import StopTimes
 from tests.launch_files.support import commands, imported, kinds, of_xml, specification
 
 XML = """<launch>
@@ -235,6 +237,7 @@ def test_what_cannot_be_taken_over_is_reported_at_its_line(tmp_path: Path) -> No
         ('respawn="true" respawn_delay="nan"', "", "unsupported", "`nan` is not a number from 0"),
         ('respawn="true" respawn_delay="-1"', "", "unsupported", "`-1` is not a number from 0"),
         ('respawn="true" respawn_max_retries="many"', "", "unsupported", "`respawn_max_retries` of a node is left out"),
+        ('sigterm_timeout="soon"', "", "unsupported", "`sigterm_timeout` of a node is left out"),
         ("", '<param name="far" value="1.0e300"/>', "parameters", "the parameter `far` of `n` cannot be written"),
         ("", '<param name="far" value="9223372036854775807"/>', "parameters", "the parameter `far` of `n` cannot"),
     ],
@@ -253,6 +256,27 @@ def test_numbers_that_are_not_finite_are_written(tmp_path: Path) -> None:
     found = of_xml(tmp_path, f'<node pkg="" exec="n" name="n">{params}</node>')
     assert kinds(found) == []
     assert "far = inf" in found.text and "gains = [-inf, 1.0, nan]" in found.text
+
+
+@pytest.mark.parametrize(
+    ("attributes", "before", "stop"),
+    [
+        ("", "", None),
+        ('sigterm_timeout="12" sigkill_timeout="2.5"', "", StopTimes(12.0, 2.5)),
+        ('sigkill_timeout="$(var patience)"', '<let name="patience" value="9"/>', StopTimes(5.0, 9.0)),
+        ("", '<arg name="sigterm_timeout" default="20"/>', StopTimes(20.0, 5.0)),
+        ('sigterm_timeout="3"', '<let name="sigterm_timeout" value="20"/>', StopTimes(3.0, 5.0)),
+        ("", '<let name="sigkill_timeout" value="soon"/>', None),
+    ],
+    ids=["launch's default", "both", "a variable", "the whole launch", "a node of it", "no number"],
+)
+def test_how_long_a_process_may_take_to_end_is_taken_over(
+    tmp_path: Path, attributes: str, before: str, stop: StopTimes | None
+) -> None:
+    found = of_xml(tmp_path, f'{before}<node pkg="" exec="n" name="n" {attributes}/>')
+    assert kinds(found) == []
+    (component,) = load_text(found.text).require().components.values()
+    assert component.stop == stop
 
 
 def test_files_outside_are_not_read_and_others_not_quoted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -391,6 +415,7 @@ def test_nodes_of_a_launch_file_in_python(tmp_path: Path, monkeypatch: pytest.Mo
                 "remaps": [["in", "/out"]],
                 "parameters": [["a.yaml", None], ["/launch_params_1", "/**:\n  ros__parameters:\n    rate: 50.0\n"]],
                 "lifecycle": True,
+                "stop": {"sigterm": 12.0},
             }
         ],
         "left": [["unsupported", "`TimerAction` in Python is left out"]],
@@ -411,7 +436,7 @@ def test_nodes_of_a_launch_file_in_python(tmp_path: Path, monkeypatch: pytest.Mo
     found = import_launch_file(tmp_path / "a.launch.xml", {}, {}, tmp_path, run_python=True)
     assert given == [("b.launch.py", {"k": "1"}, "top")]
     assert kinds(found) == ["argument", "unsupported", "package"]
-    assert 'run "a --x 7 --ros-args -r in:=/out" package "demo" gate lifecycle' in found.text
+    assert 'run "a --x 7 --ros-args -r in:=/out" package "demo" stop sigterm 12 s gate lifecycle' in found.text
     assert "rate = 50.0" in found.text and 'parameters "a.yaml"' in found.text and "namespace top/g" in found.text
 
 
@@ -419,7 +444,7 @@ def test_a_node_of_a_launch_file_in_python_is_named_as_one_in_xml(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     node = {"name": "", "namespace": "", "package": "", "executable": "./2d-driver.py", "arguments": [], "remaps": []}
-    described = {"nodes": [{**node, "parameters": [], "lifecycle": False}], "left": []}
+    described = {"nodes": [{**node, "parameters": [], "lifecycle": False, "stop": {}}], "left": []}
     monkeypatch.setattr(interpreter, "carried_out", lambda *_: described)
     (tmp_path / "a.launch.py").write_text("")
     found = import_launch_file(tmp_path / "a.launch.py", {}, {}, tmp_path, run_python=True)

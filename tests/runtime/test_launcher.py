@@ -96,6 +96,9 @@ def test_a_component_has_the_time_to_end_that_it_asks_for(stopping: float, grace
 def test_a_program_without_the_api_is_ended_as_launch_does_and_a_relay_has_the_time_for_that(tmp_path: Path) -> None:
     """The relay ends its program itself: with SIGINT, after 5 s with SIGTERM, after 5 s more with SIGKILL."""
     preload, relay = (changed(CAMERA.component, gate=gate) for gate in ("preload", "relay"))
+    slow = StopTimes(20.0, 1.0)
+    assert stop_times(changed(preload, stop=slow)) == slow
+    assert stop_times(changed(relay, stop=slow)) == StopTimes(0.0, 21.0 + STOP_GRACE)
     assert stop_times(preload) == StopTimes(5.0, 5.0)
     assert stop_times(relay) == StopTimes(0.0, 10.0 + STOP_GRACE)
     assert stop_times(relay, 12.0) == StopTimes(0.0, 22.0)
@@ -105,8 +108,14 @@ def test_a_program_without_the_api_is_ended_as_launch_does_and_a_relay_has_the_t
         gated = changed(CAMERA, component=preload)
         b.startable(gated)
         await b.launcher.start(gated)
-        await b.launcher.end("front/camera")  # also one that has not registered
+        assert await b.launcher.abandon("front/camera") is None, "also one that has not registered"
         assert b.backend.ended == [("front/camera", StopTimes())]
+        # A change that states other times needs no new process for them.
+        b.client.register(gated)
+        await b.launcher.registered(gated)
+        b.launcher.redeclared([changed(gated, component=changed(preload, stop=slow)), BY_HAND])
+        await b.launcher.end("front/camera")
+        assert b.backend.ended[1:] == [("front/camera", slow)]
 
     bench(NOTHING, tmp_path, body)
 
@@ -194,6 +203,24 @@ def test_a_process_that_exits_first_says_how(exited: Exited, words: str, tmp_pat
         with pytest.raises(StartFailed, match=words):
             await registering
         assert b.clock.steady() == 1.0, "it is not waited for any longer"
+
+    bench(NOTHING, tmp_path, body)
+
+
+def test_one_that_states_how_long_it_takes_has_that_time_besides(tmp_path: Path) -> None:
+    """And one that does not is named with how long it was waited for, and with what to state."""
+    slow = changed(CAMERA, component=changed(CAMERA.component, startup_seconds=40.0))
+
+    async def body(b: Bench) -> None:
+        with pytest.raises(StartFailed, match=r"within 30 s .*If it needs longer, state `takes 60 s` after its `run`"):
+            await b.launcher.registered(CAMERA)
+        begun = b.clock.steady()
+        registering = asyncio.ensure_future(b.launcher.registered(slow))
+        await asyncio.sleep(REGISTRATION_TIMEOUT + 39.0)
+        assert not registering.done()
+        b.client.register(slow)
+        await registering
+        assert b.clock.steady() - begun == pytest.approx(REGISTRATION_TIMEOUT + 39.0, abs=1.0)
 
     bench(NOTHING, tmp_path, body)
 
@@ -341,8 +368,9 @@ def test_one_that_exits_before_it_is_killed_or_meanwhile_has_exited(
     before: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def body(b: Bench) -> None:
-        async def end(instance: str, grace: float) -> None:
+        async def end(instance: str, stop: StopTimes) -> list[RemainingProcess]:
             b.client.life.exited(Exited(instance, 1))
+            return []
 
         await b.launcher.start(CAMERA)
         if before:

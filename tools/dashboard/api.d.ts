@@ -158,6 +158,9 @@ declare namespace Api {
     /** variables of its process; null: not inherited */
     environment?: Record<string, string | null>;
     takes_seconds?: number;
+    /** how long a lifecycle node may take to activate */
+    activate_seconds?: number;
+    stop_seconds?: StopForm;
     /** what it holds of resources */
     holds?: Record<string, number>;
     /** its parameters */
@@ -174,6 +177,8 @@ declare namespace Api {
     gate?: "lifecycle" | "lifecycle preload" | "none" | "preload" | "relay";
     /** what its program calls the topics of its ports */
     topics?: Record<string, string>;
+    /** the outputs that exist only while something subscribes to them */
+    lazy?: string[];
   }
 
   /** A configuration, with the topics, resources and environment that it lives in. */
@@ -597,6 +602,9 @@ declare namespace Api {
     /** variables of its process; null: not inherited */
     environment?: Record<string, string | null>;
     takes_seconds?: number;
+    /** how long a lifecycle node may take to activate */
+    activate_seconds?: number;
+    stop_seconds?: StopForm;
     /** what it holds of resources */
     holds?: Record<string, number>;
     /** its parameters */
@@ -613,6 +621,8 @@ declare namespace Api {
     gate?: "lifecycle" | "lifecycle preload" | "none" | "preload" | "relay";
     /** what its program calls the topics of its ports */
     topics?: Record<string, string>;
+    /** the outputs that exist only while something subscribes to them */
+    lazy?: string[];
     name: string;
   }
 
@@ -1133,6 +1143,14 @@ declare namespace Api {
     began: number;
     ended: number | null;
     failed: boolean;
+  }
+
+  /** How a program without Midstride's API is ended: with SIGINT, after a time SIGTERM, after another SIGKILL. A signal that has 0 s to take effect is not sent. */
+  interface StopForm {
+    /** how long after SIGINT */
+    sigterm?: number;
+    /** how long after SIGTERM */
+    sigkill?: number;
   }
 
   /** A request to be carried out. `expected`: refuse it unless the configuration still has that revision. `verify`: refuse it unless Alloy finds every step of the plan safe, and verify the live configuration after each of them. `brief`: the next command does not wait until this change has been measured over 20 periods. `wait`: after how many seconds a component that hangs, and is to go, is fenced: replaced although its code does not return. `file`: the one that `to` was read from. `id`: any text; the events `waiting` and `command` of this change contain it, and those that follow until the next `command` belong to it. `by`: who asks, and for what, for the history. */

@@ -11,7 +11,7 @@ import click
 from midstride import backends
 from midstride.cli.running_systems import find
 from midstride.errors import BackendError, ManagerBusy, ManagerError, MidstrideError, NoManager
-from midstride.model.component import StopTimes
+from midstride.model.component import DEFAULT_STOP
 from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.process.child_process import end_orphans
 from midstride.runtime.process.launcher import killed_in_words, stop_times
@@ -92,7 +92,7 @@ async def _stop(
             except MidstrideError as error:
                 failures.append(f"{name}: {error}")
         try:
-            await end_orphans(token, {handle.instance for handle, _ in handles}, StopTimes())
+            await end_orphans(token, {handle.instance for handle, _ in handles}, DEFAULT_STOP)
         except BackendError as error:
             failures.append(str(error))
     finally:

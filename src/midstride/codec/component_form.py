@@ -1,6 +1,7 @@
 """The JSON forms of a component: its ports, parameters, functionalities and modes.
 
     {"run": "python3 -m demo.talker", "takes_seconds": 2, "holds": {"gpu_memory": 2048},
+     "gate": "preload", "stop_seconds": {"sigterm": 10, "sigkill": 5},
      "parameters": {"threshold": {"value": 0.4, "changeable": true}},
      "allows": [{"kind": "service", "name": "~/reset"}],
      "inputs": {"in": {"type": …, "rate": 5, "tolerates": 3}}, "outputs": ["out"],
@@ -34,6 +35,7 @@ from midstride.codec.form import (
     Document,
     Form,
     NonEmptyName,
+    PositiveSeconds,
     SecondsOrZero,
     Shape,
     ShapedForm,
@@ -49,6 +51,7 @@ from midstride.codec.parameter import ParameterForm, ValueForm, values_form, val
 from midstride.codec.reading import decode
 from midstride.errors import SpecificationError
 from midstride.model.component import (
+    DEFAULT_STOP,
     Assumption,
     ComponentSpec,
     FunctionalitySpec,
@@ -56,6 +59,7 @@ from midstride.model.component import (
     InputAlternatives,
     Mode,
     NodeEndpoint,
+    StopTimes,
 )
 from midstride.model.contract import Predicate
 from midstride.model.name_checks import component_names
@@ -175,6 +179,25 @@ class FunctionalityForm(Form, frozen=True, kw_only=True):
         )
 
 
+class StopForm(Form, frozen=True):
+    """How a program without Midstride's API is ended: with SIGINT, after a time SIGTERM, after another SIGKILL.
+
+    A signal that has 0 s to take effect is not sent.
+    """
+
+    what: ClassVar[str] = "an object of times"
+
+    sigterm: Annotated[SecondsOrZero, Meta(description="how long after SIGINT")] = DEFAULT_STOP.sigterm
+    sigkill: Annotated[SecondsOrZero, Meta(description="how long after SIGTERM")] = DEFAULT_STOP.sigkill
+
+    @classmethod
+    def of(cls, stop: StopTimes) -> StopForm:
+        return cls(sigterm=plain(stop.sigterm), sigkill=plain(stop.sigkill))
+
+    def times(self) -> StopTimes:
+        return StopTimes(float(self.sigterm), float(self.sigkill))
+
+
 class ComponentForm(Form, frozen=True):
     """A component, whose name is the key it is under."""
 
@@ -188,6 +211,10 @@ class ComponentForm(Form, frozen=True):
         field("an object of variables", "variables of its process; null: not inherited"),
     ] = {}
     takes_seconds: SecondsOrZero | UnsetType = UNSET
+    activate_seconds: (
+        Annotated[PositiveSeconds, Meta(description="how long a lifecycle node may take to activate")] | UnsetType
+    ) = UNSET
+    stop_seconds: StopForm | UnsetType = UNSET
     holds: Annotated[
         dict[str, Annotated[float, field("an amount", gt=0, le=LARGEST)]],
         field("an object of amounts", "what it holds of resources"),
@@ -207,6 +234,10 @@ class ComponentForm(Form, frozen=True):
         dict[str, Annotated[str, field("the name of a topic", min_length=1)]],
         field("an object of names of topics", "what its program calls the topics of its ports"),
     ] = {}
+    lazy: Annotated[
+        list[Annotated[str, Meta(min_length=1, extra_json_schema=named())]],
+        field("a list of names of outputs", "the outputs that exist only while something subscribes to them"),
+    ] = []
 
     @classmethod
     def of(cls, component: ComponentSpec) -> ComponentForm:
@@ -216,6 +247,8 @@ class ComponentForm(Form, frozen=True):
             prefix=component.prefix or UNSET,
             environment=dict(sorted(component.environment.items())),
             takes_seconds=stated(component.startup_seconds),
+            activate_seconds=stated(component.activate_seconds),
+            stop_seconds=UNSET if component.stop is None else StopForm.of(component.stop),
             holds={name: plain(amount) for name, amount in sorted(component.resource_usage.items())},
             parameters={name: ParameterForm.of(parameter) for name, parameter in sorted(component.parameters.items())},
             allows=[msgspec.convert(endpoint, EndpointForm, from_attributes=True) for endpoint in component.allows],
@@ -231,6 +264,7 @@ class ComponentForm(Form, frozen=True):
             functionalities={form.name: FunctionalityForm.of(form) for form in component},
             gate=component.gate or UNSET,
             topics=dict(sorted(component.topics.items())),
+            lazy=sorted(component.lazy),
         )
 
     def component(self, name: str) -> ComponentSpec:
@@ -252,6 +286,9 @@ class ComponentForm(Form, frozen=True):
             conditions=[port for port, form in self.inputs.items() if form.condition],
             gate=given(self.gate),
             topics=self.topics,
+            activate_seconds=given(self.activate_seconds),
+            stop=None if self.stop_seconds is UNSET else self.stop_seconds.times(),
+            lazy=self.lazy,
         )
 
 

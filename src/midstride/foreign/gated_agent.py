@@ -18,7 +18,7 @@ from midstride.foreign.foreign_parameters import ForeignParameters
 from midstride.foreign.gated_outputs import GatedOutputs
 from midstride.foreign.gated_reflex import broken_assumptions
 from midstride.foreign.gates import Gates
-from midstride.foreign.graph_check import DeclaredEndpoints, GraphEndpoint, NodeGraph
+from midstride.foreign.graph_check import DeclaredEndpoints, GraphEndpoint, NodeGraph, endpoints_seconds
 from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.lifecycle_outputs import LifecycleOutputs, LifecyclePeers
 from midstride.foreign.node import WATCH, ForeignNode, without_ports
@@ -40,8 +40,6 @@ LOOK: Final = 1.0
 # How long the graph may take to show a new node's endpoints (s), and how often it is compared later (s).
 GRAPH_TIMEOUT: Final = 5.0
 GRAPH_LOOK: Final = 2.0
-# How long a node may take to create the publishers and subscriptions that are declared (s).
-ENDPOINTS_TIMEOUT: Final = 20.0
 # A node of which the graph has shown nothing new for so long, and that answers, will create no more of them (s).
 SETTLED: Final = 2.0
 _REMEMBERED: Final = 1000
@@ -120,6 +118,7 @@ class ForeignAgent:
 
     async def _register(self) -> None:
         missing: list[str] = []
+        begun = asyncio.get_running_loop().time()
         if self.lifecycle is not None:
             try:
                 await (self.lifecycle.configure() if not self.node.record.welcomed else self.lifecycle.look())
@@ -129,14 +128,14 @@ class ForeignAgent:
             await self._parameters.read()
         if self.node.gates is not None and self._failed is None:
             missing = await self._missing(self.node.gates)
-            missing = await self._compare(missing)
+            missing = await self._compare(missing, asyncio.get_running_loop().time() - begun)
         self._registered.set()
         self._report()
         declaration = NamedComponentForm.of(without_ports(self.node.component, missing))
         self._server.register(frames.Registration(declaration=declaration, endpoints=[]))
 
     async def _missing(self, gates: Gates) -> list[str]:
-        """The ports for which the node creates no endpoint within ENDPOINTS_TIMEOUT.
+        """The ports for which the node creates no endpoint in the time that it has.
 
         It is not waited for any longer if the graph has shown nothing new of it for SETTLED, and shows endpoints that
         the gate does not see; or the node answers requests, so its initialization is over, and has what is probably
@@ -151,7 +150,7 @@ class ForeignAgent:
             if found != before:
                 before, since = found, now
             missing = gates.missing()
-            if now - begun >= ENDPOINTS_TIMEOUT:
+            if now - begun >= endpoints_seconds(self.node.component):
                 break
             if now - since < SETTLED:
                 continue
@@ -170,8 +169,10 @@ class ForeignAgent:
             return False
         return True
 
-    async def _compare(self, missing: list[str]) -> list[str]:
+    async def _compare(self, missing: list[str], waited: float) -> list[str]:
         """Compare what the graph shows with what is declared; the ports that it then lacks without a reason given.
+
+        ``waited``: for how long it was waited for those that are ``missing`` (s).
 
         What the graph does not show in time is not judged. A node that has been accepted keeps running.
         """
@@ -183,7 +184,8 @@ class ForeignAgent:
         found = graph()
         past = declared.unseen(found, missing)
         faults = declared.unseen_in_words(past)
-        faults += declared.lacking(found, [port for port in missing if port not in past])
+        whole = waited if waited >= endpoints_seconds(self.node.component) else None
+        faults += declared.lacking(found, [port for port in missing if port not in past], whole)
         faults += declared.differences(found)
         self._failed = "; ".join(faults) or None
         return []

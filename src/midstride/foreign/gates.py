@@ -70,8 +70,8 @@ class Gates:
         return None if owner is None else self.component.stated_rate(port, {owner.name: owner.modes[0].name})
 
     def missing(self) -> list[str]:
-        """The ports for which the process has created no endpoint."""
-        return [port for port in self._names if not self.entry(port).endpoints]
+        """The ports for which the process has created no endpoint, but for those that come and go."""
+        return [port for port in self._names if not self.entry(port).endpoints and port not in self.component.lazy]
 
     def set_gate(self, port: str, open: bool) -> None:
         self.entry(port).gate = OPEN if open else CLOSED

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 from midstride.model.component import ComponentSpec
 from midstride.model.contract import NOTHING, Predicate, QoS, canonical_type
 from midstride.model.graph_names import is_infrastructure, resolved
 from midstride.model.near_miss import nearest
+
+# How long a program may take to create the endpoints that are declared (s), besides what it states (`takes`).
+ENDPOINTS_TIMEOUT: Final = 20.0
+
+
+def endpoints_seconds(component: ComponentSpec) -> float:
+    """How long a program of ``component`` may take to create its endpoints (s)."""
+    return ENDPOINTS_TIMEOUT + (component.startup_seconds or 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,9 +49,10 @@ class DeclaredEndpoints:
     node: str
 
     def shown(self, found: Sequence[GraphEndpoint]) -> bool:
-        """Return whether the graph shows an endpoint for every port."""
+        """Return whether the graph shows an endpoint for every port, but for those that come and go."""
         there = {(endpoint.output, endpoint.topic) for endpoint in found}
-        return all((self.component.has_output(port), self.topics[port]) in there for port in self.component.ports())
+        ports = (port for port in self.component.ports() if port not in self.component.lazy)
+        return all((self.component.has_output(port), self.topics[port]) in there for port in ports)
 
     def differences(self, found: Sequence[GraphEndpoint]) -> list[str]:
         """Every endpoint of ``node`` whose type or QoS is not the declared one, in words.
@@ -72,8 +81,11 @@ class DeclaredEndpoints:
                     )
         return words
 
-    def lacking(self, found: Sequence[GraphEndpoint], missing: Sequence[str]) -> list[str]:
-        """For each port that is ``missing``, what is declared, and what the node has instead."""
+    def lacking(self, found: Sequence[GraphEndpoint], missing: Sequence[str], waited: float | None = None) -> list[str]:
+        """For each port that is ``missing``, what is declared, and what the node has instead.
+
+        ``waited``: for how long it was waited (s), where that was as long as it may take.
+        """
         component, topics, node = self.component, self.topics, self.node
         words = []
         for port in missing:
@@ -85,11 +97,20 @@ class DeclaredEndpoints:
             meant = self.misnamed(found, port)
             if meant is not None and (own := _own_name(meant.topic, node)) != component.topic_of(port):
                 instead += f"; did you mean `{port_kind} {port} … as {own}`?"
+            elif waited is not None:
+                instead = f", {waited:.0f} s after its start{instead}; {self._if_later(port, waited)}"
             words.append(
                 f"node {node} has no {kind} {topics[port]}, the topic of {port_kind} {port} of {component.name}"
                 + instead
             )
         return words
+
+    def _if_later(self, port: str, waited: float) -> str:
+        """What to state of an endpoint that the program creates later than ``waited`` s after its start."""
+        late = f"if it takes longer to start, state `takes {2 * waited:.0f} s` after its `run` command"
+        if not self.component.has_output(port):
+            return late
+        return f"{late}; if the topic exists only while something subscribes to it, state `output {port} lazy`"
 
     def unseen(self, found: Sequence[GraphEndpoint], missing: Sequence[str]) -> list[str]:
         """The ports that are ``missing`` for the gate in the process, although the graph shows an endpoint of them."""

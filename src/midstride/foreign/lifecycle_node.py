@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from midstride.errors import CommandRefused
-from midstride.foreign.lifecycle_transitions import ACTIVE, FINALIZED, INACTIVE, SERVICES_TIMEOUT, NodeLifecycle
+from midstride.foreign.lifecycle_transitions import ACTIVE, FINALIZED, INACTIVE, NodeLifecycle
 from midstride.foreign.node import ForeignNode
 from midstride.foreign.services import NoAnswer, NodeServices
 from midstride.wire.state import GateState
@@ -20,11 +20,13 @@ class LifecycleNode:
 
     def __init__(self, node: ForeignNode, services: NodeServices) -> None:
         self.node = node
-        self.lifecycle = NodeLifecycle(node.record.instance, services, node.component.startup_seconds or 0.0)
+        component = node.component
+        startup, activate = component.startup_seconds or 0.0, component.activate_seconds
+        self.lifecycle = NodeLifecycle(node.record.instance, services, startup, activate)
 
     async def configure(self) -> None:
         """After the start of its process. Raises CommandRefused."""
-        await self.lifecycle.reach(INACTIVE, SERVICES_TIMEOUT)
+        await self.lifecycle.reach(INACTIVE, self.lifecycle.services_timeout)
 
     async def finish(self) -> None:
         """Before its process ends: to `finalized`. Raises CommandRefused."""

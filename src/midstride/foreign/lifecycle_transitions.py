@@ -13,8 +13,11 @@ _ORDER: Final = (UNCONFIGURED, INACTIVE, ACTIVE)
 _UP: Final = {UNCONFIGURED: "configure", INACTIVE: "activate"}
 _DOWN: Final = {ACTIVE: "deactivate", INACTIVE: "cleanup", UNCONFIGURED: "shutdown"}
 
-# How long each transition may take (s). A component that states a longer startup time has that to configure.
+# How long each transition may take (s). What a component states of its start (`takes`) is added for `configure`, and
+# for its services; how long `activate` may take is what it states.
 TIMEOUTS: Final = {"configure": 12.0, "activate": 5.0, "deactivate": 5.0, "cleanup": 5.0, "shutdown": 3.0}
+# What states how long a transition may take.
+_STATED: Final = {"configure": "takes", "activate": "activate"}
 # How long the node may take to offer its services after the start of its process (s), and to say its state later.
 SERVICES_TIMEOUT: Final = 15.0
 STATE_TIMEOUT: Final = 2.0
@@ -28,12 +31,20 @@ class NodeLifecycle:
     ``responsive``: the node has answered when it was last asked.
     """
 
-    def __init__(self, instance: str, services: NodeServices, startup: float = 0.0) -> None:
+    def __init__(
+        self, instance: str, services: NodeServices, startup: float = 0.0, activate: float | None = None
+    ) -> None:
+        """``startup`` and ``activate``: what its component states of its start, and of its activation (s)."""
         self.instance = instance
         self.state = "unknown"
         self.responsive = True
         self._services = services
-        self._timeouts = {**TIMEOUTS, "configure": max(TIMEOUTS["configure"], startup)}
+        self.services_timeout = SERVICES_TIMEOUT + startup
+        self._timeouts = {
+            **TIMEOUTS,
+            "configure": TIMEOUTS["configure"] + startup,
+            "activate": activate or TIMEOUTS["activate"],
+        }
         self._lock = asyncio.Lock()
 
     async def look(self, timeout: float = STATE_TIMEOUT) -> str:
@@ -68,6 +79,8 @@ class NodeLifecycle:
         except NoAnswer:
             self.responsive = False
             message = f"{self.instance} has not answered `{name}` within {patience:g} s; it was {state} before"
+            if name in _STATED:
+                message += f" (if it needs longer, state `{_STATED[name]} {2 * patience:g} s` after its `run` command)"
             raise CommandRefused(message) from None
         try:
             after = await self.look()

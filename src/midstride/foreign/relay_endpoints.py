@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from typing import Final
 
 from midstride.errors import BackendError, NodeError
-from midstride.foreign.graph_check import DeclaredEndpoints, GraphEndpoint
+from midstride.foreign.graph_check import DeclaredEndpoints, GraphEndpoint, endpoints_seconds
 from midstride.foreign.relayed_program import RelayedProgram, RelayOrder
 from midstride.model.component import ComponentSpec
 
-# How long the program may take to create the publishers and subscriptions that are declared (s).
-ENDPOINTS_TIMEOUT: Final = 20.0
 # How long a node that may advertise later is given to do so at once (s); then it is watched.
 ADVERTISES: Final = 1.0
 _LOOK: Final = 0.05
@@ -55,7 +53,7 @@ class ProgramEndpoints:
                 break
             if not missing and appeared is not None and (now - appeared >= ADVERTISES or self._remapped(found or ())):
                 break
-            if now - begun >= ENDPOINTS_TIMEOUT:
+            if now - begun >= endpoints_seconds(self.component):
                 break
             time.sleep(_LOOK)
         if faults := self._faults(missing, found, unread):
@@ -107,7 +105,9 @@ class ProgramEndpoints:
     def _missing(self, found: Sequence[GraphEndpoint]) -> list[str]:
         """The ports for which the program has no endpoint."""
         received = {endpoint.topic for endpoint in found if not endpoint.output}
+        lazy = self.component.lazy
         missing = [] if self.late else [name for name, matched in self.matched.items() if not matched()]
+        missing = [name for name in missing if name not in lazy]
         return missing + [name for name in self.component.input_order if self.order.topics[name] not in received]
 
     def _faults(self, missing: Sequence[str], found: Sequence[GraphEndpoint] | None, unread: str) -> list[str]:
@@ -116,11 +116,14 @@ class ProgramEndpoints:
             return [f"what {self.order.node} has is not known: {unread}"]
         if found is None and (missing or self.late):
             program = self.order.command[0]
-            words = f"there is no node {self.order.node} {ENDPOINTS_TIMEOUT:g} s after `{program}` was started"
-            return [f"{words}: a program behind a relay must accept ROS's arguments, its name among them"]
+            waited = endpoints_seconds(self.component)
+            words = f"there is no node {self.order.node} {waited:g} s after `{program}` was started"
+            late = f"if it needs longer, state `takes {2 * waited:g} s` after its `run` command"
+            return [f"{words}: a program behind a relay must accept ROS's arguments, its name among them; {late}"]
         declared, shown = self._declared, found or ()
         there = declared.unseen(shown, missing)
-        faults = declared.lacking(shown, [port for port in missing if port not in there])
+        waited = endpoints_seconds(self.component)
+        faults = declared.lacking(shown, [port for port in missing if port not in there], waited)
         faults += declared.differences(shown)
         if missing and not faults:
             faults = [f"the messages of {', '.join(missing)} cannot be received"]

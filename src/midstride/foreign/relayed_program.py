@@ -17,7 +17,7 @@ import msgspec
 
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import BackendError, NodeError
-from midstride.model.component import ComponentSpec, StopTimes
+from midstride.model.component import DEFAULT_STOP, ComponentSpec, StopTimes
 from midstride.wire.state import WireValue
 
 # What a relay exits with where it had to kill its program, as a shell has it.
@@ -46,7 +46,7 @@ class RelayOrder(WireValue, frozen=True, kw_only=True):
     @property
     def stop(self) -> StopTimes:
         """How its program is ended."""
-        return StopTimes()
+        return self.declaration.declared().stop or DEFAULT_STOP
 
     def write(self, path: Path) -> None:
         """Raises BackendError."""

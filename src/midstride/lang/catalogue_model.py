@@ -282,8 +282,9 @@ MODEL: Final = (
         is `changeable`, an input that is a `condition`, or a mode between the first and the last that sets no
         parameter; with `gate lifecycle`, it has several functionalities; with `gate relay`, an output for which no mode
         states a type; its node attaches a port to several topics; or a component without a `gate` has a name for the
-        topic of a port (`as`), or a mode with parameters. A parameter of a mode is declared in the component, with a
-        value of the same type, and belongs to the modes of one functionality.""",
+        topic of a port (`as`), a mode with parameters, a `lazy` output, or states how it is ended (`stop`); or one that
+        is no lifecycle node states how long it may take to `activate`. A parameter of a mode is declared in the
+        component, with a value of the same type, and belongs to the modes of one functionality.""",
         "correct the statement that the message names",
         STARTED.replace("output out", "output out as chat") + NODE,
         STARTED.replace('talker"', 'talker" gate preload').replace("mode silent", "mode quiet { }\n    mode silent")
@@ -304,6 +305,13 @@ MODEL: Final = (
         STARTED.replace('talker"', 'talker" gate relay').replace("mode silent", "mode quiet { }\n    mode silent")
         + NODE,
         STARTED.replace('talker"\n', 'talker" gate none\n  parameters { changeable volume = 1 }\n') + NODE,
+        STARTED.replace('talker"', 'talker" stop sigterm 10 s sigkill 5 s') + NODE,
+        STARTED.replace('talker"', 'talker" activate 10 s gate preload') + NODE,
+        STARTED.replace("output out", "output out lazy") + NODE,
+        _json(
+            '{"system": "s", "components": {"T": {"run": "t", "gate": "none", "lazy": ["out"],\n'
+            '  "functionalities": {"talk": {"modes": {"normal": {}, "silent": {}}}}}}}\n'
+        ),
         STARTED.replace('talker"', 'talker" gate preload').replace(
             "component", "topic /talk : std_msgs/msg/String\ncomponent"
         )

@@ -13,6 +13,7 @@ from midstride.lang.lexer import Tokens, tokenize
 from midstride.lang.source import Source
 from midstride.lang.syntax import ComponentDeclaration, find
 from midstride.lang.token_stream import KEYWORD_PLACES, RESPAWN_WORDS
+from midstride.model.component import GATES
 from midstride.model.specification import TIMING
 
 # What comes before a keyword that is used as a name.
@@ -31,6 +32,10 @@ _STATEMENTS: Final = {
     "topic": ("publishers",),
     "parameters": ("changeable",),
 }
+
+
+# What may follow the command of a component.
+_RUN_CLAUSES: Final = ("package", "takes", "activate", "stop", "gate")
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +128,10 @@ class _CursorContext:
             return
         elif first == "input" and self.statement[-2:-1] == ["tolerates"]:
             yield "keyword", ("missed",)
+        elif first == "run" and last == "gate":
+            yield "keyword", GATES
+        elif first == "run" and last == "stop":
+            yield "keyword", ("sigterm", "sigkill")
         elif last == "holds":
             yield "resource", declarations.resources
         elif self.statement in (["keep"], ["limit"]) or (first == "order" and last in {"order", "before"}):
@@ -137,6 +146,10 @@ class _CursorContext:
         else:
             if first == "input" and ":" in self.statement and "condition" not in self.statement:
                 yield "keyword", ("condition",) if "tolerates" in self.statement else ("condition", "tolerates")
+            if first == "run" and last not in {"run", "stop"}:
+                yield "keyword", _RUN_CLAUSES
+            if first == "output" and len(self.statement) > 1 and last != "lazy":
+                yield "keyword", ("lazy",)
             yield "keyword", _STATEMENTS.get(block, ())
             if block == "node":
                 found = self._declared(self._word_after(self.blocks[-1], 3))

@@ -18,6 +18,7 @@ from midstride.lang.declarations import MAX_PARTS, ancestry, limited
 from midstride.lang.diagnostic_text import Note, Reporter
 from midstride.lang.token_stream import RESERVED
 from midstride.model.component import (
+    DEFAULT_STOP,
     GATES,
     Assumption,
     ComponentSpec,
@@ -26,6 +27,7 @@ from midstride.model.component import (
     Mode,
     NodeEndpoint,
     ParameterSpec,
+    StopTimes,
 )
 from midstride.model.contract import Predicate
 from midstride.model.near_miss import did_you_mean
@@ -198,6 +200,9 @@ class ComponentBuilder:
             conditions=[each.name.text for each in declaration.inputs if each.condition],
             gate=next((gate for gate in GATES if run and run.gate and run.gate.text == gate), None),
             topics={own.name.text: own.topic.text for own in declaration.topics},
+            activate_seconds=None if run is None or run.activate is None else run.activate.value,
+            stop=None if run is None or run.stop is None else _stop_times(run.stop),
+            lazy=[output.text for output in declaration.lazy],
         )
 
     def _functionality(
@@ -278,4 +283,19 @@ def _inherited(base: syntax.ComponentDeclaration, own: syntax.ComponentDeclarati
         allows=(*base.allows, *own.allows),
         functionalities=merged(_name, base.functionalities, own.functionalities),
         topics=merged(_name, base.topics, own.topics),
+        lazy=merged(lambda name: name, _not_stated_again(base.lazy, own.outputs), own.lazy),
+    )
+
+
+def _not_stated_again(lazy: tuple[syntax.Name, ...], outputs: tuple[syntax.Name, ...]) -> tuple[syntax.Name, ...]:
+    """An output is one part: one that is stated again is lazy only where that says so."""
+    stated = {output.text for output in outputs}
+    return tuple(output for output in lazy if output.text not in stated)
+
+
+def _stop_times(stop: syntax.StopClause) -> StopTimes:
+    sigterm, sigkill = stop.sigterm, stop.sigkill
+    return StopTimes(
+        DEFAULT_STOP.sigterm if sigterm is None else sigterm.value,
+        DEFAULT_STOP.sigkill if sigkill is None else sigkill.value,
     )

@@ -33,6 +33,7 @@ class ComponentParser(ContractParser):
         allows: list[syntax.AllowedEndpoint] = []
         functionalities: list[syntax.FunctionalityDeclaration] = []
         topics: list[syntax.OwnTopic] = []
+        lazy: list[syntax.Name] = []
         unread_parameters: set[str] = set()
         handlers: Handlers = {
             "run": lambda start: runs.append(self._run(start)),
@@ -40,7 +41,7 @@ class ComponentParser(ContractParser):
             "parameters": lambda start: unread_parameters.update(self.parameters(start, parameters, files)),
             "environment": lambda start: unread_parameters.update(self._variables(start, environment)),
             "input": lambda _: inputs.append(self._input(topics)),
-            "output": lambda _: outputs.append(self._output(topics)),
+            "output": lambda _: outputs.append(self._output(topics, lazy)),
             "allows": lambda _: allows.append(self._allows()),
             "functionality": lambda start: functionalities.append(self._functionality(start)),
         }
@@ -60,6 +61,7 @@ class ComponentParser(ContractParser):
             tuple(allows),
             tuple(functionalities),
             tuple(topics),
+            tuple(lazy),
             skipped | {"parameters"} if unread_parameters else skipped,
         )
 
@@ -71,8 +73,18 @@ class ComponentParser(ContractParser):
         package = self.text("a package in double quotes after `package`") if self.accept_word("package") else None
         prefix = self.text("the words before the program in double quotes") if self.accept_word("prefix") else None
         startup = self.seconds("a startup time") if self.accept_word("takes") else None
+        activate = self.seconds("a time to activate") if self.accept_word("activate") else None
+        stop = self._stop() if self.accept_word("stop") else None
         gate = self._gate() if self.accept_word("gate") else None
-        return syntax.Run(command, package, prefix, startup, gate, self.since(start))
+        return syntax.Run(command, package, prefix, startup, activate, stop, gate, self.since(start))
+
+    def _stop(self) -> syntax.StopClause:
+        start = self.i - 1
+        sigterm = self.seconds("a time after `sigterm`") if self.accept_word("sigterm") else None
+        sigkill = self.seconds("a time after `sigkill`") if self.accept_word("sigkill") else None
+        if sigterm is None and sigkill is None:
+            raise self.fail("`sigterm` or `sigkill` after `stop`", "write for example `stop sigterm 10 s sigkill 5 s`")
+        return syntax.StopClause(sigterm, sigkill, self.since(start))
 
     def _gate(self) -> syntax.Name | None:
         gate, start = self.name("`preload`, `relay`, `lifecycle` or `none` after `gate`"), self.i - 1
@@ -141,7 +153,7 @@ class ComponentParser(ContractParser):
         self.reporter.report("E126", number.span, message, help="write for example `tolerates 3 missed`")
         return syntax.Number(1.0, number.span)
 
-    def _output(self, topics: list[syntax.OwnTopic]) -> syntax.Name:
+    def _output(self, topics: list[syntax.OwnTopic], lazy: list[syntax.Name]) -> syntax.Name:
         self.layout.marks[self.i] = "port"
         name = self.name("an output name", ("output", ":"))
         if self.kinds[self.i] == ":":
@@ -151,6 +163,9 @@ class ComponentParser(ContractParser):
             self.i += 1
             self.contract(f"for output `{name.text}`")
         self._own_topic(name, topics)
+        if self.at_word("lazy"):
+            lazy.append(syntax.Name(name.text, self.span()))
+            self.i += 1
         return name
 
     def _allows(self) -> syntax.AllowedEndpoint:

@@ -100,6 +100,16 @@ def _component(declaration: syntax.ComponentDeclaration, rest: Subject) -> Span:
             return variable.name.span
         case ["takes_seconds"] if run is not None and run.startup is not None:
             return run.startup.span
+        case ["activate_seconds"] if run is not None and run.activate is not None:
+            return run.activate.span
+        case ["stop_seconds", "sigterm"] if run is not None and run.stop is not None and run.stop.sigterm is not None:
+            return run.stop.sigterm.span
+        case ["stop_seconds", "sigkill"] if run is not None and run.stop is not None and run.stop.sigkill is not None:
+            return run.stop.sigkill.span
+        case ["stop_seconds"] if run is not None and run.stop is not None:
+            return run.stop.span
+        case ["lazy", name] if output := next((each for each in declaration.lazy if each.text == name), None):
+            return output.span
         case ["gate"] if run is not None and run.gate is not None:
             return run.gate.span
         case ["topics", name] if (own := find(declaration.topics, name)) is not None:

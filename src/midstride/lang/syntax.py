@@ -95,11 +95,21 @@ class ContractExpression(NamedTuple):
 # -- components -----------------------------------------------------------------------------------------
 
 
+class StopClause(NamedTuple):
+    """``stop sigterm SECONDS sigkill SECONDS``, of which one may be missing."""
+
+    sigterm: Number | None
+    sigkill: Number | None
+    span: Span
+
+
 class Run(NamedTuple):
     command: Name
     package: Name | None
     prefix: Name | None
     startup: Number | None
+    activate: Number | None
+    stop: StopClause | None
     gate: Name | None
     span: Span
 
@@ -186,6 +196,7 @@ class ComponentDeclaration(NamedTuple):
     allows: tuple[AllowedEndpoint, ...]
     functionalities: tuple[FunctionalityDeclaration, ...]
     topics: tuple[OwnTopic, ...]
+    lazy: tuple[Name, ...]  # outputs
     skipped: frozenset[str]  # the first words of the statements that could not be parsed
 
 

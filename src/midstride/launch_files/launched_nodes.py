@@ -29,6 +29,7 @@ class LaunchedNode:
     environment: Mapping[str, str | None] = field(default_factory=dict)
     ros_arguments: tuple[str, ...] = ()
     respawn: tuple[str, ...] = ()
+    stop: tuple[str, ...] = ()
     package: str = ""
     prefix: tuple[str, ...] = ()
     gate: str = "preload"

@@ -22,7 +22,7 @@ from midstride.model.component_rules import MAX_NUMBER
 
 # Attributes that every element may have, and those that change nothing that a node does.
 _ANYWHERE: Final = "if unless description output output_format emulate_tty exec_name"
-_PROCESS: Final = "launch-prefix respawn respawn_delay respawn_max_retries"
+_PROCESS: Final = "launch-prefix respawn respawn_delay respawn_max_retries sigterm_timeout sigkill_timeout"
 _NODE: Final = f"pkg exec name namespace args ros_args {_PROCESS}"
 _NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_]+")
 _COMPONENTS: Final = ("composable_node",)
@@ -64,6 +64,7 @@ class NodeElements:
                 settings=(*context.settings, *settings),
                 environment=dict(context.variables_set),
                 package=package,
+                stop=tuple(f"{name} {seconds:g} s" for name, seconds in found["stop"].items()),
                 gate="lifecycle" if found["lifecycle"] else "preload",
             )
         )
@@ -124,6 +125,7 @@ class NodeElements:
                 environment=dict(self._environment(entity, context)),
                 ros_arguments=self._words(entity, "ros_args", context),
                 respawn=tuple(self._respawn(entity, context)),
+                stop=tuple(self._stop(entity, context)),
                 package=package,
                 prefix=prefix,
                 gate="lifecycle" if entity.tag == "lifecycle_node" else "preload",
@@ -166,6 +168,15 @@ class NodeElements:
             retries = self._number(entity, "respawn_max_retries", context)
             if retries is not None and retries >= 1:
                 yield f"respawn_max_retries {int(retries)}"
+
+    def _stop(self, entity: Entity, context: Context) -> Iterator[str]:
+        """How the process is ended: what of `stop` is stated, by the element or for the whole launch."""
+        for name in ("sigterm", "sigkill"):
+            seconds = self._number(entity, f"{name}_timeout", context)
+            if seconds is None:
+                seconds = _seconds(context.variables.get(f"{name}_timeout"))
+            if seconds is not None:
+                yield f"{name} {seconds:g} s"
 
     def _number(self, entity: Entity, attribute: str, context: Context) -> float | None:
         """A number from 0 that the language has, if the node states one."""
@@ -275,6 +286,14 @@ class NodeElements:
         elif name != text:
             self.findings.add("name", f"`{text}` is not the name of a node; it is named `{name}`", span)
         return name
+
+
+def _seconds(text: object) -> float | None:
+    """A number from 0 that the language has; None where ``text`` is none."""
+    with suppress(ValueError):
+        if isinstance(text, str) and 0 <= (found := float(text)) <= MAX_NUMBER:
+            return found
+    return None
 
 
 def _stem(path: str) -> str:

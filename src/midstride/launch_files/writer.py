@@ -123,7 +123,8 @@ def _body(node: LaunchedNode, parameters: LaunchedParameters, findings: ImportFi
     if command is None:
         findings.add("unsupported", f"the command of `{node.role}` cannot be written; it is `false`", node.span)
     of_package = f" package {quoted(package)}" if package and command else ""
-    lines = [f"run {command or quoted('false')}{of_package} gate {node.gate}"]
+    stop = f" stop {' '.join(node.stop)}" if node.stop else ""
+    lines = [f"run {command or quoted('false')}{of_package}{stop} gate {node.gate}"]
     lines += [f"parameters {quoted(os.path.relpath(path, folder))}" for path in parameters.files]
     return [*lines, "parameters {", *values, "}"] if values else lines
 

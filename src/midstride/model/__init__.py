@@ -12,7 +12,7 @@ The JSON forms are in :mod:`midstride.codec`.
 
 PUBLIC = (
     "Action Assumption Attach ComponentSpec Configuration Connector Constraint Contract Create DEFAULT_QOS "
-    "DEFAULT_SECONDS Degrade Detach Diagnosis Durability EnvironmentGuarantee Evaluator FunctionalityRef "
+    "DEFAULT_SECONDS DEFAULT_STOP Degrade Detach Diagnosis Durability EnvironmentGuarantee Evaluator FunctionalityRef "
     "FunctionalitySpec GATES Gate Handover HistoryPolicy InputAlternatives Instance Interval KILL_AT_ONCE Keep Limit "
     "Liveliness MAX_NUMBER Mode NOTHING Node NodeEndpoint OneOf Order ParameterSpec ParameterValue PortRef Predicate "
     "Problem QoS ROS_PARAMETERS Reliability Remove Resource RespawnPolicy Scalar SetParameters Severity Specification "

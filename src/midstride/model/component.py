@@ -46,6 +46,7 @@ class StopTimes:
         return self.sigterm + self.sigkill
 
 
+DEFAULT_STOP: Final = StopTimes()
 # For a process that must not run again, not for an instant.
 KILL_AT_ONCE: Final = StopTimes(0.0, 0.0)
 
@@ -222,7 +223,9 @@ class ComponentSpec:
     start takes (s), where known. ``tolerates``: how many missed messages in succession an input tolerates, where
     stated; ``conditions``: the inputs whose last message decides whether what they assume holds.
     ``gate``: what holds back the outputs of a program that does not use Midstride's API (None: it does use it), and
-    ``topics`` the names that such a program has for its ports, where they are not the ports' own.
+    ``topics`` the names that such a program has for its ports, where they are not the ports' own. Of such a program,
+    ``stop`` is how it is ended, ``activate_seconds`` how long a lifecycle node may take to become active (s), where
+    stated, and ``lazy`` are the outputs that exist only while something subscribes to them.
     """
 
     name: str
@@ -243,6 +246,9 @@ class ComponentSpec:
     package: str | None = None
     prefix: str | None = None
     environment: Map[str, str | None] = field(default_factory=Map)
+    stop: StopTimes | None = None
+    activate_seconds: float | None = None
+    lazy: frozenset[str] = frozenset()
     _owners: dict[str, FunctionalitySpec] = field(init=False, compare=False, repr=False)
     _users: dict[str, list[FunctionalitySpec]] = field(init=False, compare=False, repr=False)
     _outputs: frozenset[str] = field(init=False, compare=False, repr=False)
@@ -279,6 +285,9 @@ class ComponentSpec:
         package: str | None = None,
         prefix: str | None = None,
         environment: Mapping[str, str | None] | None = None,
+        stop: StopTimes | None = None,
+        activate_seconds: float | None = None,
+        lazy: Iterable[str] = (),
     ) -> ComponentSpec:
         """Build one from plain values, keeping the order of declaration."""
         inputs = inputs or {}
@@ -301,6 +310,9 @@ class ComponentSpec:
             package=package,
             prefix=prefix,
             environment=Map(environment or {}),
+            stop=stop,
+            activate_seconds=activate_seconds,
+            lazy=frozenset(lazy),
         )
 
     def __iter__(self) -> Iterator[FunctionalitySpec]:
@@ -395,6 +407,7 @@ class ComponentSpec:
             self.environment,
             self.gate,
             self.topics,
+            self.lazy,
         )
 
 

@@ -70,6 +70,11 @@ def component_rules(component: ComponentSpec, path: SubjectPath) -> Iterator[Pro
     for resource, amount in component.resource_usage.items():
         yield from number_problems(amount, f"the amount held of {resource}", (*path, "holds", resource))
     yield from number_problems(component.startup_seconds, "a start-up time", (*path, "takes_seconds"), zero=True)
+    yield from number_problems(component.activate_seconds, "a time to activate", (*path, "activate_seconds"))
+    if (stop := component.stop) is not None:
+        for name, seconds in (("sigterm", stop.sigterm), ("sigkill", stop.sigkill)):
+            what = f"a time until {name.upper()}"
+            yield from number_problems(seconds, what, (*path, "stop_seconds", name), zero=True)
     for name, parameter in component.parameters.items():
         yield from value_problems(parameter.value, (*path, "parameters", name))
     for functionality in component:

@@ -22,6 +22,7 @@ def gate_problems(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
             message = f"port {port} of {name} states what the program calls its topic, but {name} has no gate"
             yield Problem(_CODE, where, message, 'omit it, or state the gate: `run "…" gate preload`')
     yield from _mode_parameters(component, path)
+    yield from _of_a_program(component, path)
     if component.gate is None:
         return
     if component.run is None:
@@ -47,6 +48,26 @@ def gate_problems(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
         if declared.changeable:
             message = f"parameter {parameter} of {name} cannot be set in place: {name} does not use Midstride's API"
             yield Problem(_CODE, (*path, "parameters", parameter), message, "omit `changeable`")
+
+
+def _of_a_program(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
+    """What is stated of the process and the endpoints of a program that does not use Midstride's API."""
+    name = component.name
+    if component.stop is not None and component.gate is None:
+        message = f"{name} states how its process is ended, but has no gate: it uses Midstride's API, and ends in order"
+        help = "omit `stop`; `on_stop(…, timeout=…)` in its code says how long that may take"
+        yield Problem(_CODE, (*path, "stop_seconds"), message, help)
+    if component.activate_seconds is not None and not component.has_lifecycle:
+        message = f"{name} states how long it may take to activate, but it is no lifecycle node"
+        help = 'omit it, or state the gate: `run "…" gate lifecycle`'
+        yield Problem(_CODE, (*path, "activate_seconds"), message, help)
+    for port in sorted(component.lazy):
+        where = (*path, "lazy", port)
+        if not component.has_output(port):
+            yield Problem(_CODE, where, f"{name} has no output {port}, which is stated to be lazy")
+        elif component.gate is None:
+            message = f"output {port} of {name} cannot be lazy: Midstride's API creates it when the program starts"
+            yield Problem(_CODE, where, message, 'omit `lazy`, or state the gate: `run "…" gate preload`')
 
 
 def _relayed(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:

@@ -95,7 +95,7 @@ class Change:
         """How long a step takes: declared in the target, else measured earlier, else the stated default.
 
         A hand-over also takes the time in which the target has the new publisher tried before (included in what was
-        measured), and watched after.
+        measured), and watched after. A removal takes at most what the component states until it is killed.
         """
         timing = self.target.timing
         if kind == "create" and component is not None and component.startup_seconds is not None:
@@ -109,6 +109,8 @@ class Change:
             found = Estimate.exactly(timing.get(kind, DEFAULT_SECONDS[kind]))
             if kind == "handover":
                 found = found.plus(handover_seconds(timing, "probation"))
+        if kind == "remove" and component is not None and component.stop is not None:
+            return found.at_most(component.stop.longest)
         return found.plus(handover_seconds(timing, "watch_after")) if kind == "handover" else found
 
     def estimate_of(self, action: Action) -> Estimate:

@@ -33,6 +33,10 @@ class Estimate:
         """With ``seconds`` more that are certain."""
         return Estimate(self.seconds + seconds, self.shortest + seconds, self.longest + seconds)
 
+    def at_most(self, seconds: float) -> Estimate:
+        """With ``seconds`` as the longest, unless more was measured."""
+        return Estimate(self.seconds, self.shortest, max(self.longest, seconds))
+
     @property
     def between(self) -> tuple[float, float] | None:
         """The shortest and the longest; None where no spread is known."""

@@ -120,6 +120,11 @@ def _same_but_name(before: ComponentSpec, after: ComponentSpec) -> bool:
     return before.same_body(after) and before.parameters == after.parameters
 
 
+def _stop(component: ComponentSpec) -> str | None:
+    stop = component.stop
+    return None if stop is None else f"sigterm {format_number(stop.sigterm)} s sigkill {format_number(stop.sigkill)} s"
+
+
 def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterator[str]:
     """How two declarations of a component differ, a line each."""
     for what, old, new in (
@@ -128,6 +133,8 @@ def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterat
         ("package", before.package, after.package),
         ("prefix", before.prefix, after.prefix),
         ("gate", before.gate, after.gate),
+        ("activate", before.activate_seconds, after.activate_seconds),
+        ("stop", _stop(before), _stop(after)),
     ):
         if old != new:
             yield _became(what, old, new)
@@ -136,6 +143,7 @@ def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterat
     yield from _named("condition", *(dict.fromkeys(sorted(each.conditions), "") for each in (before, after)))
     yield from _named("output", dict.fromkeys(before.outputs, ""), dict.fromkeys(after.outputs, ""))
     yield from _named("topic of", before.topics, after.topics)
+    yield from _named("lazy", *(dict.fromkeys(sorted(each.lazy), "") for each in (before, after)))
     yield from _named("holds", before.resource_usage, after.resource_usage)
     yield from _named("variable", *(_variables(each) for each in (before, after)))
     yield from _named("parameter", _parameters(before), _parameters(after))

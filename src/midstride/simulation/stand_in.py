@@ -68,7 +68,15 @@ def _with_the_api(component: ComponentSpec) -> ComponentSpec:
         for each in component
     }
     return replace(
-        component, functionalities=Map(functionalities), gate=None, topics=Map(), package=None, conditions=frozenset()
+        component,
+        functionalities=Map(functionalities),
+        gate=None,
+        topics=Map(),
+        package=None,
+        stop=None,
+        activate_seconds=None,
+        lazy=frozenset(),
+        conditions=frozenset(),
     )
 
 

@@ -12,7 +12,7 @@ import click
 from midstride import backends
 from midstride.backends.processes import KEPT_OF_LOG, LONGEST_LOG, listens
 from midstride.cli.input_files import load
-from midstride.model.component import StopTimes
+from midstride.model.component import DEFAULT_STOP
 from midstride.runtime.backend_protocol import Handle
 from midstride.runtime.manager import Manager
 from midstride.runtime.options import SystemOptions
@@ -110,7 +110,7 @@ async def _still_running(workspace: Workspace) -> SavedState | None:
         for entry in saved.instances
     ]
     if not any(running):
-        await end_orphans(saved.token, (), StopTimes())
+        await end_orphans(saved.token, (), DEFAULT_STOP)
         store.delete()
         return None
     return saved

@@ -313,6 +313,7 @@ class ChangeSession:
                 self.store.write_specification(change.target)
             system.specification = change.target
             system.configuration = plan.change.in_target_context(system.configuration)
+            self.launcher.redeclared(system.configuration.instances.values())
             system.forget_filled_roles()
         except StepFailed:
             system.life.miss_again(change.missing_before, system.configuration.instances)

@@ -141,7 +141,9 @@ def _command(
     names: dict[str, Any] = {
         ref.functionality: configuration.functionality(ref).modes[index].name for ref, index in modes.items()
     }
-    return commands.ModesCommand(modes=names, because=because, timeout=timeout)
+    # A lifecycle node may have to be activated for it.
+    activation = max((configuration.component(ref.instance).activate_seconds or 0.0 for ref in modes), default=0.0)
+    return commands.ModesCommand(modes=names, because=because, timeout=timeout + activation)
 
 
 def _by_instance(modes: Mapping[FunctionalityRef, int]) -> dict[str, dict[FunctionalityRef, int]]:

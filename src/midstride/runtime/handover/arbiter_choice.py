@@ -31,8 +31,8 @@ class ArbiterKind:
 CLAIM: Final = ArbiterKind(by_moment=True)
 # A library holds back one side, or both: a word of shared memory.
 BATON: Final = ArbiterKind(by_moment=False)
-# Neither can be held back but by its lifecycle state.
-LIFECYCLE: Final = ArbiterKind(by_moment=False, needs_probation=False, exchange=10.0)
+# How long a lifecycle node may take to become active, or inactive, unless it states another time (s).
+TRANSITION: Final = 5.0
 
 
 def choose_arbiter(component: Callable[[str], ComponentSpec], old: str, new: str) -> ArbiterKind:
@@ -45,8 +45,9 @@ def choose_arbiter(component: Callable[[str], ComponentSpec], old: str, new: str
     loose = next((name for name, each in pair.items() if not each.counts_messages), None)
     if loose is None:
         return CLAIM if all(each.has_agent for each in pair.values()) else BATON
-    if gates[old] == gates[new] == "lifecycle":
-        return LIFECYCLE
+    if gates[old] == gates[new] == "lifecycle":  # neither can be held back but by its lifecycle state
+        activation = pair[new].activate_seconds or TRANSITION
+        return ArbiterKind(by_moment=False, needs_probation=False, exchange=TRANSITION + activation)
     if gates[old] == gates[new]:
         words = "both have `gate none`, so neither can be held back"
     else:

@@ -23,7 +23,7 @@ from midstride.errors import (
     Unreachable,
 )
 from midstride.model import wording
-from midstride.model.component import GATES, KILL_AT_ONCE, ComponentSpec, Gate, StopTimes
+from midstride.model.component import DEFAULT_STOP, GATES, KILL_AT_ONCE, ComponentSpec, Gate, StopTimes
 from midstride.model.configuration import Instance
 from midstride.runtime.backend_protocol import RELAY_SUFFIX, Backend, Exited, Handle, Launch, RemainingProcess
 from midstride.runtime.instance_life import STOPPED, ProcessEvent
@@ -59,7 +59,7 @@ def stop_times(component: ComponentSpec, asked: float = 0.0) -> StopTimes:
     """
     if component.gate is None:
         return StopTimes(0.0, max(STOP_GRACE, asked))
-    stop = StopTimes()
+    stop = component.stop or DEFAULT_STOP
     return StopTimes(0.0, stop.longest + max(STOP_GRACE, asked)) if component.gate == "relay" else stop
 
 
@@ -79,7 +79,8 @@ class Launcher:
         self._starting: dict[str, asyncio.Future[tuple[Greeting, Registration]]] = {}
         self._exits: dict[str, asyncio.Future[Exited]] = {}
         self._started_at: dict[str, float] = {}  # steady s
-        self._stops: dict[str, StopTimes] = {}
+        self._components: dict[str, ComponentSpec] = {}  # of the processes that it has started or adopted
+        self._asked: dict[str, float] = {}  # how long these take to end, as they have said (s)
         self._last_registration = -REGISTRATION_TIMEOUT  # steady s
         self._life = client.life
         # Called with an instance of which a process had to be killed, the seconds that this had to end, and words.
@@ -127,7 +128,7 @@ class Launcher:
         if command is None:
             self._life.started(name, None)
             return True
-        self._stops[name] = stop_times(instance.component)
+        self._components[name] = instance.component
         known = GATES_OF.get(self._backend.name, ())
         if gate is not None and gate not in known:
             self._forget_start(name)
@@ -218,7 +219,7 @@ class Launcher:
         try:
             greeting, registration = await self._registration(instance)
             self._verify(instance, greeting, registration)
-            self._stops[name] = stop_times(instance.component, (await self._welcome(name)).stopping)
+            self._asked[name] = (await self._welcome(name)).stopping
             self._life.record(name, ProcessEvent.REGISTERED)
         except (Exception, asyncio.CancelledError) as error:
             await self.abandon(name)
@@ -231,10 +232,8 @@ class Launcher:
     async def _registration(self, instance: Instance) -> tuple[Greeting, Registration]:
         name, run = instance.name, instance.component.run
         registering, exiting = self._starting[name], self._exits[name]
-        timeout, stopped = (
-            asyncio.ensure_future(self._patience(self._started_at[name])),
-            asyncio.ensure_future(self._stopped(name)),
-        )
+        patience = self._patience(self._started_at[name], instance.component.startup_seconds or 0.0)
+        timeout, stopped = asyncio.ensure_future(patience), asyncio.ensure_future(self._stopped(name))
         first: set[asyncio.Future[Any]] = {registering, exiting, timeout, stopped}
         try:
             await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
@@ -252,7 +251,8 @@ class Launcher:
         log = f" Its log: {handle.log}" if handle is not None and handle.log else ""
         raise StartFailed(
             f"{name} did not register within {timeout.result():g} s (it {where}); does its program "
-            f"create a Component and call start()?{log}"
+            f"create a Component and call start()? If it needs longer, state `takes {2 * timeout.result():g} s` after "
+            f"its `run` command.{log}"
         )
 
     async def _welcome(self, name: str) -> ComponentState:
@@ -279,12 +279,15 @@ class Launcher:
             await clock.sleep(CHECK_STOPPED)
             since = min(since, clock.steady()) if self._backend.is_stopped(name) else math.inf
 
-    async def _patience(self, begun: float) -> float:
-        """Wait as long as a component started at ``begun`` may take to register; returns how long that was (s)."""
+    async def _patience(self, begun: float, startup: float) -> float:
+        """Wait as long as a component started at ``begun`` may take to register; returns how long that was (s).
+
+        ``startup``: how long its start takes as it states, which is given to it besides (s).
+        """
         clock = self._backend.clock
         while True:
             last = max(begun, self._last_registration)
-            remaining = min(last + REGISTRATION_TIMEOUT, begun + REGISTRATION_LIMIT) - clock.steady()
+            remaining = min(last + REGISTRATION_TIMEOUT, begun + REGISTRATION_LIMIT) + startup - clock.steady()
             if remaining <= 0:
                 return round(clock.steady() - begun, 1)
             await clock.sleep(remaining)
@@ -321,9 +324,16 @@ class Launcher:
             self._life.record(name, ProcessEvent.RELEASED)
         return None
 
+    def redeclared(self, instances: Iterable[Instance]) -> None:
+        """A change has ended: these run, with components that may state other times than those they started with."""
+        for instance in instances:
+            if instance.name in self._components:
+                self._components[instance.name] = instance.component
+
     async def end(self, name: str) -> None:
         """End a component that a manager started. Raises BackendError; then its handle is kept."""
-        await self._end(name, self._stops.get(name, StopTimes()))
+        component = self._components.get(name)
+        await self._end(name, DEFAULT_STOP if component is None else stop_times(component, self._asked.get(name, 0.0)))
         self._life.record(name, ProcessEvent.ENDED)
 
     async def kill(self, name: str) -> None:
@@ -341,7 +351,8 @@ class Launcher:
             self._life.record(name, ProcessEvent.END_FAILED)
             raise
         self._client.disconnect(name)
-        self._stops.pop(name, None)
+        self._components.pop(name, None)
+        self._asked.pop(name, None)
         for process in killed:
             words = killed_in_words(name, None if handle is None else handle.pid, process)
             if self.on_killed is not None:
@@ -371,7 +382,7 @@ class Launcher:
         if not await self._backend.adopt(handle):
             return None
         self._life.adopted(handle.instance, handle if owned else None)
-        self._stops[handle.instance] = stop_times(component)
+        self._components[handle.instance] = component
         try:
             async with within(ADOPT_TIMEOUT):
                 await self._client.connect(handle.instance)
@@ -387,12 +398,12 @@ class Launcher:
                 )
             words = f"{handle.instance} runs{which}, but does not answer on its control socket{remedy}"
             raise Unreachable(words) from None
-        self._stops[handle.instance] = stop_times(component, state.stopping)
+        self._asked[handle.instance] = state.stopping
         return state
 
     async def end_orphans(self, known: Container[str]) -> list[str]:
         """Terminate the system's processes whose instance is not ``known``. Raises BackendError."""
-        ended = await self._backend.end_orphans(self._client.token, known, StopTimes())
+        ended = await self._backend.end_orphans(self._client.token, known, DEFAULT_STOP)
         for name in ended:
             await self._backend.end(name, KILL_AT_ONCE)  # the graph may still show it, and its name may be used again
         return ended

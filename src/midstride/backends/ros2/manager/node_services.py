@@ -101,7 +101,7 @@ class RosNodeServices:
             client = self._clients[service] = self._node.create_client(type_, name, callback_group=self._group)
         while not client.service_is_ready():
             if loop.time() >= deadline:
-                raise NoAnswer(f"it offers no service {name}")
+                raise NoAnswer(f"it has offered no service {name} within {timeout:g} s")
             await asyncio.sleep(INTERVAL)
         answered: asyncio.Future[Any] = loop.create_future()
         waiting, sent = self._waiting.setdefault(service, {}), -math.inf

@@ -16,6 +16,8 @@ from typing import Any, Final
 
 NO_LAUNCH: Final = 3
 _DICTIONARY: Final = "launch_params_"  # how launch_ros names the files that it writes for parameters
+# What launch has for `sigterm_timeout` and `sigkill_timeout` (s).
+_UNSTATED: Final = 5.0
 _HARMLESS: Final = frozenset({"LogInfo"})
 
 
@@ -84,6 +86,7 @@ class _Visitor:
                 "remaps": node.expanded_remapping_rules or [],
                 "parameters": parameters,
                 "lifecycle": type(node).__name__ == "LifecycleNode",
+                "stop": dict(self._stop(node)),
             }
         )
 
@@ -98,6 +101,21 @@ class _Visitor:
             "respawn": getattr(node, "_ExecuteLocal__respawn", None),
         }
         return (name for name, value in stated.items() if value)
+
+    def _stop(self, node: Any) -> Iterator[tuple[str, float]]:
+        """How long it may take to end, by the signal that then comes (s), where that is not launch's default."""
+        for name in ("sigterm", "sigkill"):
+            seconds = self._seconds(getattr(node, f"_ExecuteLocal__{name}_timeout", None))
+            if seconds is not None and seconds != _UNSTATED:
+                yield name, seconds
+
+    def _seconds(self, value: Any) -> float | None:
+        """None where it is not stated, or no number from 0."""
+        try:
+            seconds = float(self._text(value))
+        except ValueError:
+            return None
+        return seconds if 0 <= seconds < float("inf") else None
 
     def _changed_variables(self) -> list[str]:
         """The variables that actions of the launch file have set or taken away by now."""
