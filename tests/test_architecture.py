@@ -22,7 +22,7 @@ PACKAGE = "midstride"
 
 EVERY = frozenset(
     "model codec wire lang launch_files capture plan verify generate runtime backends node foreign server cli "
-    "simulation transitions".split()
+    "simulation transitions verdicts".split()
 )
 
 # What each package may import of Midstride, besides itself and `errors`. "" is Midstride's own __init__.
@@ -33,14 +33,15 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "wire": frozenset({"model", "codec"}),
     "ament_index": frozenset({"model"}),
     "transitions": frozenset(),
+    "verdicts": frozenset({"model", "codec"}),
     "lang": frozenset({"model", "codec", "ament_index"}),
     "launch_files": frozenset({"model", "lang", "ament_index"}),
     "capture": frozenset({"model", "lang"}),
-    "plan": frozenset({"model", "codec"}),
+    "plan": frozenset({"model", "codec", "verdicts"}),
     "generate": frozenset({"model", "codec"}),
     "node": frozenset({"model", "codec", "wire", "transitions"}),
     "verify": frozenset({"model", "codec", "plan"}),
-    "runtime": frozenset({"model", "codec", "wire", "plan", "verify", "transitions"}),
+    "runtime": frozenset({"model", "codec", "wire", "plan", "verify", "transitions", "verdicts"}),
     "backends": frozenset({"model", "codec", "wire", "node", "foreign", "runtime", "capture", "ament_index"}),
     "foreign": frozenset({"model", "codec", "wire", "node"}),
     "server": EVERY - {"node", "cli", "simulation", "launch_files", "capture"} | {""},

@@ -31,6 +31,7 @@ from midstride.runtime.records.status_forms import (
 )
 from midstride.server.static import dashboard
 from midstride.server.view.view_forms import Patch, SystemView
+from midstride.verdicts import system_condition
 from tests.server.support import free_port
 
 MODES = ["normal", "reduced", "degraded"]
@@ -157,6 +158,7 @@ class Synthetic:
             system="synthetic",
             backend="sim",
             phase="up",
+            condition=system_condition(1, 1, []),
             revision=1,
             running=None,
             valid=True,

@@ -6,7 +6,9 @@ from typing import Any
 
 import msgspec
 
+from midstride.codec.form import encode
 from midstride.runtime.records.status_forms import Status
+from midstride.verdicts import system_condition
 
 Document = dict[str, Any]
 
@@ -23,6 +25,8 @@ def status(*components: Document, **changed: Any) -> Status:
         "middleware": {"name": "sim"},
     }
     document |= {"spares": {"kept": 0, "ready": 0, "unused_by": []}}
+    nodes = len(components)
+    document["condition"] = encode(system_condition(nodes, nodes, [] if changed.get("valid", True) else ["a fault"]))
     return msgspec.convert(document | changed, Status)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -13,7 +14,9 @@ from midstride.cli import main
 from midstride.cli.client import Client
 from midstride.cli.commands import up
 from midstride.cli.input_files import load
+from midstride.codec.form import encode
 from midstride.runtime.records.reports import UpReport
+from midstride.verdicts import system_condition
 from tests.cli.conftest import EXAMPLES, Midstride
 from tests.planting import plant
 from tests.runtime.systems import rewritten
@@ -79,6 +82,9 @@ def test_up_that_cannot_start_a_node_says_which_why_and_what_to_do(
     report = {"outcome": "incomplete", "instances": ["listener"], "degraded": [], "missing": missing}
     file = EXAMPLES / "talker" / "talker.stride"
     plant(monkeypatch, up, "bring_up", lambda *_, **__: msgspec.convert(report, UpReport))
+    condition = system_condition(2, 1, ["talker could not be started"])
+    status = SimpleNamespace(condition=condition)
+    plant(monkeypatch, up, "settled", lambda *_, **__: (status, []))
     plant(monkeypatch, Client, "specification", lambda *_, **__: load(file))
     plant(monkeypatch, Client, "service", lambda *_, **__: None)
     with tempfile.TemporaryDirectory(prefix="ms") as folder:  # a short name: sockets are in it
@@ -91,7 +97,7 @@ def test_up_that_cannot_start_a_node_says_which_why_and_what_to_do(
             "Fix the cause, then `midstride restart talker`. The others go on meanwhile.",
         ]
         assert main(["up", str(file), "--backend", "sim", "--detach", "--json"]) == 3
-        assert json.loads(capsys.readouterr().out) == report
+        assert json.loads(capsys.readouterr().out) == {**report, "condition": encode(condition)}
 
 
 def test_without_a_terminal_up_prints_each_step_once(midstride: Midstride) -> None:

@@ -10,9 +10,11 @@ import msgspec
 import pytest
 from rich.console import Console, RenderableType
 
+from midstride import verdicts
 from midstride.cli import render, render_status
 from midstride.cli.input_files import as_typed_here
 from midstride.plan.forms.plan_forms import PlanPreview
+from midstride.runtime.change.change_assessment import reported
 from midstride.runtime.records.reports import Outcome
 from midstride.runtime.records.status_forms import Status
 from tests.cli.statuses import component, crash, functionality, status
@@ -39,7 +41,8 @@ def plan(**changed: Any) -> PlanPreview:
 def done(outcome: str = "done", plan: dict[str, Any] | None = None, **changed: Any) -> Outcome:
     system = {"system": "s"}
     whole = {**(plan or plan_document()), "start": system, "target": system}
-    return msgspec.convert({"outcome": outcome, "plan": whole, "seconds": 0.27, **changed}, Outcome)
+    made = msgspec.convert({"outcome": outcome, "plan": whole, "seconds": 0.27, **changed}, Outcome)
+    return msgspec.structs.replace(made, continuity=verdicts.assessed(reported(made, made.silences)))
 
 
 HOLDS = {"verdict": "holds", "subject": "the plan", "scope": "s", "by": "Alloy"}
@@ -173,7 +176,8 @@ def test_nothing_fell_is_not_said_above_missed_messages(outcome: str) -> None:
     assert report(outcome=outcome, swaps=[swap(missed=48), swap()]) == [missed]
     all_three = "Messages on /chatter at listener.in: 48 missed, 2 lost and 1 duplicate."
     assert report(outcome=outcome, swaps=[swap(48, 2, 1)]) == [all_three]
-    assert report(outcome=outcome, swaps=[swap(None, 2, None)]) == ["Messages on /chatter at listener.in: 2 lost."]
+    lost = "Messages on /chatter at listener.in: 2 lost (missed and duplicates are not known)."
+    assert report(outcome=outcome, swaps=[swap(None, 2, None)]) == [lost]
     assert report(outcome=outcome, swaps=[swap()], below_baseline_seconds={"a.b": 0.0}) == [
         "a.b was below its level for 0 ms."
     ]
@@ -185,12 +189,14 @@ def test_nothing_fell_is_not_said_above_missed_messages(outcome: str) -> None:
 
 
 def test_nothing_fell_is_not_claimed_where_a_figure_is_unknown() -> None:
-    said = (
-        "Nothing is known to have fallen below its level. Not known: missed and duplicates at listener.in on /chatter."
-    )
+    said = "Nothing is known to have fallen below its level. Not measurable here: "
+    said += "missed and duplicates at listener.in on /chatter."
     assert report(swaps=[swap(missed=None, duplicates=None)]) == [said]
     silence = {"kind": "not_answering", "instance": "listener", "words": "listener does not answer", "seconds": None}
-    assert report(swaps=[swap(None, None, None)], silences=[silence]) == ["listener does not answer"]
+    assert report(swaps=[swap(None, None, None)], silences=[silence]) == [
+        "listener does not answer.",
+        "Not measurable here: missed, lost and duplicates at listener.in on /chatter.",
+    ]
 
 
 def test_what_is_lower_unexpectedly_is_said_with_its_reason_on_one_line() -> None:
@@ -236,7 +242,7 @@ def test_a_file_below_the_current_folder_is_shown_as_it_is_typed_there(
 def test_after_a_crash_the_remedy_is_named() -> None:
     crashed = [crash("talker", remedy="`midstride restart talker` restores it"), crash("talker", None)]
     lines = shown(render_status.status(status(crashed=crashed, file="/r/robot.stride")))
-    assert lines[:2] == ["s on sim, valid", "specification: /r/robot.stride"]
+    assert lines[:2] == ["s on sim: up, it has no nodes", "specification: /r/robot.stride"]
     assert lines[-2:] == [
         "talker exited unexpectedly (status -9); `midstride restart talker` restores it",
         "talker exited unexpectedly",
@@ -264,7 +270,7 @@ def test_silence_and_waiting_are_shown() -> None:
     row = functionality("talk", "off", normal=False, **why)
     lines = shown(render_status.status(status(component("talker", functionalities=[row]))))
     assert "input in is silent; restored when input in is back" in lines[2]
-    assert shown(render.outcome(done(silences=[{**fault, "seconds": None}])))[1:] == [fault["words"]]
+    assert shown(render.outcome(done(silences=[{**fault, "seconds": None}])))[1:] == [f"{fault['words']}."]
 
 
 def with_attachment(gate: str | None = None, fields: Any = (), **figures: Any) -> Status:

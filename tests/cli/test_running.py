@@ -63,7 +63,7 @@ def test_status_shows_the_live_components(talker: Midstride) -> None:
     assert set(modes.values()) == {"normal"}
     shown = talker("status")
     assert shown.status == 0
-    assert "talker on sim, valid" in shown.out
+    assert "talker on sim: up, all 2 nodes run\n" in shown.out
     assert "/chatter: " in shown.out
 
 
@@ -459,12 +459,12 @@ def test_a_component_that_does_not_come_up(
     (tmp_path / "talker.py").unlink()
     if program is not None:
         (tmp_path / "talker.py").write_text(program)
-    done = midstride("up", str(tmp_path / "talker.stride"), "--backend", "sim", "-d")
+    done = midstride("up", str(tmp_path / "talker.stride"), "--backend", "sim", "-d", "--strict")
     assert done.status == 1
     assert done.err.startswith("midstride up: ")
     assert message in done.err
     assert "midstride/cli" not in done.err
-    failed = midstride("up", str(tmp_path / "talker.stride"), "--backend", "sim", "--json")
+    failed = midstride("up", str(tmp_path / "talker.stride"), "--backend", "sim", "--strict", "--json")
     assert (failed.status, failed.json["error"]["kind"]) == (1, "StepFailed")
     assert not (midstride.runtime / "midstride" / "talker" / "state.db").exists()
 

@@ -22,7 +22,8 @@ from tests.plan.cases import replaced, talker
 def test_a_plan_is_written_in_the_order_of_its_documentation() -> None:
     document = encode_plan(replaced(talker(), "talker", "NewTalker", "paper"))
     assert list(document)[3:5] == ["lower_bound", "proof_space"]
-    assert list(document)[7:] == ["duration", "degraded", "degradations", "level_shifts", "start", "target", "steps"]
+    costs = ["duration", "degraded", "degradations", "level_shifts", "continuity"]
+    assert list(document)[7:] == [*costs, "start", "target", "steps"]
     assert all(([*step][:1], [*step][-1:]) == (["action"], ["seconds"]) for step in document["steps"])
     assert document["steps"][3] == {
         "action": "create",

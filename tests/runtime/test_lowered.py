@@ -59,7 +59,7 @@ def test_a_removal_that_lowers_others_for_good_says_so_before_and_after(tmp_path
         afterwards = "afterwards controller.control is in mode degraded instead of normal"
         words = {event.kind: event.words for event in manager.log()}
         assert words["plan"].endswith(f"disruption 0; {afterwards}")
-        assert words["outcome"] == f"done; {afterwards}"
+        assert words["outcome"] == f"done; {afterwards.replace('afterwards', 'Afterwards:')}"
         # What is lower already is not said again.
         again = await manager.change(PlanRequest(add=(Node("second", "Detector"),)))
         assert told(again.remaining_degradations) == []

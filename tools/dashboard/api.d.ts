@@ -17,6 +17,24 @@ declare namespace Api {
   /** UNKNOWN is neither yes nor no: ``Verdict.because`` says why there is no answer. */
   type Answer = "holds" | "unknown" | "violated";
 
+  /** What is known about the work of a functionality, an output or a node. `lasting`: it is so afterwards, and no plan led there. */
+  interface Assessment {
+    subject: string;
+    verdict: "kept" | "lost" | "not_measurable";
+    /** the sentence, without a full stop */
+    words: string;
+    /** for how long it was lost; null: not lost, or not known */
+    seconds: number | null;
+    lasting: boolean;
+  }
+
+  /** All that is known about the work of a system during a change. `verdict`: the weakest of them. */
+  interface Assessments {
+    verdict: "kept" | "lost" | "not_measurable";
+    headline: string;
+    found: Assessment[];
+  }
+
   /** One of several inputs, or what a message of some input must be like. */
   type AssumptionForm = { /** one of these inputs */ any_of: string[]; } | { /** the message type, pkg/msg/Type or pkg/Type */ type: string; /** in Hz, at least */ rate?: number; qos?: QoSForm; /** the values that fields may have, by dotted path */ where?: Record<string, ValuesForm>; };
 
@@ -695,6 +713,8 @@ declare namespace Api {
     remaining_degradations: DegradedFunctionality[];
     /** what Alloy found, where requested */
     verdict?: Verdict;
+    /** what was kept, what was lost, and what is not measurable; null: refused */
+    continuity: Assessments | null;
   }
 
   /** A parameter's value, and whether it can be set in place. */
@@ -749,6 +769,7 @@ declare namespace Api {
     phase?: "down" | "failed" | "starting" | "up";
     revision?: number;
     running?: RunningCommand | null;
+    condition?: SystemCondition;
     valid?: boolean;
     violations?: string[];
     instances?: Record<string, InstanceStatus | null>;
@@ -787,6 +808,8 @@ declare namespace Api {
     degradations: Degradation[];
     /** what is in another mode for good */
     level_shifts: LevelShift[];
+    /** what is kept, what is lost, and what is not measurable */
+    continuity?: Assessments;
     start: SpecificationForm;
     target: SpecificationForm;
     /** what it would cost to keep what degrades, where that was asked for */
@@ -833,6 +856,8 @@ declare namespace Api {
     degradations: Degradation[];
     /** what is in another mode for good */
     level_shifts: LevelShift[];
+    /** what is kept, what is lost, and what is not measurable */
+    continuity?: Assessments;
     steps: (CreateStep | RemoveStep | AttachStep | DetachStep | DegradeStep | UpgradeStep | HandoverStep | SetStep)[];
     /** by role, at the start: instances without their role's name; null: none is live */
     start_instances?: Record<string, string | null>;
@@ -875,6 +900,8 @@ declare namespace Api {
     degradations: Degradation[];
     /** what is in another mode for good */
     level_shifts: LevelShift[];
+    /** what is kept, what is lost, and what is not measurable */
+    continuity?: Assessments;
     start: SpecificationForm;
     target: SpecificationForm;
     /** what it would cost to keep what degrades, where that was asked for */
@@ -1199,6 +1226,16 @@ declare namespace Api {
     duplicates: number | null;
   }
 
+  /** What runs, and what is missing or worse than it should be: `degraded` where anything is. It is about the components. Whether a configuration is valid is a word about the manager's model. */
+  interface SystemCondition {
+    state: "degraded" | "down" | "up";
+    headline: string;
+    /** what is missing or worse than it should be */
+    faults: string[];
+    /** what is not measurable here */
+    unknown: string[];
+  }
+
   /** The running system, and the change in it. */
   interface SystemView {
     system: string;
@@ -1206,6 +1243,9 @@ declare namespace Api {
     revision: number;
     /** the command in progress */
     running: RunningCommand | null;
+    /** what runs, and what is missing or worse than it should be */
+    condition: SystemCondition;
+    /** the configuration is, and its components report what the model has */
     valid: boolean;
     violations: string[];
     instances: InstanceStatus[];

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from rich.console import Group, RenderableType
@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from midstride import verdicts
 from midstride.cli.console import PrintableTable
 from midstride.codec.parameter import from_json
 from midstride.model import wording
@@ -26,6 +27,7 @@ if TYPE_CHECKING:  # most commands show none of them
     from midstride.runtime.records.change_history import ChangeRecord, History
     from midstride.runtime.records.measure import SwapReport
     from midstride.runtime.records.reports import DegradedFunctionality, Event, Outcome
+    from midstride.verdicts import Assessments
 
     AnyPlan: TypeAlias = PlanForm | PlanPreview
 
@@ -62,23 +64,12 @@ def table(left: Iterable[str], right: Iterable[str] = ()) -> Table:
 
 def seconds(value: float | None) -> str:
     """A duration with three significant digits or so."""
-    if value is None:
-        return UNKNOWN
-    if value >= 10:
-        return f"{value:.1f} s"
-    if value >= 1:
-        return f"{value:.2f} s"
-    return f"{value * 1000:.0f} ms"
+    return UNKNOWN if value is None else verdicts.seconds_in_words(value)
 
 
 def hertz(rate: float | None) -> str:
     """A rate with three significant digits."""
     return UNKNOWN if rate is None else f"{rate:.3g} Hz"
-
-
-def silence(words: str, since: float | None) -> str:
-    """What is silent, and for how long (s)."""
-    return words if since is None else f"{words} (for {seconds(since)})"
 
 
 def step_text(step: AnyStep) -> str:
@@ -155,13 +146,27 @@ def falls(plan: AnyPlan) -> str:
     lines = [_fall(plan, fall) for fall in plan.degradations]
     lower = _lower_afterwards(plan)
     higher = [shift for shift in plan.level_shifts if shift.levels <= 0]
-    if not lines and not lower:
-        lines = ["[green]Nothing degrades:[/green] every functionality that remains keeps its level throughout."]
+    lines += _expected(plan)
     lines += [f"[yellow]Afterwards:[/yellow] {escape(_lowered(shift))}." for shift in lower]
     for shift in higher:
         levels = f"from {shift.before or 'unserved'} to {shift.after or 'unserved'}"
         lines.append(f"[green]Improves:[/green] {escape(f'{shift.functionality}, {levels}')}")
     return "\n".join(lines)
+
+
+def _expected(plan: AnyPlan) -> Iterator[str]:
+    """What a plan keeps, and what it loses beside what degrades, which has lines of its own."""
+    if not (found := plan.continuity):
+        return
+    if found.verdict != "lost":
+        head, colon, rest = found.headline.partition(":" if found.verdict == "kept" else ".")
+        yield f"[{'green' if found.verdict == 'kept' else 'yellow'}]{escape(head + colon)}[/]{escape(rest)}"
+        return
+    shown = {each.functionality for each in plan.degradations} | {each.functionality for each in plan.level_shifts}
+    for each in found.found:
+        if each.subject not in shown:
+            kind = "Lost" if each.verdict == "lost" else "Not measurable here"
+            yield f"[yellow]{kind}:[/yellow] {escape(each.words)}."
 
 
 def _fall(plan: AnyPlan, fall: Degradation) -> str:
@@ -191,7 +196,7 @@ def _alternative(alternative: Alternative) -> str:
     mode = alternative.kept_at
     if alternative.impossible is not None:
         return f"It cannot be kept at {mode}: {alternative.impossible}"
-    instead = _listed(alternative.degraded) if alternative.degraded else "nothing"
+    instead = verdicts.listed(alternative.degraded) if alternative.degraded else "nothing"
     cost = f"the disruption would be {alternative.disruption:.3g}"
     return f"To keep it at {mode}, {cost}: {instead} would degrade instead"
 
@@ -254,10 +259,11 @@ def outcome(outcome: Outcome) -> RenderableType:
     lines: list[RenderableType] = [Text.from_markup(headline + (f": {escape(str(because))}" if because else "."))]
     if kind != "refused":
         skews = (
-            f"{skew.kind.capitalize()} of {_listed(skew.functionalities)}: within {skew.seconds * 1000:.1f} ms."
+            f"{skew.kind.capitalize()} of {verdicts.listed(skew.functionalities)}: within {skew.seconds * 1000:.1f} ms."
             for skew in outcome.skews
         )
-        lines += map(Text, [*_times(outcome), *skews, *_fallen_lines(outcome)])
+        lines += map(Text, [*_times(outcome), *skews])
+        lines += _continuity(outcome.continuity)
     lines += _runtime_values(outcome)
     if outcome.swaps:
         swaps = table(["topic", "subscriber"], MEASUREMENTS)
@@ -283,26 +289,11 @@ def _times(outcome: Outcome) -> list[str]:
     return [f"Planned: {_about_plan(plan)}. Measured: {seconds(ended)}{in_all}."]
 
 
-def _fallen_lines(outcome: Outcome) -> list[str]:
-    """What was degraded and for how long, what is lower now, and what else went wrong, as measured."""
-    fallen = sorted(outcome.below_baseline_seconds.items())
-    lines = [f"{name} was below its level for {seconds(spent)}." for name, spent in fallen]
-    lines += [f"Afterwards: {degraded_line(each)}" for each in outcome.remaining_degradations]
-    if exits := outcome.unexpected_exits:
-        lines.append(f"Exited unexpectedly meanwhile: {', '.join(exits)}; see `midstride log`.")
-    if degraded := outcome.unexpected_degradations:
-        lines.append(f"Degraded unexpectedly meanwhile: {', '.join(degraded)}; see `midstride why {degraded[0]}`.")
-    lines += [f"Fenced: {each.words}." for each in outcome.fenced]
-    lines += [f"{each.words}." for each in outcome.killed]
-    lines += [silence(each.words, each.seconds or None) for each in outcome.silences]
-    swaps = outcome.swaps
-    lines += [line for swap in swaps if (line := _faults(swap))]
-    if lines:
-        return lines
-    unknown = [f"{_listed(names)} at {swap.subscriber} on {swap.topic}" for swap in swaps if (names := _unknown(swap))]
-    if unknown:
-        return [f"Nothing is known to have fallen below its level. Not known: {'; '.join(unknown)}."]
-    return ["Nothing fell below its level."]
+def _continuity(found: Assessments | None) -> Iterable[Text]:
+    """What was kept, what was lost for how long, and what is not measurable, in the manager's words."""
+    if found is None:  # it was recorded by an earlier version
+        return
+    yield from (Text(line, style="default" if found.verdict == "kept" else "yellow") for line in found.lines)
 
 
 def degraded_line(degraded: DegradedFunctionality) -> str:
@@ -311,27 +302,13 @@ def degraded_line(degraded: DegradedFunctionality) -> str:
     return f"{_lowered(degraded)}{because}."
 
 
-def _faults(swap: SwapReport) -> str:
-    """What was missed, lost or received twice at one subscriber; empty if nothing is known to have been."""
-    found = {name: getattr(swap, name) for name in _COUNTS}
-    counts = [f"{count} {name.removesuffix('s') if count == 1 else name}" for name, count in found.items() if count]
-    return f"Messages on {swap.topic} at {swap.subscriber}: {_listed(counts)}." if counts else ""
-
-
-def _unknown(swap: SwapReport) -> list[str]:
-    return [name for name in _COUNTS if getattr(swap, name) is None]
-
-
-def _listed(words: list[str]) -> str:
-    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
-
-
 def fallen_line(outcome: Outcome) -> str:
     """What was degraded and what is lower now, on one line, for a table."""
     below = sorted(outcome.below_baseline_seconds.items())
     fallen = [f"{name} {seconds(spent)}" for name, spent in below if spent]
     fallen += [f"{each.functionality} permanently" for each in outcome.remaining_degradations]
-    return ", ".join(fallen) or "nothing"
+    kept = outcome.continuity is not None and outcome.continuity.verdict == "kept"
+    return ", ".join(fallen) or ("nothing" if kept else UNKNOWN if outcome.continuity is None else "see the report")
 
 
 def time_of_day(at: float) -> str:

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from midstride.cli.changed_programs import code_words
 from midstride.cli.input_files import as_typed_here
-from midstride.cli.render import UNKNOWN, hertz, seconds, silence, table
+from midstride.cli.render import UNKNOWN, hertz, seconds, table
 from midstride.codec.parameter import from_json
 from midstride.runtime.records.status_forms import (
     FunctionalityStatus,
@@ -19,6 +19,7 @@ from midstride.runtime.records.status_forms import (
     SpareStatus,
     Status,
 )
+from midstride.verdicts import silence_in_words
 
 
 def status(status: Status) -> RenderableType:
@@ -37,10 +38,11 @@ def status(status: Status) -> RenderableType:
 def _heading(status: Status) -> str:
     running, file = status.running, status.file
     activity = f", carrying out `{escape(running.command)}` for {seconds(running.seconds or None)}" if running else ""
-    state = "[green]valid[/green]" if status.valid else "[red]not valid[/red]"
+    style = {"up": "green", "degraded": "yellow", "down": "red"}[status.condition.state]
+    state = f"[{style}]{escape(status.condition.headline)}[/]"
     since = ", changed since (`midstride history`)" if status.changed_since else ""
     origin = f"\n[dim]specification: {escape(as_typed_here(file))}{since}[/dim]" if file else ""
-    return f"[bold]{status.system}[/bold] on {status.backend}, {state}{activity}{origin}"
+    return f"[bold]{status.system}[/bold] on {status.backend}: {state}{activity}{origin}"
 
 
 def _process(component: InstanceStatus) -> Text:
@@ -144,7 +146,10 @@ def _set(status: Status) -> Iterable[Text]:
 
 
 def _problems(status: Status) -> Iterable[Text]:
-    problems = [*status.violations, *(silence(fault.words, fault.seconds or None) for fault in status.silences)]
+    problems = [
+        *status.violations,
+        *(silence_in_words(fault.words, fault.seconds or None) for fault in status.silences),
+    ]
     for crash in status.crashed:
         next_ = [] if crash.respawn is None else [crash.respawn.words]
         if crash.remedy and not (crash.respawn and crash.respawn.restarting):
@@ -166,7 +171,8 @@ def platform(status: Status) -> RenderableType:
     for variables, owner in ((middleware.set, "Midstride"), (middleware.kept, "you: it is left")):
         for name, value in variables.items():
             settings.add_row(name, value, owner)
-    lines: list[RenderableType] = [Text(""), starts, Text(f"\nMiddleware: {middleware.name}")]
+    model = f"The configuration in the manager's model is {'' if status.valid else 'not '}valid."
+    lines: list[RenderableType] = [Text(""), starts, Text(f"\n{model}\nMiddleware: {middleware.name}")]
     if middleware.set or middleware.kept:
         lines.append(settings)
     undeclared = [

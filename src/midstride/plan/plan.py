@@ -16,6 +16,7 @@ from midstride.plan.explain import Degradation, LevelShift
 from midstride.plan.runtime_values import RuntimeValue
 from midstride.plan.schedule import Schedule, makespan, schedule
 from midstride.plan.step import Step
+from midstride.verdicts import Assessment
 
 _EPSILON: Final = 1e-6
 
@@ -39,6 +40,7 @@ class Plan:
     (:func:`midstride.plan.overlap.duration`). ``fallen`` names roles' functionalities
     that are ever below the baseline. ``proved_minimal`` is claimed only where it is proved.
     ``proof_space``: the plans that ``lower_bound`` speaks of, without detours or with them as well.
+    ``besides``: what it loses beyond the model, where that is known of what runs.
     ``certificate``: parts that add up to ``lower_bound``, from which a check can start; empty where there is none.
     ``parameters``: what becomes of the values that were set at run time. ``remarks``: what it does besides, and why.
     """
@@ -56,6 +58,7 @@ class Plan:
     remarks: tuple[str, ...] = ()
     proof_space: ProofSpace = "direct"
     certificate: tuple[BoundPart, ...] = ()
+    besides: tuple[Assessment, ...] = ()
 
     @classmethod
     def of(

@@ -93,6 +93,8 @@ class LinkState(WireValue, frozen=True, kw_only=True):
 
     ``fields``: samples of the fields that the contract in force constrains.
     ``fenced``: its gate was closed although user code did not return, and nothing but lifting that opens it.
+    ``inactive``: for how long in all (s) an output of a lifecycle node that nothing else gates has been silent because
+    no node that writes it was active, since it was first handed to this one; None for any other.
     """
 
     gate: GateState | None
@@ -101,6 +103,7 @@ class LinkState(WireValue, frozen=True, kw_only=True):
     measured: Measured | None = None
     fields: dict[str, FieldSamples] = msgspec.field(default_factory=dict)
     fenced: bool = False
+    inactive: float | None = None
 
 
 class ComponentState(WireValue, frozen=True, kw_only=True):

@@ -252,8 +252,7 @@ def change(
         raise
     if wants_json():
         print_json(outcome)
-    unexpected = outcome.silences or any(not each.planned for each in outcome.remaining_degradations)
-    return 0 if outcome.outcome == "done" and not unexpected else 1
+    return 0 if outcome.outcome == "done" and outcome.continuity is not None and not outcome.continuity.lasting else 1
 
 
 def asked_by(title: str) -> str:

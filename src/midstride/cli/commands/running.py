@@ -14,6 +14,7 @@ from midstride.cli.client import Client
 from midstride.cli.follow import last_event_number
 from midstride.cli.output import console, json_option, print_json, show, wants_json
 from midstride.cli.running_systems import find, not_running, system_option
+from midstride.verdicts import EXIT_STATUS
 
 if TYPE_CHECKING:
     from midstride.runtime.records.reports import Event
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 @system_option
 @json_option
 def status_command(nodes: tuple[str, ...], verbose: bool, system: str | None) -> int:
-    """Show nodes, modes and topics, as the components report them. Exit status 1 if the system is not valid.
+    """Show nodes, modes and topics, as the components report them. Exit status 3 if not all is up, 1 if nothing runs.
 
     With names of nodes or instances, these and their topics, and the problems of the system.
     """
@@ -43,7 +44,7 @@ def status_command(nodes: tuple[str, ...], verbose: bool, system: str | None) ->
         if verbose:
             console().print(render_status.measured(status))
             console().print(render_status.platform(status))
-    return 0 if status.valid else 1
+    return EXIT_STATUS[status.condition.state]
 
 
 def _narrowed(status: Status, nodes: Sequence[str]) -> Status:

@@ -15,6 +15,7 @@ import click
 
 from midstride.backends import NAMES
 from midstride.cli.client import Client
+from midstride.cli.first_rates import settled
 from midstride.cli.follow import FollowedRequest
 from midstride.cli.input_files import load
 from midstride.cli.live_view import watch
@@ -23,18 +24,18 @@ from midstride.cli.progress import Progress
 from midstride.cli.render import degraded_line
 from midstride.cli.shutdown import wait_for_manager_exit
 from midstride.cli.staying import ended_by_signals, stay
+from midstride.codec.form import encode
 from midstride.codec.specification_form import encode_specification
 from midstride.errors import ManagerBusy, ManagerError
 from midstride.model.specification import Specification
 from midstride.runtime.records.reports import UpReport
 from midstride.runtime.workspace import Workspace
+from midstride.verdicts import EXIT_STATUS, not_yet_judged
 
 # How long a manager may take to answer for the first time (s): a cold start on a busy machine.
 START_TIMEOUT = 30.0
 POLL = 0.02
 MOST_SPARES = 20
-# The exit status where a part of the system runs.
-DEGRADED = 3
 
 
 def backend_option(help: str) -> Callable[[Callable[..., int]], Callable[..., int]]:
@@ -188,11 +189,10 @@ def _up(
             f"Run `midstride apply {file}` to change it.",
             err=True,
         )
-    status = DEGRADED if answer.outcome != "done" or any(not each.planned for each in answer.degraded) else 0
-    if answer.missing and not answer.instances:
-        status = 1
+    found, pending = settled(client)
+    status = EXIT_STATUS[found.condition.state]
     if wants_json():
-        print_json(answer)
+        print_json({**encode(answer), "condition": encode(found.condition)})
         return status
     without = f" without {', '.join(answer.missing)}" if answer.missing else ""
     click.echo(f"{workspace.name} is up{without} ({', '.join(answer.instances)}).")
@@ -200,6 +200,11 @@ def _up(
         click.echo(f"Degraded: {degraded_line(each)}")
     for line in missing_lines(answer):
         click.echo(line)
+    said = answer.degraded or answer.missing  # why it is not up, line by line
+    if not said and (found.condition.state != "up" or found.condition.unknown):
+        click.echo(f"{found.condition.headline[0].upper()}{found.condition.headline[1:]}.")
+    if pending:
+        click.echo(f"{not_yet_judged(pending)}; `midstride status` shows it.")
     if http is not None:
         click.echo(f"API: http://{http_host or '127.0.0.1'}:{http}/api/v1, token in {workspace.path / 'token'}")
     return status

@@ -25,6 +25,7 @@ from midstride.plan.change import Change, Detour
 from midstride.plan.change_builder import change_between
 from midstride.plan.core.detours import with_detours
 from midstride.plan.estimate import Estimate
+from midstride.plan.expected_losses import expected_losses
 from midstride.plan.explain import Degradation, LevelShift
 from midstride.plan.forms.step_forms import (
     AnyStep,
@@ -40,6 +41,7 @@ from midstride.plan.overlap import duration
 from midstride.plan.plan import BoundPart, Plan, ProofSpace
 from midstride.plan.runtime_values import RuntimeValue
 from midstride.plan.state_continuity import left_behind
+from midstride.verdicts import Assessments
 
 Steps: TypeAlias = Annotated[list[AnyStep], field("a list of steps")]
 StartInstances: TypeAlias = Annotated[
@@ -116,6 +118,10 @@ class PlanCosts(PlanPart, frozen=True, kw_only=True):
     degraded: Annotated[list[str], field("a list of functionalities", "of roles, ever below their baseline")]
     degradations: Annotated[list[Degradation], field("a list", "when and why each of them is below its baseline")] = []
     level_shifts: Annotated[list[LevelShift], field("a list", "what is in another mode for good")] = []
+    continuity: (
+        Annotated[Assessments, field("an assessment", "what is kept, what is lost, and what is not measurable")]
+        | UnsetType
+    ) = UNSET
 
 
 Alternatives: TypeAlias = Annotated[
@@ -181,6 +187,7 @@ def _fields(plan: Plan) -> dict[str, Any]:
         "degraded": [str(ref) for ref in plan.degraded],
         "degradations": list(plan.degradations),
         "level_shifts": list(plan.level_shifts),
+        "continuity": expected_losses(plan),
         "steps": [step_form(step) for step in plan.steps],
         "start_instances": _start_instances(plan.change) or UNSET,
         "start_modes": _start_modes(plan.change.origin) or UNSET,

@@ -35,6 +35,7 @@ from midstride.plan.strategies.restore import restore
 from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.cancellation import run_to_completion
 from midstride.runtime.change.action_driver import ActionDriver
+from midstride.runtime.change.change_assessment import change_assessment
 from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.crash_during_change import CrashResponse
 from midstride.runtime.change.executor import Executor
@@ -51,8 +52,9 @@ from midstride.runtime.records.journal_records import NewChange
 from midstride.runtime.records.measure import SwapReport
 from midstride.runtime.records.mode_recorder import ModeRecorder
 from midstride.runtime.records.reports import Outcome, StepTime, killed_processes
-from midstride.runtime.watch.degradation_report import degradations_in_words, remaining_degradations
+from midstride.runtime.watch.degradation_report import remaining_degradations
 from midstride.runtime.watch.degradation_timer import DegradationTimer
+from midstride.runtime.watch.output_tallies import OutputTallies
 from midstride.runtime.watch.subscriber_recording import Recording
 from midstride.verify.verdict import Verdict
 
@@ -249,6 +251,8 @@ class ChangeSession:
         steps = counted(len(plan.steps), "step")
         self.events.add("plan", f"{steps}, disruption {plan.disruption:g}{afterwards}", plan=change.preview)
         await recording.begin(system.configuration, change.actions)
+        tallies = OutputTallies(self.client, self.clock)
+        tallies.begin(system.configuration, change.actions)
         driver = ActionDriver(self.client, self.launcher, self.backend, system, self.events, change)
         execution = await self._execute(driver)
         fenced = system.life.fenced
@@ -257,6 +261,7 @@ class ChangeSession:
         assert change.outcome is not None
         await change.entry.end(change.outcome, change.because, execution.seconds)
         swaps = await self._measure(driver, execution)
+        at_outputs = await tallies.assessments(driver.last_numbers, resumed=change.outcome != "done")
         await self.reconciler.reconcile()  # the report includes unexpected degradations
         silences = {fault.words: fault for fault in [*recording.silences, *self.monitor.faults(system.configuration)]}
         await change.entry.measured(swaps)
@@ -264,12 +269,9 @@ class ChangeSession:
             self.events.add("measured", f"measured at {counted(len(swaps), 'subscriber')}", swaps=swaps)
         planned = plan.change.in_target_context(plan.change.final) if change.outcome == "done" else change.before
         remaining = remaining_degradations(system, change.before, planned)
-        said = f"{change.outcome}: {change.because}" if change.because else change.outcome
-        words = f"{said}; afterwards {degradations_in_words(remaining)}" if remaining else said
-        self.events.add("outcome", words, outcome=change.outcome)
         before = change.missing_before
         missing = {name for name, event in system.life.missing.items() if before.get(name) is not event}
-        return Outcome(
+        outcome = Outcome(
             outcome=change.outcome,
             plan=PlanForm.of(plan, change.preview),
             seconds=execution.seconds,
@@ -291,6 +293,10 @@ class ChangeSession:
             remaining_degradations=remaining,
             verdict=change.verdict,
         )
+        continuity = change_assessment(outcome, plan, system.configuration, list(silences.values()), at_outputs)
+        said = f"{change.outcome}: {change.because}" if change.because else change.outcome
+        self.events.add("outcome", "; ".join([said, *continuity.weakest]), outcome=change.outcome)
+        return structs.replace(outcome, continuity=continuity)
 
     async def _execute(self, driver: ActionDriver) -> _Execution:
         """Execute the plan, and roll it back if a step fails; the model then has the target, or what was before.

@@ -19,6 +19,7 @@ from midstride.plan.forms.step_forms import AnyStep
 from midstride.plan.runtime_values import RuntimeValue
 from midstride.runtime.records.measure import SwapReport
 from midstride.runtime.records.status_forms import SilenceFault
+from midstride.verdicts import Assessments
 from midstride.verify.verdict import Verdict
 
 OutcomeKind: TypeAlias = Literal["done", "incomplete", "refused", "rolled_back", "failed"]
@@ -115,6 +116,9 @@ class Outcome(Report, frozen=True, kw_only=True):
         list[DegradedFunctionality], Meta(description="what is in a worse mode afterwards")
     ] = []
     verdict: Annotated[Verdict | UnsetType, Meta(description="what Alloy found, where requested")] = UNSET
+    continuity: Annotated[
+        Assessments | None, Meta(description="what was kept, what was lost, and what is not measurable; null: refused")
+    ] = None
 
 
 class PlannedChange(PlanForm, frozen=True, kw_only=True):

@@ -11,6 +11,7 @@ from msgspec import UNSET, Meta, UnsetType
 
 from midstride.codec.form import Report
 from midstride.codec.parameter import ValueForm
+from midstride.verdicts import SystemCondition
 
 Phase: TypeAlias = Literal["starting", "up", "failed", "down"]
 UnixTime: TypeAlias = Annotated[float, Meta(description="seconds since 1970")]
@@ -239,7 +240,8 @@ class Status(Report, frozen=True, kw_only=True):
     backend: str
     revision: int
     running: Annotated[RunningCommand | None, Meta(description="the command in progress")]
-    valid: bool
+    condition: Annotated[SystemCondition, Meta(description="what runs, and what is missing or worse than it should be")]
+    valid: Annotated[bool, Meta(description="the configuration is, and its components report what the model has")]
     violations: list[str]
     instances: list[InstanceStatus]
     topics: list[TopicStatus]

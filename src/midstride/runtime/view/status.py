@@ -18,6 +18,7 @@ from midstride.runtime.records.status_forms import (
     Status,
     TopicStatus,
 )
+from midstride.runtime.view.condition import condition
 from midstride.runtime.view.instance_status import EntryShape, instance_status, is_sound, port_statuses
 from midstride.runtime.view.watched_system import WatchedSystem
 
@@ -29,11 +30,13 @@ def status(watched: WatchedSystem, programs: Iterable[ProgramStatus]) -> Status:
     silences = watched.monitor.faults(configuration)
     program_of = {program.name: program for program in programs}
     instances = [_instance(watched, name, program_of.get(name)) for name in sorted(configuration.instances)]
+    values, broken = system_values(watched), [str(violation) for violation in found]
     return Status(
-        **system_values(watched),
+        **values,
         running=watched.commands.running,
+        condition=condition(watched, instances, values["crashed"], silences, broken),
         valid=not found and not silences and all(map(is_sound, instances)),
-        violations=[str(violation) for violation in found],
+        violations=broken,
         instances=instances,
         silences=silences,
         topics=[topic_status(configuration, evaluator, name) for name in sorted(configuration.context.connectors)],

@@ -55,7 +55,7 @@ export function mountTop(element, context) {
   replace(part("#tools"), ...tools(context));
   draw();
   drawConnection();
-  store.subscribe(["instances", "crashed", "topics", "valid", "violations", "phase", "running", "system", "time"], draw);
+  store.subscribe(["instances", "crashed", "topics", "condition", "violations", "phase", "running", "system", "time"], draw);
   store.subscribe(["connection", "time", "instances"], drawConnection);
   setInterval(drawConnection, 1000);
   element.dataset.ready = "true";
@@ -80,7 +80,11 @@ function summaryOf(view) {
   add(view.crashed.length, "bad", `✕ ${view.crashed.length} crashed`);
   add(silent, "bad", `✕ ${silent} not answering`);
   add(view.violations.length, "bad", `▲ ${plural(view.violations.length, "violation")}`);
-  if (found.length === 1 && view.valid) found.push({ kind: "good", words: "✓ as specified" });
+  const { condition } = view;
+  if (found.length === 1 && condition) {
+    const mark = condition.state === "up" ? "✓ " : "▲ ";
+    found.push({ kind: condition.state === "up" && !condition.unknown?.length ? "good" : "warn", words: mark + condition.headline });
+  }
   if (view.phase !== "up") found.push({ kind: "warn", words: view.phase });
   if (view.running) found.push({ kind: "warn", words: `⟳ ${view.running.command}` });
   return found;

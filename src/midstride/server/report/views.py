@@ -17,6 +17,7 @@ from midstride.runtime.records.status_forms import (
 from midstride.runtime.view.instance_status import endpoints, namespace_of
 from midstride.runtime.view.status import topic_status
 from midstride.server.view.view_forms import VERSION, SystemView
+from midstride.verdicts import system_condition
 
 
 def modelled_view(configuration: Configuration, system: str, backend: str, at: float) -> SystemView:
@@ -32,6 +33,7 @@ def modelled_view(configuration: Configuration, system: str, backend: str, at: f
         phase="up",
         revision=0,
         running=None,
+        condition=system_condition(len(configuration.instances_by_role), len(configuration.instances_by_role), found),
         valid=not found,
         violations=found,
         instances=[_instance(configuration, each) for _, each in sorted(configuration.instances.items())],

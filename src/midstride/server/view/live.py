@@ -23,6 +23,7 @@ from midstride.runtime.process.component_client import ComponentEvent
 from midstride.runtime.records.events import Wakers
 from midstride.runtime.records.reports import Event
 from midstride.runtime.records.status_forms import InstanceStatus, RunningCommand, SilenceFault, Status
+from midstride.runtime.view.condition import condition
 from midstride.runtime.view.instance_status import EntryShape, instance_status, is_sound, port_statuses
 from midstride.runtime.view.status import system_values, topic_status
 from midstride.runtime.view.watched_system import Baseline
@@ -299,8 +300,10 @@ class LiveView:
             faults = watched.monitor.faults(self._configuration)
             self._silences = [structs.replace(each, seconds=UNSET) for each in faults]
         silences = [each for each in self._silences if each.instance in self._configuration.instances]
+        system = system_values(watched)
         values = {
-            **system_values(watched),
+            **system,
+            "condition": condition(watched, self._shown.values(), system["crashed"], silences, self._violations),
             "phase": self.lifecycle.phase,
             "running": None if running is None else RunningCommand(running),
             "valid": not (self._violations or silences or self._unsound),

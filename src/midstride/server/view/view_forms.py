@@ -23,6 +23,7 @@ from midstride.runtime.records.status_forms import (
     TopicStatus,
     UnixTime,
 )
+from midstride.verdicts import SystemCondition
 
 # The version of these forms. A later version may add fields; what is there keeps its meaning.
 VERSION: Final = 1
@@ -86,6 +87,7 @@ class Patch(Report, frozen=True, kw_only=True):
     phase: Phase | UnsetType = UNSET
     revision: int | UnsetType = UNSET
     running: RunningCommand | UnsetType | None = UNSET
+    condition: SystemCondition | UnsetType = UNSET
     valid: bool | UnsetType = UNSET
     violations: list[str] | UnsetType = UNSET
     instances: dict[str, InstanceStatus | None] | UnsetType = UNSET

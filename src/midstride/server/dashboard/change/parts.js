@@ -29,14 +29,19 @@ export function summary(plan) {
   const found = falls(plan);
   const { worse, better } = afterwards(plan);
   if (!plan.steps.length) return h("p", { class: "banner" }, "Nothing to do: the system already matches the target.");
-  const nothing = !found.length && !worse.length;
-  const words = "Nothing degrades: every functionality that remains keeps its level throughout.";
+  const { continuity } = plan;
+  const kept = continuity?.verdict === "kept";
+  const shown = [...(plan.degradations ?? []), ...(plan.level_shifts ?? [])].map((each) => each.functionality);
+  const besides = continuity?.verdict === "lost" ? continuity.found.filter((each) => !shown.includes(each.subject)) : [];
   return h(
     "div",
-    { class: "banner falls", "data-kind": nothing ? "good" : "warn" },
-    nothing ? h("p", {}, `✓ ${words}`) : null,
+    { class: "banner falls", "data-kind": kept ? "good" : "warn" },
+    continuity && continuity.verdict !== "lost" ? h("p", {}, `${kept ? "✓ " : ""}${continuity.headline}`) : null,
     ...found.map((fall) =>
       h("div", { class: "fall" }, h("p", {}, h("strong", {}, fall.already ? "Degraded already: " : "↓ Degrades: "), fall.head), ...fall.because.map((each) => h("p", { class: "because" }, each))),
+    ),
+    ...besides.map((each) =>
+      h("p", {}, h("strong", {}, each.verdict === "lost" ? "Lost: " : "Not measurable here: "), `${each.words}.`),
     ),
     ...worse.map((each) => h("p", {}, h("strong", {}, "Afterwards: "), `${each}.`)),
     ...better.map((each) => h("p", {}, h("strong", {}, "Improves: "), each)),

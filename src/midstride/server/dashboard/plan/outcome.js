@@ -17,8 +17,8 @@ export function headline(outcome) {
     rolled_back: `Rolled back in ${took}, every step undone`,
     failed: `Failed in ${took}`,
   }[/** @type {"done"} */ (outcome.outcome)];
-  const worse = (outcome.remaining_degradations ?? []).some((each) => !each.planned);
-  const kind = outcome.outcome === "done" ? (worse ? "warn" : "good") : "bad";
+  const kept = !outcome.continuity || outcome.continuity.verdict === "kept";
+  const kind = outcome.outcome === "done" ? (kept ? "good" : "warn") : "bad";
   return { kind, words: outcome.because ? `${words}: ${outcome.because}` : `${words}.` };
 }
 
@@ -31,23 +31,10 @@ export function headline(outcome) {
  */
 export function details(outcome, plan) {
   if (outcome.outcome === "refused") return [];
-  const swaps = outcome.swaps ?? [];
-  const fell = [
-    ...Object.entries(outcome.below_baseline_seconds ?? {}).sort().map(([name, spent]) => `${name} was below its level for ${duration(spent)}.`),
-    ...(outcome.remaining_degradations ?? []).map((each) => `Afterwards: ${lowered(each)}.`),
-    ...(outcome.unexpected_exits?.length ? [`Exited unexpectedly meanwhile: ${outcome.unexpected_exits.join(", ")}; see \`midstride log\`.`] : []),
-    ...(outcome.unexpected_degradations?.length
-      ? [`Degraded unexpectedly meanwhile: ${outcome.unexpected_degradations.join(", ")}; see \`midstride why ${outcome.unexpected_degradations[0]}\`.`]
-      : []),
-    ...(outcome.fenced ?? []).map((each) => `Fenced: ${each.words}.`),
-    ...(outcome.killed ?? []).map((each) => `${each.words}.`),
-    ...(outcome.silences ?? []).map(silence),
-    ...swaps.flatMap(faults),
-  ];
   return [
     ...times(outcome, plan),
     ...(outcome.skews ?? []).map(skew),
-    ...(fell.length ? fell : [nothingFell(swaps)]),
+    ...continuity(outcome.continuity ?? null),
     ...(outcome.parameters ?? []).map((each) => each.words),
     ...Object.values(outcome.own_state ?? {}).map((words) => `${words}.`),
     ...Object.entries(outcome.late ?? {}).sort().map(
@@ -56,18 +43,11 @@ export function details(outcome, plan) {
   ];
 }
 
-/** @param {Api.DegradedFunctionality} each */
-function lowered(each) {
-  const words =
-    each.to === null
-      ? `no instance serves ${each.functionality}`
-      : `${each.functionality} is in mode ${each.to} instead of ${each.from}`;
-  return each.because ? `${words}: ${each.because.split("\n")[0]}` : words;
-}
-
-/** @param {Api.SilenceFault} fault */
-function silence(fault) {
-  return fault.seconds === null ? fault.words : `${fault.words} (for ${duration(fault.seconds)})`;
+/** @param {Api.Assessments | null} found null: recorded by an earlier version @returns {string[]} */
+function continuity(found) {
+  if (!found) return [];
+  if (found.verdict !== "lost") return [found.headline];
+  return found.found.map((each) => `${each.verdict === "lost" ? "" : "Not measurable here: "}${each.words}.`);
 }
 
 /** @param {Api.ModeSkew} skew */
@@ -88,24 +68,6 @@ function times(outcome, plan) {
   const together = outcome.steps.reduce((sum, each) => sum + each.seconds, 0);
   const inAll = duration(ended) === duration(together) ? "" : `, for steps of ${duration(together)} in all`;
   return [`Planned: ${aboutPlan(plan)}. Measured: ${duration(ended)}${inAll}.`];
-}
-
-/** @param {Api.SwapReport} swap @returns {string[]} what was missed, lost or received twice at one subscriber */
-function faults(swap) {
-  const found = COUNTS.filter((name) => swap[name]).map(
-    (name) => `${swap[name]} ${swap[name] === 1 ? name.replace(/s$/, "") : name}`,
-  );
-  return found.length ? [`Messages on ${swap.topic} at ${swap.subscriber}: ${listed(found)}.`] : [];
-}
-
-/** @param {Api.SwapReport[]} swaps */
-function nothingFell(swaps) {
-  const unknown = swaps.flatMap((swap) => {
-    const names = COUNTS.filter((name) => swap[name] === null);
-    return names.length ? [`${listed(names)} at ${swap.subscriber} on ${swap.topic}`] : [];
-  });
-  if (!unknown.length) return "Nothing fell below its level.";
-  return `Nothing is known to have fallen below its level. Not known: ${unknown.join("; ")}.`;
 }
 
 /** The figures of one subscriber, in the order of the table's columns. @param {Api.SwapReport} swap @returns {string[]} */

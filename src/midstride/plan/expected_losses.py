@@ -1,0 +1,72 @@
+"""What a plan may lose on the way, and what nothing will measure, as :mod:`midstride.verdicts` says it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+from midstride import verdicts
+from midstride.model.action import Create, Handover, Remove
+from midstride.model.configuration import Instance
+from midstride.plan.plan import Plan
+
+# How long the two transitions of a hand-over between lifecycle nodes without a library may take (s): `deactivate` and
+# `activate` (docs/how-to/unmodified-nodes.md).
+TRANSITIONS: Final = 10.0
+
+
+def expected_losses(plan: Plan) -> verdicts.Assessments:
+    """What ``plan`` lowers, what is down or silent meanwhile, and of which nodes nothing measures what they do."""
+    lowered = [each.functionality for each in plan.degradations]
+    lowered += [shift.functionality for shift in plan.level_shifts if shift.levels > 0]
+    found = [*map(verdicts.will_degrade, dict.fromkeys(lowered)), *_silences(plan), *_exchanges(plan), *plan.besides]
+    touched = {role for step in plan.steps for role in step.roles}
+    others = {
+        role: because
+        for role in plan.change.start.instances_by_role
+        if role not in touched and role in plan.change.target.nodes
+        if (because := verdicts.why_unmeasured(plan.change.target.component_of(role))) is not None
+    }
+    return verdicts.expected([*found, *(verdicts.by_reason(others) if plan.steps else ())])
+
+
+def _silences(plan: Plan) -> Iterator[verdicts.Assessment]:
+    """The topics that are handed over between lifecycle nodes that nothing else holds back."""
+    instances = _instances(plan)
+    for step in plan.steps:
+        for swap in step.action.swaps if isinstance(step.action, Handover) else ():
+            old, new = (instances[port.instance].component.gate for port in (swap.old, swap.new))
+            if old == new == "lifecycle":
+                yield verdicts.will_be_inactive(swap.connector, swap.old.instance, swap.new.instance, TRANSITIONS)
+
+
+def _exchanges(plan: Plan) -> Iterator[verdicts.Assessment]:
+    """The nodes of which nothing measures what they do, and that are started again."""
+    instances = _instances(plan)
+    created = {step.action.instance.name: at for at, step in enumerate(plan.steps) if isinstance(step.action, Create)}
+    removed = {step.action.instance: at for at, step in enumerate(plan.steps) if isinstance(step.action, Remove)}
+    for new, old in sorted(plan.change.replaced.items()):
+        if new not in created or old not in removed:
+            continue
+        because = unmeasured_pair(instances, old, new)
+        if because is not None:
+            down = plan.steps[removed[old] : created[new] + 1]
+            yield verdicts.will_be_exchanged(
+                instances[new].role,
+                because,
+                side_by_side=created[new] < removed[old],
+                seconds=sum(step.seconds for step in down),
+            )
+
+
+def unmeasured_pair(instances: Mapping[str, Instance], old: str, new: str) -> str | None:
+    """Why nothing measures what two instances of a role do; None where something does."""
+    return next(filter(None, (verdicts.why_unmeasured(instances[name].component) for name in (old, new))), None)
+
+
+def _instances(plan: Plan) -> dict[str, Instance]:
+    """Those that run at the start of ``plan``, and those that it creates, by name."""
+    created = {
+        step.action.instance.name: step.action.instance for step in plan.steps if isinstance(step.action, Create)
+    }
+    return {**plan.change.start.instances, **created}

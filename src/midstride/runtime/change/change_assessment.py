@@ -1,0 +1,100 @@
+"""What a change has kept and lost, from all that was measured of it, as :mod:`midstride.verdicts` says it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from midstride import verdicts
+from midstride.model import wording
+from midstride.model.action import Create, Remove
+from midstride.model.configuration import Configuration
+from midstride.plan.expected_losses import unmeasured_pair
+from midstride.plan.plan import Plan
+from midstride.runtime.records.reports import Outcome, StepTime
+from midstride.runtime.records.status_forms import SilenceFault
+
+
+def change_assessment(
+    outcome: Outcome,
+    plan: Plan,
+    now: Configuration,
+    silences: Sequence[SilenceFault],
+    at_outputs: Sequence[verdicts.Assessment],
+) -> verdicts.Assessments:
+    """What may be said of ``outcome``, after which ``now`` runs.
+
+    ``silences``: all that is silent now, also what was before; ``at_outputs``: what the counts of outputs show.
+    """
+    lowered = bool(outcome.below_baseline_seconds)
+    return verdicts.assessed(
+        [
+            *reported(outcome, silences),
+            *(each for each in at_outputs if each.verdict != "lost" or not lowered),
+            *_exchanged(plan, outcome),
+            *_others(plan, now),
+        ]
+    )
+
+
+def reported(outcome: Outcome, silences: Sequence[SilenceFault]) -> list[verdicts.Assessment | None]:
+    """What the figures of ``outcome`` say; ``silences``: all that is silent now, also what was before."""
+    found: list[verdicts.Assessment | None] = [
+        verdicts.below_level(name, spent) for name, spent in sorted(outcome.below_baseline_seconds.items())
+    ]
+    for each in outcome.remaining_degradations:
+        because = f": {each.because.splitlines()[0]}" if each.because else ""
+        words = f"{wording.lowered(each.functionality, each.after, each.before)}{because}"
+        found.append(verdicts.lower_afterwards(each.functionality, words, planned=each.planned))
+    if outcome.unexpected_exits:
+        found.append(verdicts.exited(outcome.unexpected_exits))
+    if outcome.unexpected_degradations:
+        found.append(verdicts.degraded_unexpectedly(outcome.unexpected_degradations))
+    found += [verdicts.fenced(each.instance, each.words) for each in outcome.fenced]
+    begun = {fault.words for fault in outcome.silences}
+    for fault in silences:
+        subject = fault.port or fault.instance
+        found.append(
+            verdicts.silent(subject, fault.words, fault.seconds or None, since_before=fault.words not in begun)
+        )
+    for swap in outcome.swaps:
+        counts = {name: getattr(swap, name) for name in ("missed", "lost", "duplicates")}
+        found.append(verdicts.received(swap.topic, swap.subscriber, counts, swap.gap))
+    return [*found, *(verdicts.killed(each.instance, each.words) for each in outcome.killed)]
+
+
+def _exchanged(plan: Plan, outcome: Outcome) -> Iterator[verdicts.Assessment]:
+    """The nodes of which nothing measures what they do, and that were started again, or were to be."""
+    times = {time.step: time for time in outcome.steps}
+    created: dict[str, StepTime | None] = {}
+    removed: dict[str, StepTime | None] = {}
+    instances = dict(plan.change.start.instances)
+    for number, step in enumerate(plan.steps, start=1):
+        match step.action:
+            case Create(instance):
+                instances[instance.name] = instance
+                created[instance.name] = times.get(number)
+            case Remove(name):
+                removed[name] = times.get(number)
+    for new, old in sorted(plan.change.replaced.items()):
+        if new not in created or old not in removed:
+            continue
+        if (because := unmeasured_pair(instances, old, new)) is None:
+            continue
+        up, end, down, together = created[new], removed[old], None, None
+        if up is not None and end is not None:
+            started = up.began + up.seconds
+            down, together = started - end.began, end.began + end.seconds - started
+        done = outcome.outcome == "done"
+        if end is not None or not done:
+            yield verdicts.unmeasured_exchange(instances[new].role, because, down=down, together=together, done=done)
+
+
+def _others(plan: Plan, now: Configuration) -> list[verdicts.Assessment]:
+    """The nodes that the change leaves alone, of which nothing measures whether they go on."""
+    touched = {role for step in plan.steps for role in step.roles}
+    reasons = {
+        instance.role: because
+        for instance in now.instances.values()
+        if instance.role not in touched and (because := verdicts.why_unmeasured(instance.component)) is not None
+    }
+    return verdicts.by_reason(reasons)

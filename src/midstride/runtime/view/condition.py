@@ -1,0 +1,63 @@
+"""The condition of a running system: which nodes run, and what of them is missing or worse than it should be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+from midstride import verdicts
+from midstride.runtime.records.status_forms import CrashedInstance, InstanceStatus, SilenceFault
+from midstride.runtime.view.watched_system import WatchedSystem
+
+
+def condition(
+    watched: WatchedSystem,
+    instances: Iterable[InstanceStatus],
+    crashed: Sequence[CrashedInstance],
+    silences: Sequence[SilenceFault],
+    violations: Sequence[str],
+) -> verdicts.SystemCondition:
+    """What may be said of the system, whose ``instances`` are as in its status.
+
+    While a role has two instances, as during a change, the one with fewer faults counts.
+    """
+    specification = watched.system.specification
+    best: dict[str, tuple[InstanceStatus, list[str]]] = {}
+    for instance in instances:
+        found = list(_faults(watched, instance))
+        known = best.get(instance.role)
+        if known is None or (not instance.reachable, len(found)) < (not known[0].reachable, len(known[1])):
+            best[instance.role] = instance, found
+    gone = {each.role: each for each in crashed if each.role is not None}
+    faults = [each.words or verdicts.has_exited(each.name) for each in crashed if each.role not in best]
+    faults += [verdicts.does_not_run(role) for role in specification.roles() if role not in best and role not in gone]
+    faults += [verdicts.silence_in_words(fault.words, fault.seconds or None) for fault in silences]
+    faults += [words for role in sorted(best) for words in best[role][1]]
+    components = {role: specification.component_of(role) for role in specification.roles()}
+    unknown = {
+        role: because
+        for role, component in components.items()
+        if role in best and (because := verdicts.why_unmeasured(component)) is not None
+    }
+    return verdicts.system_condition(
+        len(components),
+        sum(role in best for role in components),
+        [*faults, *violations],
+        verdicts.unmeasured_in_words(unknown),
+        answering=sum(best[role][0].reachable for role in components if role in best),
+    )
+
+
+def _faults(watched: WatchedSystem, instance: InstanceStatus) -> Iterator[str]:
+    """What an instance does worse than it should, where it answers: else that is a silence."""
+    if not instance.reachable:
+        return
+    baseline = watched.baseline()
+    if instance.waiting is not None:
+        yield verdicts.waits(instance.name, instance.waiting)
+    yield from instance.differences
+    for each in instance.functionalities:
+        if each.mode not in each.modes or each.modes.index(each.mode) > baseline.level(instance.role, each.name):
+            yield verdicts.is_in_mode(f"{instance.name}.{each.name}", each.mode)
+    for port in instance.ports:
+        if port.direction == "out" and port.gate != "closed" and port.met is False:
+            yield verdicts.writes_less(f"{instance.name}.{port.name}", port.rate, port.declared)

@@ -1,0 +1,385 @@
+"""Everything that may be said about the work of a system: what was kept, what was lost, and what cannot be known here.
+
+A plan, the report of a change, the status, the history and the exit status of a command say it through this module
+alone (docs/decisions/one-verdict.md). Facts go in: what was measured, what a gate or a hand-over enforces, and what
+nothing measures. Each becomes an assessment with its sentence, and the headline is the weakest of them: a system is
+only said to have kept its levels where something would have shown the contrary.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Annotated, Final, Literal, TypeAlias
+
+from msgspec import Meta
+
+from midstride.codec.form import Form
+from midstride.model.component import ComponentSpec
+from midstride.model.wording import counted
+
+Continuity: TypeAlias = Literal["kept", "not_measurable", "lost"]
+ConditionState: TypeAlias = Literal["up", "degraded", "down"]
+
+# The exit status of `up` and `status`: all is up, nothing runs, or something is missing or worse than it should be.
+EXIT_STATUS: Final[Mapping[ConditionState, int]] = {"up": 0, "down": 1, "degraded": 3}
+# An output was silent if it was for more than so many of its periods: of two writers in turn, the second may write up
+# to a period after the slot that the first has left.
+SILENT_PERIODS: Final = 2.0
+# A count of messages shows a silence only if more than this part of them is missing, and more than so many: the
+# tolerance of a rate, and what is uncertain at both ends of the count.
+MISSING_PART: Final = 0.1
+MISSING_LEAST: Final = 3
+# How many names a headline has.
+_NAMED: Final = 4
+
+
+class Assessment(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
+    """What is known about the work of a functionality, an output or a node.
+
+    `lasting`: it is so afterwards, and no plan led there.
+    """
+
+    subject: str
+    verdict: Continuity
+    words: Annotated[str, Meta(description="the sentence, without a full stop")]
+    seconds: Annotated[float | None, Meta(description="for how long it was lost; null: not lost, or not known")] = None
+    lasting: bool = False
+
+
+class Assessments(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
+    """All that is known about the work of a system during a change. `verdict`: the weakest of them."""
+
+    verdict: Continuity
+    headline: str
+    found: list[Assessment]
+
+    @property
+    def lasting(self) -> bool:
+        """Whether something is lost afterwards that no plan has asked for."""
+        return any(each.lasting for each in self.found)
+
+    @property
+    def lines(self) -> list[str]:
+        """All of it in sentences: what was lost, each for itself, and what is not measurable; else the headline."""
+        if self.verdict != "lost":
+            return [self.headline]
+        unknown = "Not measurable here: "
+        return [f"{'' if each.verdict == 'lost' else unknown}{each.words}." for each in self.found]
+
+    @property
+    def weakest(self) -> list[str]:
+        """The sentences that make its verdict the weakest that it is, where that is not `kept`."""
+        return [each.words for each in self.found if each.verdict == self.verdict]
+
+    @property
+    def lost_seconds(self) -> float | None:
+        """The longest time for which something is known to have been lost (s); None where none is known."""
+        return max((each.seconds for each in self.found if each.seconds is not None), default=None)
+
+
+class SystemCondition(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
+    """What runs, and what is missing or worse than it should be: `degraded` where anything is.
+
+    It is about the components. Whether a configuration is valid is a word about the manager's model.
+    """
+
+    state: ConditionState
+    headline: str
+    faults: Annotated[list[str], Meta(description="what is missing or worse than it should be")] = []
+    unknown: Annotated[list[str], Meta(description="what is not measurable here")] = []
+
+
+def seconds_in_words(value: float) -> str:
+    """A duration with three significant digits or so."""
+    if value >= 10:
+        return f"{value:.1f} s"
+    return f"{value:.2f} s" if value >= 1 else f"{value * 1000:.0f} ms"
+
+
+# -- the facts of a change, each as an assessment -----------------------------------------------------------------
+
+
+def below_level(functionality: str, seconds: float) -> Assessment:
+    """A functionality was below its level for so long, by the modes that components have acknowledged."""
+    words = f"{functionality} was below its level for {seconds_in_words(seconds)}"
+    return Assessment(functionality, "lost", words, seconds)
+
+
+def lower_afterwards(functionality: str, words: str, *, planned: bool) -> Assessment:
+    """A functionality is in a worse mode afterwards; ``words`` say in which, and why."""
+    return Assessment(functionality, "lost", f"Afterwards: {words}", lasting=not planned)
+
+
+def exited(instances: Sequence[str]) -> Assessment:
+    """Instances have exited without being asked to."""
+    names = ", ".join(instances)
+    return Assessment(names, "lost", f"Exited unexpectedly meanwhile: {names}; see `midstride log`", lasting=True)
+
+
+def degraded_unexpectedly(functionalities: Sequence[str]) -> Assessment:
+    """Functionalities have entered a worse mode that no command had asked for. Those that still are, are said so."""
+    names = ", ".join(functionalities)
+    words = f"Degraded unexpectedly meanwhile: {names}; see `midstride why {functionalities[0]}`"
+    return Assessment(names, "lost", words)
+
+
+def fenced(instance: str, words: str) -> Assessment:
+    """An instance hung, and was kept from publishing: since when it had done nothing is not known."""
+    return Assessment(instance, "lost", f"Fenced: {words}")
+
+
+def silent(subject: str, words: str, seconds: float | None, *, since_before: bool) -> Assessment:
+    """A component does not answer, or a port is silent; ``since_before``: already when the change began."""
+    already = ", as before the change" if since_before else ""
+    return Assessment(
+        subject, "lost", f"{silence_in_words(words, seconds)}{already}", seconds, lasting=not since_before
+    )
+
+
+def received(
+    topic: str, subscriber: str, counts: Mapping[str, int | None], gap: float | None = None
+) -> Assessment | None:
+    """What was counted at one subscriber: ``missed``, ``lost`` and ``duplicates``; None where all of it is 0."""
+    found = [f"{count} {name.removesuffix('s') if count == 1 else name}" for name, count in counts.items() if count]
+    unknown = [name for name, count in counts.items() if count is None]
+    if found:
+        besides = f" ({listed(unknown)} {'is' if len(unknown) == 1 else 'are'} not known)" if unknown else ""
+        words = f"Messages on {topic} at {subscriber}: {listed(found)}{besides}"
+        return Assessment(topic, "lost", words, gap if counts.get("missed") else None)
+    if unknown:
+        return Assessment(topic, "not_measurable", f"{listed(unknown)} at {subscriber} on {topic}")
+    return None
+
+
+def inactive(topic: str, port: str, seconds: float, rate: float | None) -> Assessment | None:
+    """No lifecycle node was active that writes an output, for so long (s); None if that is less than its period."""
+    if seconds <= (1 / rate if rate else 0.0):
+        return None
+    words = f"{topic} was silent for {seconds_in_words(seconds)}: no node that writes {port} was active"
+    return Assessment(topic, "lost", words, round(seconds, 6))
+
+
+def written(topic: str, port: str, passed: int, window: float, rate: float) -> Assessment | None:
+    """So many messages passed the gates of an output in ``window`` s, which wrote ``rate`` Hz before; None: enough."""
+    missing = rate * window - passed
+    if missing <= max(MISSING_LEAST, MISSING_PART * rate * window):
+        return None
+    silence = missing / rate
+    words = (
+        f"{topic} was silent for about {seconds_in_words(silence)}: {passed} messages of {port} in "
+        f"{seconds_in_words(window)}, and it wrote {rate:.3g} Hz before"
+    )
+    return Assessment(topic, "lost", words, round(silence, 3))
+
+
+def unanswered_outputs(instance: str, topics: Sequence[str]) -> Assessment:
+    """The outputs of an instance could not be counted, since nothing has answered for it in the end."""
+    return Assessment(instance, "not_measurable", f"what was written on {listed(topics)}: {instance} has not answered")
+
+
+def killed(instance: str, words: str) -> Assessment:
+    """A process was killed at its end: what it does then, such as writing a file, is not done."""
+    return Assessment(instance, "not_measurable", f"{words}: what it does at its end is lost")
+
+
+def unmeasured_exchange(
+    role: str, because: str, *, down: float | None = None, together: float | None = None, done: bool = True
+) -> Assessment:
+    """A node of which nothing measures what it does was started and ended.
+
+    ``down``: for how long neither instance was up (s); ``together``: for how long both ran; None: not known.
+    """
+    words = f"what {role} does: {because}"
+    if down is not None and down > 0:
+        words += f". It was down for {seconds_in_words(down)}"
+        return Assessment(role, "lost", f"{role} was down for {seconds_in_words(down)}; {words}", round(down, 3))
+    if together is not None and done:
+        words += f". It was never down: both instances ran for {seconds_in_words(together)}"
+    return Assessment(role, "not_measurable", words)
+
+
+def unmeasured_others(roles: Sequence[str], because: str) -> Assessment:
+    """Nodes that a change leaves alone, of which nothing measures whether they go on with their work."""
+    return Assessment(listed(roles), "not_measurable", f"what {listed(roles)} {_do(roles)}: {because}")
+
+
+def ends_with(instance: str, served: Sequence[str], *, planned: bool) -> Assessment:
+    """The services and ROS actions of a node without Midstride's API end with its instance."""
+    verb = "end" if planned else "ended"
+    words = (
+        f"requests and goals of others: {listed(served)} {verb} with {instance}, and what is under way is not answered"
+    )
+    return Assessment(instance, "not_measurable", words)
+
+
+def two_writers(role: str, topics: Sequence[str], seconds: float | None = None) -> Assessment:
+    """Both instances of a role write to topics that no port states, while both run (``seconds``, once measured)."""
+    time = "while both instances run" if seconds is None else f"for up to {seconds_in_words(seconds)}"
+    verb = "write" if seconds is None else "could write"
+    words = f"who writes on {listed(topics)}: no port of {role} states it, so both instances {verb} there {time}"
+    return Assessment(role, "not_measurable", words)
+
+
+# -- what a plan expects -------------------------------------------------------------------------------------------
+
+
+def will_degrade(functionality: str) -> Assessment:
+    """A plan lowers a functionality on the way or for good: the plan's own lines say how far, and why."""
+    return Assessment(functionality, "lost", f"{functionality} degrades")
+
+
+def will_be_inactive(topic: str, old: str, new: str, longest: float) -> Assessment:
+    """A lifecycle node without a gate inside is deactivated before its successor is activated."""
+    words = f"{topic} is silent from the deactivation of {old} until {new} is active, {longest:g} s at the longest"
+    return Assessment(topic, "lost", words)
+
+
+def will_be_exchanged(role: str, because: str, *, side_by_side: bool, seconds: float) -> Assessment:
+    """A node of which nothing measures what it does is going to be started and ended."""
+    if side_by_side:
+        words = f"what {role} does: {because}. The new instance has to be up before the old one is ended"
+        return Assessment(role, "not_measurable", words)
+    words = (
+        f"{role} is down from the end of the old instance until the new one is up, about {seconds_in_words(seconds)}"
+    )
+    return Assessment(role, "lost", f"{words}; what it does is not measurable here: {because}")
+
+
+# -- the headlines -------------------------------------------------------------------------------------------------
+
+
+def assessed(found: Iterable[Assessment | None]) -> Assessments:
+    """What may be said of a change that has been carried out."""
+    known = [each for each in found if each is not None]
+    if not known:
+        return Assessments("kept", "Nothing fell below its level.", [])
+    lost, unknown = _split(known)
+    if not lost:
+        headline = f"Nothing is known to have fallen below its level. Not measurable here: {_sentences(unknown)}."
+        return Assessments("not_measurable", headline, known)
+    times = [f"{each.subject}{_for(each.seconds)}" for each in lost]
+    besides = f"; {len(unknown)} not measurable here" if unknown else ""
+    return Assessments("lost", f"Lost: {_some(times)}{besides}.", known)
+
+
+def expected(found: Iterable[Assessment | None]) -> Assessments:
+    """What may be said of a plan."""
+    known = [each for each in found if each is not None]
+    if not known:
+        words = "Nothing degrades: every functionality that remains keeps its level throughout."
+        return Assessments("kept", words, [])
+    lost, unknown = _split(known)
+    if not lost:
+        headline = f"Nothing is known to degrade. Not measurable here: {_sentences(unknown)}."
+        return Assessments("not_measurable", headline, known)
+    return Assessments("lost", f"Lost on the way: {_some([each.subject for each in lost])}.", known)
+
+
+def system_condition(
+    nodes: int, running: int, faults: Sequence[str], unknown: Sequence[str] = (), *, answering: int | None = None
+) -> SystemCondition:
+    """What may be said of a system of so many ``nodes``, of which ``running`` have an instance that runs.
+
+    ``answering`` of them answer, if not all of them do. ``faults``: what is missing or worse than it should be.
+    """
+    if nodes and not running:
+        return SystemCondition("down", f"down: none of its {counted(nodes, 'node')} runs", [*faults], [*unknown])
+    run = f"{running} of {counted(nodes, 'node')} {'run' if nodes != 1 else 'runs'}"
+    if running == nodes:
+        run = f"all {nodes} nodes run" if nodes > 1 else "its node runs" if nodes else "it has no nodes"
+    if answering is not None and answering < running:
+        run += f", {running - answering} of them without an answer"
+    reasons = f": {_some(faults)}" if faults else ""
+    besides = f"; not measurable here: {'; '.join(unknown)}" if unknown else ""
+    state: ConditionState = "degraded" if faults or running < nodes else "up"
+    return SystemCondition(state, f"{state}, {run}{reasons}{besides}", [*faults], [*unknown])
+
+
+def has_exited(instance: str) -> str:
+    """An instance has exited without being asked to, or could not be started."""
+    return f"{instance} does not run any more"
+
+
+def does_not_run(role: str) -> str:
+    """A node of the specification has no instance, and none has exited: it is started by hand, or not yet."""
+    return f"{role} does not run"
+
+
+def waits(instance: str, reason: str) -> str:
+    """An instance waits, as for the clock of a simulation."""
+    return f"{instance} is waiting: {reason}"
+
+
+def is_in_mode(functionality: str, mode: str) -> str:
+    """A functionality is in a worse mode than the specification provides."""
+    return f"{functionality} is in mode {mode}"
+
+
+def writes_less(port: str, rate: float | None, declared: float | None) -> str:
+    """An output does not keep the rate (Hz) that it guarantees, as measured over a whole window."""
+    found = "nothing" if not rate else f"{rate:.3g} Hz"
+    return f"{port} writes {found}, and guarantees {declared or 0.0:.3g} Hz"
+
+
+def not_yet_judged(ports: Sequence[str]) -> str:
+    """Outputs whose rates have not been measured over a whole window yet."""
+    return f"Not known yet: whether {listed(ports)} {'keeps its rate' if len(ports) == 1 else 'keep their rates'}"
+
+
+def silence_in_words(words: str, seconds: float | None) -> str:
+    """What is silent, and for how long (s)."""
+    return words if seconds is None else f"{words} (for {seconds_in_words(seconds)})"
+
+
+def why_unmeasured(component: ComponentSpec) -> str | None:
+    """Why nothing measures what a node of ``component`` does; None where a gate, a page or its own agent does."""
+    if component.gate is None:
+        return None
+    if not component.ports():
+        return "it has no ports"
+    if not component.counts_messages and not component.has_lifecycle:
+        return f"nothing counts its messages (`gate {component.gate}`)"
+    return None
+
+
+def unmeasured_in_words(reasons: Mapping[str, str]) -> list[str]:
+    """The nodes of which nothing measures what they do, one text for each reason."""
+    by_reason: dict[str, list[str]] = {}
+    for role, because in sorted(reasons.items()):
+        by_reason.setdefault(because, []).append(role)
+    return [f"what {listed(roles)} {_do(roles)} ({because})" for because, roles in by_reason.items()]
+
+
+def by_reason(reasons: Mapping[str, str]) -> list[Assessment]:
+    """The same as assessments."""
+    found: dict[str, list[str]] = {}
+    for role, because in sorted(reasons.items()):
+        found.setdefault(because, []).append(role)
+    return [unmeasured_others(roles, because) for because, roles in found.items()]
+
+
+def listed(words: Sequence[str]) -> str:
+    """``a, b and c``"""
+    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
+
+
+def _do(roles: Sequence[str]) -> str:
+    return "does" if len(roles) == 1 else "do"
+
+
+def _split(found: Sequence[Assessment]) -> tuple[list[Assessment], list[Assessment]]:
+    lost = [each for each in found if each.verdict == "lost"]
+    return lost, [each for each in found if each.verdict == "not_measurable"]
+
+
+def _sentences(unknown: Sequence[Assessment]) -> str:
+    return "; ".join(each.words for each in unknown)
+
+
+def _for(seconds: float | None) -> str:
+    return "" if seconds is None else f" for {seconds_in_words(seconds)}"
+
+
+def _some(words: Sequence[str]) -> str:
+    more = len(words) - _NAMED
+    return ", ".join(words[:_NAMED]) + (f" and {more} more" if more > 0 else "")

@@ -1,0 +1,124 @@
+"""What may be said from which facts: the headline is the weakest, and no other module composes one."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from midstride import verdicts
+from midstride.model.component import ComponentSpec
+from tests.model import build
+
+SOURCE = Path(verdicts.__file__).parent
+# Parts of sentences that claim something of a system's work, as other modules once wrote them.
+CLAIMS = re.compile(
+    r"fell below|fallen below|was below its level|Nothing degrades:|Exited unexpectedly meanwhile"
+    r"|unexpectedly meanwhile|not measurable here",
+    re.IGNORECASE,
+)
+
+
+def test_no_other_module_composes_what_is_said_of_the_work_of_a_system() -> None:
+    files = [*SOURCE.rglob("*.py"), *(path for path in SOURCE.rglob("*.js") if "vendor" not in path.parts)]
+    found = {str(path.relative_to(SOURCE)) for path in files if CLAIMS.search(path.read_text(encoding="utf-8"))}
+    words = {"verdicts.py", "cli/render.py", "server/dashboard/plan/outcome.js", "server/dashboard/change/parts.js"}
+    assert "verdicts.py" in found and found <= words, found - words
+    for name in words - {"verdicts.py"}:  # which only label what the manager has said
+        text = (SOURCE / name).read_text(encoding="utf-8")
+        assert {match.lower() for match in CLAIMS.findall(text)} <= {"not measurable here"}, name
+
+
+LOST = verdicts.below_level("talker.talk", 1.2)
+UNKNOWN = verdicts.unmeasured_exchange("driver", "it has no ports", together=0.4)
+
+
+def test_the_headline_is_the_weakest_of_what_is_known() -> None:
+    assert verdicts.assessed([None]).headline == "Nothing fell below its level."
+    unknown = verdicts.assessed([UNKNOWN, None])
+    assert (unknown.verdict, unknown.lines) == ("not_measurable", [unknown.headline])
+    assert unknown.headline == (
+        "Nothing is known to have fallen below its level. Not measurable here: what driver does: it has no ports. "
+        "It was never down: both instances ran for 400 ms."
+    )
+    both = verdicts.assessed([UNKNOWN, LOST])
+    assert (both.verdict, both.headline) == ("lost", "Lost: talker.talk for 1.20 s; 1 not measurable here.")
+    assert both.lines == [
+        f"Not measurable here: {UNKNOWN.words}.",
+        "talker.talk was below its level for 1.20 s.",
+    ]
+    assert (both.lost_seconds, both.lasting) == (1.2, False)
+
+
+def test_a_plan_with_a_node_that_nothing_measures_does_not_say_that_nothing_degrades() -> None:
+    assert verdicts.expected([]).headline.startswith("Nothing degrades: ")
+    side = verdicts.will_be_exchanged("driver", "it has no ports", side_by_side=True, seconds=2.0)
+    assert verdicts.expected([side]).headline.startswith(
+        "Nothing is known to degrade. Not measurable here: what driver"
+    )
+    after = verdicts.will_be_exchanged("driver", "it has no ports", side_by_side=False, seconds=2.0)
+    assert (after.verdict, "about 2.00 s" in after.words) == ("lost", True)
+    assert verdicts.expected([side, after]).verdict == "lost"
+
+
+def test_a_node_without_ports_that_was_down_is_lost_for_as_long() -> None:
+    down = verdicts.unmeasured_exchange("driver", "it has no ports", down=1.1)
+    assert (down.verdict, down.seconds) == ("lost", 1.1) and down.words.startswith("driver was down for 1.10 s; ")
+    assert verdicts.unmeasured_exchange("driver", "it has no ports", done=False).verdict == "not_measurable"
+
+
+@pytest.mark.parametrize(("passed", "seconds"), [(100, None), (91, None), (60, 2.0), (0, 5.0)])
+def test_an_output_was_silent_if_its_count_lacks_more_than_its_rate_tolerates(
+    passed: int, seconds: float | None
+) -> None:
+    found = verdicts.written("/chat", "talker.out", passed, 5.0, 20.0)
+    assert (None if found is None else found.seconds) == seconds
+
+
+def test_less_than_a_period_without_an_active_lifecycle_node_loses_nothing() -> None:
+    assert verdicts.inactive("/chat", "talker.out", 0.015, 50.0) is None
+    for rate in (None, 50.0):
+        found = verdicts.inactive("/chat", "talker.out", 8.02, rate)
+        assert found is not None and (found.verdict, found.seconds) == ("lost", 8.02)
+
+
+def gated(gate: str | None, *, ports: bool) -> ComponentSpec:
+    found = build.source("Camera") if ports else ComponentSpec.of("Camera")
+    return replace(found, gate=gate)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("gate", "ports", "because"),
+    [
+        (None, True, None),
+        (None, False, None),
+        ("preload", True, None),
+        ("relay", True, None),
+        ("lifecycle", True, None),
+        ("lifecycle preload", True, None),
+        ("none", True, "nothing counts its messages (`gate none`)"),
+        ("preload", False, "it has no ports"),
+        ("none", False, "it has no ports"),
+        ("lifecycle", False, "it has no ports"),
+    ],
+)
+def test_what_nothing_measures_is_known_for_every_kind_of_gate(
+    gate: str | None, ports: bool, because: str | None
+) -> None:
+    assert verdicts.why_unmeasured(gated(gate, ports=ports)) == because
+
+
+def test_the_condition_of_a_system_is_about_its_nodes() -> None:
+    up = verdicts.system_condition(2, 2, [])
+    assert (up.state, up.headline, verdicts.EXIT_STATUS[up.state]) == ("up", "up, all 2 nodes run", 0)
+    hung = verdicts.system_condition(2, 2, ["talker does not answer"], answering=1)
+    assert hung.headline == "degraded, all 2 nodes run, 1 of them without an answer: talker does not answer"
+    dead = verdicts.system_condition(2, 1, ["talker exited unexpectedly"])
+    assert dead.headline == "degraded, 1 of 2 nodes run: talker exited unexpectedly"
+    assert verdicts.EXIT_STATUS[dead.state] == 3
+    none = verdicts.system_condition(1, 0, ["driver exited unexpectedly"])
+    assert (none.headline, verdicts.EXIT_STATUS[none.state]) == ("down: none of its 1 node runs", 1)
+    unknown = verdicts.system_condition(1, 1, [], ["what driver does (it has no ports)"])
+    assert unknown.headline == "up, its node runs; not measurable here: what driver does (it has no ports)"
