@@ -91,9 +91,11 @@ def test_the_old_side_watches_the_new_one_for_as_long_as_it_has_an_attachment_th
         rights = Rights()
         link, _ = link_of(Owner())
         side = OutgoingCut([link], VirtualHost().host, rights, round(MOMENT * SECOND))
-        running = await done(old_side(side))
+        task = old_side(side)
+        running = await done(task)
         await asyncio.sleep(20 * SLOW_TICK)
         assert not running.done() and rights.left_at is None
+        await asyncio.wait_for(task.watch_successor(), SLOW_TICK / 2)  # it is watched already
         link.destroy()
         await asyncio.wait_for(running, 2 * SLOW_TICK)
         assert rights.left_at is not None

@@ -380,3 +380,20 @@ def test_a_message_class_is_known_by_the_package_whose_msg_module_it_is_from(mod
 def test_any_other_class_is_no_message_class(module: str) -> None:
     with pytest.raises(NodeError, match="Line is not a ROS message class"):
         type_name(type("Line", (), {"__module__": module}))
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["on_setup", "on_export_state", "on_import_state", "on_export_changes", "on_import_changes", "on_stop"],
+)
+def test_a_function_that_is_registered_by_a_decorator_keeps_its_name(name: str) -> None:
+    comp = Component("counter")
+
+    def function(*arguments: object) -> bytes:
+        return b""
+
+    assert getattr(comp, name)(function) is function
+
+
+def test_a_queue_of_one_message_is_enough_to_match_it() -> None:
+    assert approximate(0.1, queue=1).queue == 1

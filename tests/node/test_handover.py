@@ -92,6 +92,23 @@ def test_as_many_readers_as_before_are_not_the_same_readers(tmp_path: Path, monk
     in_lab(tmp_path, main)
 
 
+@pytest.mark.parametrize(("mode", "seconds", "failed"), [({}, 0.2, False), ({"raise": "oh", "at_call": 2}, 0.1, True)])
+def test_a_new_publisher_is_called_a_few_times_behind_its_gate_unless_it_fails(
+    mode: dict[str, Any], seconds: float, failed: bool, tmp_path: Path
+) -> None:
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await lab.start("talker", puppets.talker(rate=10, mode=mode))
+        await lab.attach("talker", "out", TOPIC, gate="closed")
+        await lab.mode("talker", "talk", "normal")
+        begun = simulator.clock.steady()
+        wait = {"port": "out", "topic": TOPIC, "timeout": 5.0, "patience": 5.0}
+        writes = await lab.read("talker", "await_write", calls=3, **wait)
+        assert simulator.clock.steady() - begun == pytest.approx(seconds, abs=0.11)
+        assert (writes["failed"], writes["gated"] >= 3) == (failed, not failed)
+
+    in_lab(tmp_path, main)
+
+
 def test_an_async_call_from_before_the_cut_still_writes(tmp_path: Path) -> None:
     """It writes 0.7 s after its slot; the cut comes in between. Its slot is the old one's, so it passes."""
 

@@ -6,10 +6,11 @@ import re
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 
-from midstride.node.control.shortfall import FLOOR, LONG_FLOOR, SHARE, SLOW, Shortfall, tolerated_periods
+from midstride.node.control.shortfall import FLOOR, LONG_FLOOR, SHARE, SLOW, Shortfall, Stopwatch, tolerated_periods
 
 from .author import Bench, simulate
 
@@ -139,6 +140,39 @@ def test_half_of_what_is_lacking_is_forgiven_where_the_stream_is_not_all_to_blam
     lacking = (SHARE * 32 - 1) / 2
     slow.halve()
     assert slow.exceeds(0.99 * lacking / (SLOW * SHARE)) and not slow.exceeds(1.01 * lacking / (SLOW * SHARE))
+
+
+class StopwatchHost:
+    """Two clocks that the test sets (s)."""
+
+    def __init__(self, *, simulated: bool) -> None:
+        self.simulated_time, self.at, self.ros = simulated, 100.0, 1000.0
+
+    def steady(self) -> int:
+        return round(self.at * 1e9)
+
+    def now(self) -> int:
+        return round(self.ros * 1e9)
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_a_lap_lasts_on_the_ros_clock_and_never_longer_than_the_process_has_run(simulated: bool) -> None:
+    host = StopwatchHost(simulated=simulated)
+    watch = Stopwatch(cast(Any, host))
+
+    def lap(gone: float, moved: float) -> float:
+        host.at += gone
+        host.ros += moved
+        return round(watch.lap(0.1), 6)
+
+    assert lap(0.1, 0.05) == (0.05 if simulated else 0.1)
+    assert lap(0.1, 0.0) == (0.0 if simulated else 0.1), "/clock stands still"
+    assert lap(0.1, -500.0) == (0.0 if simulated else 0.1), "it is set back"
+    assert watch.grace == 0.0
+    assert lap(3.0, 3.0) == pytest.approx(0.45 if simulated else 0.2, abs=0.06), "the process was stopped"
+    assert watch.grace == LONG_FLOOR
+    assert lap(0.1, 0.0) == (0.0 if simulated else 0.1)
+    assert watch.grace == pytest.approx(LONG_FLOOR - 0.1)
 
 
 # -- what breaks an assumption -----------------------------------------------------------------------------

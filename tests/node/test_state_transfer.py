@@ -13,13 +13,14 @@ from midstride.backends.simulator.virtual_loop import run
 from midstride.node.author.ports import OutputLink
 from midstride.node.component_host import MessageInfo
 from midstride.node.data.functionality_runner import Admission, Call
-from midstride.node.handover.state_transfer import REPORT_INTERVAL, TICK, StateExport, StateImport
+from midstride.node.handover.state_transfer import LONGEST_WAIT, REPORT_INTERVAL, TICK, StateExport, StateImport
 from midstride.node.request_admission import RequestAdmission
 from midstride.wire.commands import Command, FetchStateCommand, StateTransfer
 from midstride.wire.frames import Reply, encode_value
 from midstride.wire.replies import Confirmed, FetchedState
 from tests.node.test_cut import Owner, link_of
 from tests.node.virtual import SECOND, Rights, VirtualHost, seconds
+from tests.planting import plant
 
 
 class Runner(Owner):
@@ -152,6 +153,25 @@ def test_the_time_in_which_the_state_may_come_begins_with_the_last_cut_of_the_pa
         await work.decided()
         assert seconds() == pytest.approx(3.5, abs=0.02)
         assert work.problem == "the state took longer than 0.5 s" and work.failed is required
+
+    in_virtual_time(main)
+
+
+def test_while_the_last_cut_is_far_ahead_the_clock_is_looked_at_now_and_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    slept: list[float] = []
+    sleep = VirtualHost.sleep
+
+    async def counted(self: VirtualHost, seconds: float) -> None:
+        slept.append(seconds)
+        await sleep(self, seconds)
+
+    plant(monkeypatch, VirtualHost, "sleep", counted)
+
+    async def main() -> None:
+        work = importing(Runner(), transfer(at=3.0))
+        work.arm([], cut_of(Rights()))
+        await work.decided()
+        assert 3.0 / LONGEST_WAIT <= len(slept) < 1.1 * 3.0 / LONGEST_WAIT
 
     in_virtual_time(main)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 from types import SimpleNamespace
 from typing import Any, Final
 
@@ -32,5 +33,20 @@ def test_work_that_was_begun_goes_on() -> None:
         work.set_result(1)
         finished = await within(HOST, work, 0.01)
         assert finished is work and work.result() == 1
+
+    asyncio.run(main())
+
+
+def test_what_fails_after_it_is_no_longer_awaited_is_not_logged_as_an_error_that_nothing_has_retrieved() -> None:
+    async def main() -> None:
+        loop, logged = asyncio.get_running_loop(), list[str]()
+        loop.set_exception_handler(lambda _, context: logged.append(context["message"]))
+        work: asyncio.Future[int] = loop.create_future()
+        assert await within(HOST, work, 0.01) is None
+        work.set_exception(ValueError("too late"))
+        await asyncio.sleep(0)
+        del work
+        gc.collect()
+        assert logged == []
 
     asyncio.run(main())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace as changed
 from itertools import combinations, permutations, product
 from math import inf
 from random import Random
@@ -62,9 +63,30 @@ def crowded(rng: Random, replaced: int) -> tuple[Specification, Specification]:
     return start, target
 
 
+def grown(rng: Random, replaced: int) -> tuple[Specification, Specification]:
+    """As ``crowded``, with a node that is new: only others can make room for it."""
+    start, target = crowded(rng, replaced)
+    memory = float(rng.randint(2, 4))
+    extra = ComponentSpec.of(
+        "Extra",
+        functionalities=(FunctionalitySpec("f", (Mode("on"), Mode("off"))),),
+        resource_usage={"memory": memory},
+        run="extra",
+        startup_seconds=2.0,
+    )
+    held = sum(target.component_of(role).resource_usage["memory"] for role in target.nodes)
+    room = Resource("memory", max(start.resources["memory"].capacity, held + memory))
+    start, target = (
+        changed(each, components=each.components.set("Extra", extra), resources=Map(memory=room))
+        for each in (start, target)
+    )
+    return start, target.with_node(Node("extra", "Extra", Map()))
+
+
 FAMILIES: dict[str, Family] = {
     "tight": systems.tight,
     "crowded": crowded,
+    "grown": grown,
     "exclusive": systems.exclusive,
     "shared": lambda rng, _: shared(rng),
 }
@@ -205,7 +227,13 @@ def creations(bounds: RoleBounds, mask: int) -> int:
 
 @pytest.mark.parametrize(
     ("family", "replaced", "figures"),
-    [("tight", 3, (416, 2)), ("tight", 4, (555, 2)), ("crowded", 4, (640, 0)), ("exclusive", 5, (286, 2))],
+    [
+        ("tight", 3, (416, 2)),
+        ("tight", 4, (555, 2)),
+        ("crowded", 4, (640, 0)),
+        ("grown", 4, (720, 0)),
+        ("exclusive", 5, (286, 2)),
+    ],
 )
 def test_the_bound_of_a_role_is_at_most_the_least_of_all_states_of_the_others_and_mostly_equal(
     family: str, replaced: int, figures: tuple[int, int]

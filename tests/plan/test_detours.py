@@ -73,6 +73,14 @@ def test_a_node_that_stays_makes_room() -> None:
     ]
 
 
+def test_a_node_that_stays_on_a_full_topic_may_make_room_on_it() -> None:
+    components = [work(name, outputs=["out"]) for name in ("A", "B", "NewB", "C")]
+    nodes = {"a": ("A", {"out": "/x"}), "b": ("B", {"out": "/x"}), "c": ("C", {"out": "/y"})}
+    start = system(components, nodes, caps={"/x": 2})
+    change = between(start, start.with_replaced("b", "NewB"))
+    assert [detour.role for detour in further(change, ()) if detour.moved and detour.stand_in is None] == ["a"]
+
+
 def test_a_stand_in_serves_until_there_is_room() -> None:
     plan = sound(detoured(crowded(important("Light"))))
     assert (plan.disruption, plan.degraded, plan.proved_minimal) == (0.0, (), True)

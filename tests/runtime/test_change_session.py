@@ -385,6 +385,20 @@ def test_a_role_that_is_filled_again_is_missing_no_longer(tmp_path: Path) -> Non
     session(tmp_path, body)
 
 
+def test_a_role_that_has_left_the_specification_is_missing_no_longer(tmp_path: Path) -> None:
+    async def body(s: SessionBench) -> None:
+        s.busy = False
+        s.exits(Exited("listener", -9))
+        await asyncio.sleep(0.1)
+        assert list(s.system.life.missing) == ["listener"]
+        s.busy = True
+        outcome = await s.session.change(PlanRequest(to=TALKER.without_node("listener")))
+        assert outcome.outcome == "done", outcome.because
+        assert s.system.life.missing == {}
+
+    session(tmp_path, body)
+
+
 def test_planning_changes_nothing(tmp_path: Path) -> None:
     async def body(s: SessionBench) -> None:
         plan, target = await s.session.plan(REPLACEMENT)

@@ -9,7 +9,7 @@ import pytest
 from msgspec import structs
 
 from midstride.codec.form import encode
-from midstride.runtime.records.measure import Observation, SwapReport, _assign, _phase, report
+from midstride.runtime.records.measure import Observation, SwapReport, _assign, _overlap, _phase, report
 from midstride.wire.replies import Receipt
 
 MS = 1_000_000
@@ -428,3 +428,17 @@ def test_each_message_of_a_publisher_is_in_the_slot_that_it_was_due_in(places: l
         found = list(_assign(sources, origin, PERIOD))[len(on_time) :]
         shift = -round((origin - 0.2 * PERIOD) / PERIOD) if origin > PERIOD else 0
         assert found == [slot + shift for slot in slots], origin
+
+
+@pytest.mark.parametrize(("resumed", "overlap"), [(False, 4), (True, 2)])
+def test_what_the_first_publisher_has_published_after_the_other_one_had_begun_is_counted(
+    resumed: bool, overlap: int
+) -> None:
+    """The other one publishes from 35 to 55; if the first one resumed, what comes after that is no duplicate."""
+
+    def receipts(publisher: str, *sources: int) -> list[Receipt]:
+        return [Receipt(source + SKEW, source, number, publisher) for number, source in enumerate(sources, start=1)]
+
+    sides = [receipts("new", 35, 45, 55), receipts("old", 10, 20, 30, 40, 50, 60, 70)]
+    assert _overlap(sides, resumed) == overlap
+    assert _overlap(sides[1:], resumed) == 0

@@ -24,10 +24,11 @@ def controller(
     inputs: tuple[str, ...] = ("obstacles",),
     last: str = "stop",
     assumes: tuple[str, ...] | None = None,
+    each: tuple[str, ...] = (),
 ) -> ComponentSpec:
-    normal = Mode(
-        "normal", (InputAlternatives(assumes or inputs[:1]),), Map(cmd=Predicate(TWIST, promised, QoS(depth=5)))
-    )
+    alternatives: list[tuple[str, ...]] = [(name,) for name in each] or [assumes or inputs[:1]]
+    assumptions = tuple(map(InputAlternatives, alternatives))
+    normal = Mode("normal", assumptions, Map(cmd=Predicate(TWIST, promised, QoS(depth=5))))
     return ComponentSpec.of(
         "Controller",
         inputs={name: Predicate(RANGE, needed) for name in inputs},
@@ -64,6 +65,13 @@ def test_a_node_may_not_insist_on_one_of_declared_alternatives() -> None:
     only_left = controller(inputs=("left", "right"), assumes=("left",))
     assert mismatches(only_left, either) == []
     assert mismatches(either, only_left) == ["control in mode normal assumes left, which is not declared"]
+
+
+def test_a_node_may_assume_some_of_what_is_declared_and_nothing_else() -> None:
+    both = controller(inputs=("left", "right"), each=("left", "right"))
+    only_left = controller(inputs=("left", "right"), assumes=("left",))
+    assert mismatches(both, both) == mismatches(both, only_left) == []
+    assert mismatches(only_left, both) == ["control in mode normal assumes right, which is not declared"]
 
 
 def test_endpoints_that_are_no_ports_must_be_allowed() -> None:

@@ -17,7 +17,7 @@ from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.process.component_client import ComponentClient
-from midstride.runtime.restore.restoring import lacking
+from midstride.runtime.restore.restoring import _Record, lacking
 from midstride.runtime.timeouts import within
 from midstride.runtime.workspace import Workspace
 from midstride.wire.channel import ComponentReport
@@ -274,6 +274,21 @@ def test_how_often_something_has_fallen_is_forgotten_with_its_instance_and_not_b
         assert ref not in restorer._records
 
     in_chain(tmp_path, body)
+
+
+@pytest.mark.parametrize(
+    ("record", "due"),
+    [
+        (_Record(fallen=True, number=1, supported_since=5.0), 6.0),  # the first time after 1 s, then longer each time
+        (_Record(fallen=True, number=3, supported_since=5.0), 9.0),
+        (_Record(fallen=True, conditional=True, number=1, supported_since=5.0), 5.0),  # as soon as the condition holds
+        (_Record(fallen=True, number=1), None),
+        (_Record(fallen=True, number=1, supported_since=5.0, left="5 attempts did not last"), None),
+        (_Record(number=1, supported_since=5.0), None),
+    ],
+)
+def test_when_something_is_due_to_be_restored(record: _Record, due: float | None) -> None:
+    assert record.due() == due
 
 
 def test_a_command_that_restores_comes_first_and_begins_the_count_anew(tmp_path: Path) -> None:
