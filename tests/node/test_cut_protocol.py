@@ -125,3 +125,14 @@ def test_without_outputs_the_old_side_watches_only_where_it_is_wanted_again(want
         assert running.done() and task.outcome == ("resumed" if wanted else "done")
 
     in_virtual_time(main)
+
+
+def test_a_new_side_is_detached_when_it_has_lost_its_last_attachment() -> None:
+    (one, _), (other, _) = link_of(Owner(), "/a"), link_of(Owner(), "/b")
+    task = new_side(Rights(), one, other)
+    seen = [task.is_detached]
+    for link in (one, other):
+        link.destroy()
+        seen.append(task.is_detached)
+    assert seen == [False, False, True]
+    assert not new_side(Rights()).is_detached, "it never had one"

@@ -442,3 +442,5 @@ def test_what_the_first_publisher_has_published_after_the_other_one_had_begun_is
     sides = [receipts("new", 35, 45, 55), receipts("old", 10, 20, 30, 40, 50, 60, 70)]
     assert _overlap(sides, resumed) == overlap
     assert _overlap(sides[1:], resumed) == 0
+    by_first_message = [receipts("new", 35, 45), receipts("old", 10, 60)]
+    assert _overlap(by_first_message, resumed) == (0 if resumed else 1)

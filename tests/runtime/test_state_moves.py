@@ -57,7 +57,7 @@ def on_bench(folder: Path, body: Callable[[Bench], Awaitable[None]]) -> None:
 def test_the_state_moves_before_anything_is_taken_from_the_old_one(step: Action, tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         moves = Moves(b)
-        await moves.before(UPGRADE)
+        await moves.before(UPGRADE, UPGRADE)
         assert [each.instance for each in b.client.sent if isinstance(each.command, MuteCommand)] == ["listener_2"]
         assert moves.moved == []
         await moves.before(Remove("talker"))
@@ -104,9 +104,10 @@ def test_an_old_one_that_exits_meanwhile_leaves_none(tmp_path: Path) -> None:
         await moves.before(REMOVE)
         because = "listener exited or hangs, so it could not export its state"
         assert (moves.moved, moves.kept) == ([], [("listener", "listener_2", because)])
-        again = Moves(b)
+        again, asked = Moves(b), len(b.client.of(PrepareStateCommand))
         await again.before(UPGRADE)
-        assert (again.moved, again.kept) == ([], []), "it is not asked any more"
+        assert (again.moved, again.kept) == ([], [])
+        assert len(b.client.of(PrepareStateCommand)) == asked, "it is not asked any more"
 
     on_bench(tmp_path, body)
 
