@@ -235,6 +235,8 @@ declare namespace Api {
     role: string;
     component: string;
     parameters: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
+    /** parameters of further nodes in its process, as files order them */
+    sections?: SectionForm[];
     seconds: number;
   }
 
@@ -488,6 +490,8 @@ declare namespace Api {
     role: string;
     component: NamedComponentForm;
     parameters: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
+    /** parameters of further nodes in its process, as files order them */
+    sections?: SectionForm[];
   }
 
   /** An instance, as it last reported itself. */
@@ -652,6 +656,8 @@ declare namespace Api {
     /** its own values, over its component's */
     parameters?: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
     respawn?: RespawnForm;
+    /** parameters of further nodes in its process, as files order them */
+    sections?: SectionForm[];
     role: string;
   }
 
@@ -663,6 +669,8 @@ declare namespace Api {
     /** its own values, over its component's */
     parameters?: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
     respawn?: RespawnForm;
+    /** parameters of further nodes in its process, as files order them */
+    sections?: SectionForm[];
   }
 
   /** A further place that a diagnostic is about. */
@@ -1084,6 +1092,14 @@ declare namespace Api {
     fate: "file_wins" | "kept" | "late" | "left_behind" | "not_kept";
     /** the same for people */
     words: string;
+  }
+
+  /** A section of a parameter file, for further nodes in a process. */
+  interface SectionForm {
+    /** as rcl matches it to nodes */
+    name: string;
+    /** its parameters */
+    parameters?: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
   }
 
   /** The manager that answers, and whether its system is up. */

@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar, TypeAlias
 
 from midstride.codec.component_form import NamedComponentForm
 from midstride.codec.form import Form, NonEmptyName, field
-from midstride.codec.parameter import ValueForm, values_form, values_of
+from midstride.codec.parameter import SectionForm, SectionsForm, ValueForm, values_form, values_of
 from midstride.codec.reading import decode_form
 from midstride.codec.specification_form import SpecificationForm
 from midstride.errors import SpecificationError
@@ -33,6 +33,7 @@ class InstanceForm(Form, frozen=True):
     role: NonEmptyName
     component: NamedComponentForm
     parameters: dict[str, ValueForm]
+    sections: SectionsForm = []
 
     @classmethod
     def of(cls, instance: Instance) -> InstanceForm:
@@ -41,11 +42,13 @@ class InstanceForm(Form, frozen=True):
             role=instance.role,
             component=NamedComponentForm.of(instance.component),
             parameters=values_form(instance.parameters),
+            sections=[SectionForm.of(section) for section in instance.sections],
         )
 
     def instance(self) -> Instance:
         """Raises SpecificationError where its component is faulty, ValueError where a parameter is."""
-        return Instance(self.name, self.role, self.component.checked(), values_of(self.parameters))
+        sections = tuple(form.section() for form in self.sections)
+        return Instance(self.name, self.role, self.component.checked(), values_of(self.parameters), sections)
 
 
 class ConfigurationForm(Form, frozen=True):

@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, TypeAlias, cast
 from immutables import Map
 
 from midstride.codec.form import FiniteNumber, Form, field, finite
-from midstride.model.component import ParameterSpec, ParameterValue, canonical
+from midstride.model.component import ParameterSection, ParameterSpec, ParameterValue, canonical
 
 NotFinite: TypeAlias = Literal["nan", "inf", "-inf"]
 NotFiniteForm: TypeAlias = Annotated[
@@ -97,6 +97,28 @@ def values_of(values: Mapping[str, PlainValue]) -> Map[str, ParameterValue]:
 def values_form(parameters: Mapping[str, ParameterValue]) -> dict[str, PlainValue]:
     """The values of parameters, sorted by name."""
     return {name: json_value(value) for name, value in sorted(parameters.items())}
+
+
+class SectionForm(Form, frozen=True):
+    """A section of a parameter file, for further nodes in a process."""
+
+    what: ClassVar[str] = "a section of a parameter file"
+
+    name: Annotated[str, field("the name of a section", "as rcl matches it to nodes", min_length=1)]
+    parameters: Annotated[dict[str, ValueForm], field("an object of values", "its parameters")] = {}
+
+    @classmethod
+    def of(cls, section: ParameterSection) -> SectionForm:
+        return cls(section.pattern, values_form(section.parameters))
+
+    def section(self) -> ParameterSection:
+        """Raises ValueError as :func:`value_of` does."""
+        return ParameterSection(self.name, values_of(self.parameters))
+
+
+SectionsForm: TypeAlias = Annotated[
+    list[SectionForm], field("a list of sections", "parameters of further nodes in its process, as files order them")
+]
 
 
 class ParameterForm(Form, frozen=True):

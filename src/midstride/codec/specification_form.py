@@ -44,7 +44,7 @@ from midstride.codec.form import (
     plain,
     stated,
 )
-from midstride.codec.parameter import ValueForm, values_form, values_of
+from midstride.codec.parameter import SectionForm, SectionsForm, ValueForm, values_form, values_of
 from midstride.codec.reading import decode
 from midstride.model.component import Connector, EnvironmentGuarantee, FunctionalityRef, Resource
 from midstride.model.name_checks import specification_names
@@ -143,6 +143,7 @@ class NodeForm(Form, frozen=True):
         dict[str, ValueForm], field("an object of values", "its own values, over its component's")
     ] = {}
     respawn: RespawnForm | UnsetType = UNSET
+    sections: SectionsForm = []
 
     @classmethod
     def of(cls, node: Node, specification: Specification) -> NodeForm:
@@ -154,13 +155,15 @@ class NodeForm(Form, frozen=True):
             attachments={name: list(node.attachments[name]) for name in ports if node.attachments[name]},
             parameters=values_form(node.parameters),
             respawn=UNSET if node.respawn is None else RespawnForm.of(node.respawn),
+            sections=[SectionForm.of(section) for section in node.sections],
         )
 
     def node(self, role: str) -> Node:
         """Raises ValueError as :func:`midstride.codec.parameter.values_of` does."""
         topics = {port: tuple(names) for port, names in self.attachments.items()}
         policy = None if self.respawn is UNSET else self.respawn.policy()
-        return Node(role, self.component, Map(topics), values_of(self.parameters), policy)
+        sections = tuple(form.section() for form in self.sections)
+        return Node(role, self.component, Map(topics), values_of(self.parameters), policy, sections)
 
 
 class ConstraintForm(ShapedForm, frozen=True):

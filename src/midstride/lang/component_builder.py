@@ -272,10 +272,15 @@ def _inherited(base: syntax.ComponentDeclaration, own: syntax.ComponentDeclarati
     def merged(name_of: Callable[[T], syntax.Name], theirs: tuple[T, ...], ours: tuple[T, ...]) -> tuple[T, ...]:
         return tuple({name_of(entry).text: entry for entry in (*theirs, *ours)}.values())
 
+    if own.files:  # instead of those of the base, whose values come before them
+        theirs, ours = tuple(entry._replace(after=0) for entry in base.parameters), own.parameters
+    else:
+        before = len(base.files)
+        theirs, ours = base.parameters, tuple(entry._replace(after=before) for entry in own.parameters)
     return own._replace(
         runs=own.runs or base.runs,
         holds=own.holds or base.holds,
-        parameters=merged(_name, base.parameters, own.parameters),
+        parameters=merged(_name, theirs, ours),
         environment=merged(_name, base.environment, own.environment),
         files=own.files or base.files,
         inputs=merged(_name, base.inputs, own.inputs),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -10,15 +10,53 @@ from immutables import Map
 
 from midstride.lang.declarations import MAX_PARTS, Declarations, NodeEntry, ancestry, limited, resolve_topic
 from midstride.lang.diagnostic_text import Note, Reporter
-from midstride.lang.parameter_files import SectionInFile, read_sections
+from midstride.lang.parameter_files import SectionInFile, read_sections, sections_of
 from midstride.lang.rcl_parameters import KEY, ParameterValueAt
 from midstride.lang.respawn_builder import respawn_policy
 from midstride.lang.source import Source, Span
 from midstride.lang.source_files import Bounds, FileReader, Unreadable, read_source, shown_path
-from midstride.lang.syntax import ComponentDeclaration, Name
-from midstride.model.component import ComponentSpec, ParameterSpec, ParameterValue
+from midstride.lang.syntax import ComponentDeclaration, Name, ParameterEntry
+from midstride.lang.yaml_tree import InvalidYaml
+from midstride.model.component import ROS_PARAMETERS, ComponentSpec, ParameterSection, ParameterSpec, ParameterValue
 from midstride.model.near_miss import did_you_mean
 from midstride.model.specification import Node
+
+
+@dataclass(slots=True)
+class _Stated:
+    """What is stated for the parameters of one role, statement by statement: the later one takes precedence.
+
+    ``values``: for the role, but for the defaults of its component. ``of_files``: those of files among them, whatever
+    is stated after them. ``sections``: what files have for all nodes, by the names of their sections.
+    """
+
+    role: str
+    sections_of_files: Callable[[tuple[str, ...]], Sequence[SectionInFile]]
+    values: dict[str, ParameterValueAt] = field(default_factory=dict)
+    of_files: dict[str, ParameterValueAt] = field(default_factory=dict)
+    sections: dict[str, dict[str, ParameterValue]] = field(default_factory=dict)
+    _run: tuple[str, ...] = ()
+
+    def file(self, key: str) -> None:
+        """Files that follow one another are read as ROS reads several `--params-file`."""
+        self._run = (*self._run, key)
+
+    def value(self, name: str, value: ParameterValueAt | None) -> None:
+        """Without a value, that of the component."""
+        self.end()
+        self.values.pop(name, None)
+        if value is not None:
+            self.values[name] = value
+
+    def end(self) -> None:
+        """No file follows at once."""
+        for section in self.sections_of_files(self._run) if self._run else ():
+            if section.matches(self.role):
+                self.values |= section.values
+                self.of_files |= section.values
+            values = {name: each.value for name, each in section.values.items()}
+            self.sections.setdefault(section.pattern, {}).update(values)
+        self._run = ()
 
 
 @dataclass(slots=True)
@@ -33,38 +71,50 @@ class NodeBuilder:
     reporter: Reporter
     parameter_spans: dict[tuple[str, str], Span] = field(default_factory=dict)
     sources: list[Source] = field(default_factory=list)
-    _files: dict[str, list[SectionInFile] | None] = field(default_factory=dict)
+    _files: dict[str, tuple[Source, list[SectionInFile]] | None] = field(default_factory=dict)
+    _runs: dict[tuple[str, ...], list[SectionInFile]] = field(default_factory=dict)
 
     def build(self) -> dict[str, Node]:
         """Every declared node that names a component. Parameters given only in files are added to the components."""
-        from_files = {role: self._from_files(entry) for role, entry in self.declarations.nodes.items()}
-        self._declare_parameters(from_files)
+        stated = {role: self._stated(entry) for role, entry in self.declarations.nodes.items()}
+        self._declare_parameters({role: each.of_files for role, each in stated.items()})
         entries = self.declarations.nodes.items()
-        return {role: self._node(entry, from_files[role]) for role, entry in entries if entry.declaration.component}
+        return {role: self._node(entry, stated[role]) for role, entry in entries if entry.declaration.component}
 
-    def _node(self, entry: NodeEntry, given: Mapping[str, ParameterValueAt]) -> Node:
+    def _node(self, entry: NodeEntry, stated: _Stated) -> Node:
         declaration = entry.declaration
-        values: dict[str, ParameterValue] = {}
-        for name, (value, span) in given.items():
-            values[name] = value
-            self.parameter_spans[entry.role, name] = span
+        name = "" if declaration.component is None else declaration.component.text
+        component = self.components.get(name)
         own: dict[str, Name] = {}
         for parameter in declaration.parameters:
-            name = parameter.name.text
-            if name in own:
-                note = Note("first set here", own[name].span)
-                message = f"duplicate parameter `{name}`"
+            text = parameter.name.text
+            if text in own:
+                note = Note("first set here", own[text].span)
+                message = f"duplicate parameter `{text}`"
                 self.reporter.report("E007", parameter.name.span, message, help="keep one of them", notes=[note])
                 continue
             if parameter.changeable:
                 message = "`changeable` belongs in the component, not in a node"
-                self.reporter.report("E143", parameter.name.span, message, help=f"write `{name} = …` here")
-            own[name] = parameter.name
-            values[name] = parameter.value.value
-            self.parameter_spans[entry.role, name] = parameter.name.span
-        component = "" if declaration.component is None else declaration.component.text
+                self.reporter.report("E143", parameter.name.span, message, help=f"write `{text} = …` here")
+            own[text] = parameter.name
+            known = component is None or component.gate is None or text in {*component.parameters, *ROS_PARAMETERS}
+            if component is not None and not known and text not in stated.of_files:
+                message = f"{name} has no parameter `{text}`"
+                help = did_you_mean(text, component.parameters)
+                help = help or f"declare it in {name}: `parameters {{ {text} = … }}`"
+                self.reporter.report("E008", parameter.name.span, message, help=help)
+        for text, each in stated.values.items():
+            self.parameter_spans[entry.role, text] = each.span
+        sections = () if component is None or component.gate is None else tuple(self._other_sections(stated))
         policy = respawn_policy(declaration.respawn, self.reporter)
-        return Node(entry.role, component, self._attachments(entry), Map(values), policy)
+        values = Map({text: each.value for text, each in stated.values.items()})
+        return Node(entry.role, name, self._attachments(entry), values, policy, sections)
+
+    def _other_sections(self, stated: _Stated) -> Iterator[ParameterSection]:
+        """Those that a further node in the process may read, which is none of the system's own nodes."""
+        for pattern, values in stated.sections.items():
+            if values and pattern.strip("/") not in self.declarations.nodes:
+                yield ParameterSection(pattern, Map(values))
 
     def _attachments(self, entry: NodeEntry) -> Map[str, tuple[str, ...]]:
         declaration = entry.declaration
@@ -83,47 +133,74 @@ class NodeBuilder:
             found[port] = found.get(port, ()) + topics
         return Map(found)
 
-    def _from_files(self, entry: NodeEntry) -> dict[str, ParameterValueAt]:
-        """The parameters of a node from files: those for all nodes first, then its component's, then its own."""
-        given: dict[str, ParameterValueAt] = {}
+    def _stated(self, entry: NodeEntry) -> _Stated:
+        """What is stated for a node: in files for all nodes first, then in its component, then in itself.
+
+        What a component states before its first file is a default, and comes before all files.
+        """
+        found = _Stated(entry.role, self._sections_of_run)
         for namespace, path in self.declarations.parameter_files:
             if not namespace or entry.role.startswith(f"{namespace}/"):
-                self._apply(given, entry.role, self._sections(path), namespace)
+                self._add_file(found, path)
         declaration = entry.declaration
         component = None if declaration.component is None else self.merged.get(declaration.component.text)
-        for path in component.files if component is not None else ():
-            self._apply(given, entry.role, self._sections(path), entry.namespace)
-        for path in declaration.files:
-            sections = self._sections(path)
-            if not self._apply(given, entry.role, sections, entry.namespace) and sections is not None:
-                names = [section.pattern for section in sections]
-                listed = f"its sections: {', '.join(names[:8])}" if names else f"write `{entry.role}: {KEY}: …`"
-                help = did_you_mean(f"/{entry.role}", names) or listed
-                message = f"`{path.text}` has no section for {entry.role}"
-                self.reporter.report("W160", path.span, message, help=help)
-        return given
+        if component is not None:
+            self._add(found, component.files, [(each, None) for each in component.parameters if each.after])
+        own: dict[str, tuple[ParameterEntry, ParameterValueAt]] = {}
+        for parameter in declaration.parameters:
+            at = ParameterValueAt(parameter.value.value, parameter.name.span)
+            own.setdefault(parameter.name.text, (parameter, at))
+        self._add(found, declaration.files, list(own.values()), named=True)
+        found.end()
+        return found
 
-    def _apply(
-        self, given: dict[str, ParameterValueAt], role: str, sections: Iterable[SectionInFile] | None, namespace: str
-    ) -> bool:
-        matching = [section for section in sections or () if section.matches(role)]
-        for section in matching:
-            given.update(section.values)
-        return bool(matching)
+    def _add(
+        self,
+        found: _Stated,
+        files: Sequence[Name],
+        entries: Sequence[tuple[ParameterEntry, ParameterValueAt | None]],
+        named: bool = False,
+    ) -> None:
+        """The files and values of one declaration, in their order. ``named``: each file is for this node."""
+        for index in range(len(files) + 1):
+            if index:
+                self._add_file(found, files[index - 1], named)
+            for parameter, value in entries:
+                if parameter.after == index:
+                    found.value(parameter.name.text, value)
 
-    def _sections(self, path: Name) -> list[SectionInFile] | None:
+    def _add_file(self, found: _Stated, path: Name, named: bool = False) -> None:
         try:
             key = self.bounds.path(path, ".yaml", ".yml")
             if key not in self._files:
                 self._files[key] = None
                 source = read_source(Path(key), self.read, shown_path(path))
                 self.sources.append(source)
-                self._files[key] = read_sections(source, self.reporter)
-            return self._files[key]
+                sections = read_sections(source, self.reporter)
+                self._files[key] = None if sections is None else (source, sections)
         except Unreadable as error:
             message = f"`{path.text}` cannot be read: {error}"
             self.reporter.report(error.code, path.span, message, help=error.help)
-            return None
+            return
+        if (file := self._files[key]) is None:
+            return
+        found.file(key)
+        if named and not any(section.matches(found.role) for section in file[1]):
+            names = [section.pattern for section in file[1]]
+            listed = f"its sections: {', '.join(names[:8])}" if names else f"write `{found.role}: {KEY}: …`"
+            help = did_you_mean(f"/{found.role}", names) or listed
+            message = f"`{path.text}` has no section for {found.role}"
+            self.reporter.report("W160", path.span, message, help=help)
+
+    def _sections_of_run(self, keys: tuple[str, ...]) -> list[SectionInFile]:
+        if keys not in self._runs:
+            read = [file for key in keys if (file := self._files[key]) is not None]
+            try:
+                self._runs[keys] = read[0][1] if len(read) == 1 else sections_of([source for source, _ in read])
+            except InvalidYaml as refused:  # each can be read alone
+                self.reporter.report("E150", refused.span, str(refused), help=refused.help)
+                self._runs[keys] = []
+        return self._runs[keys]
 
     def _declare_parameters(self, from_files: Mapping[str, Mapping[str, ParameterValueAt]]) -> None:
         """Add the parameters that files give all nodes of a component to it; report those that only some nodes get."""
@@ -134,7 +211,7 @@ class NodeBuilder:
         for name, roles in users.items():
             if name not in self.components:
                 continue
-            declared = self.components[name].parameters
+            declared, gate = self.components[name].parameters, self.components[name].gate
             added: dict[str, ParameterSpec] = {}
             partly: dict[tuple[str, str], list[tuple[str, Span]]] = {}
             for role in roles:
@@ -142,6 +219,8 @@ class NodeBuilder:
                     if parameter in declared or parameter in added:
                         continue
                     lacking = next((other for other in roles if parameter not in from_files[other]), None)
+                    if lacking is not None and gate is not None:
+                        continue  # the program declares its parameters itself
                     if lacking is not None:
                         partly.setdefault((role, lacking), []).append((parameter, span))
                     added[parameter] = ParameterSpec(value)

@@ -231,7 +231,7 @@ class ContractParser(BlockParser):
             name = self.dotted("a parameter name")
             self.expect("=", f"after `{name.text}`", ("name", "number", "string", "["))
             value = self.parameter_value()
-            entries.append(syntax.ParameterEntry(name, value, changeable))
+            entries.append(syntax.ParameterEntry(name, value, changeable, len(files)))
             if self.texts[self.i] in {*HERTZ, *SECONDS} and self.kinds[self.i + 1] not in {"=", ":", "."}:
                 help = f"write `{name.text} = {value.span.text}`; the node defines the unit"
                 self.reporter.report("E120", self.span(), "a parameter value cannot have a unit", help=help)

@@ -127,9 +127,12 @@ class ResourceUse(NamedTuple):
 
 
 class ParameterEntry(NamedTuple):
+    """``after``: how many of the parameter files of its component or node come before it."""
+
     name: Name
     value: Value
     changeable: bool
+    after: int
 
 
 class InputDeclaration(NamedTuple):

@@ -86,6 +86,17 @@ def same_value(first: object, second: object) -> bool:
     return bool(first == second) or (first != first and second != second)
 
 
+@dataclass(frozen=True, slots=True)
+class ParameterSection:
+    """A section of a parameter file that may be for further nodes in the process of a node.
+
+    ``pattern`` is the name of the section, which rcl matches to nodes.
+    """
+
+    pattern: str
+    parameters: Map[str, ParameterValue] = field(default_factory=Map)
+
+
 class PortRef(NamedTuple):
     """A port of an instance, written ``talker.out``."""
 

@@ -22,6 +22,7 @@ from midstride.model.component import (
     FunctionalityRef,
     FunctionalitySpec,
     Mode,
+    ParameterSection,
     ParameterValue,
     PortRef,
     Resource,
@@ -76,13 +77,15 @@ def to_fraction(amount: float) -> Fraction:
 class Instance:
     """What runs: an instance of a role's component. The first one has the role's name (docs/semantics.md section 6).
 
-    ``parameters`` holds the value of every parameter: its component's where none is given.
+    ``parameters`` holds the value of every parameter: its component's where none is given. ``sections``: parameters of
+    further nodes in its process.
     """
 
     name: str
     role: str
     component: ComponentSpec
     parameters: Map[str, ParameterValue] = field(default_factory=Map)
+    sections: tuple[ParameterSection, ...] = ()
 
     def __post_init__(self) -> None:
         declared = self.component.parameters

@@ -241,7 +241,8 @@ def _node_names(specification: Specification, node: Node, path: SubjectPath) -> 
         for name in sorted(node.parameters):
             declared = ("components", component.name, "parameters")
             where = (*path, "parameters", name)
-            if name not in ROS_PARAMETERS:
+            # A program without the API declares its parameters itself, and a file may state more of them for one node.
+            if name not in ROS_PARAMETERS and component.gate is None:
                 yield from _unknown("parameter", name, component.parameters, where, declared, component.name)
 
 

@@ -19,6 +19,7 @@ from midstride.model.component import (
     Connector,
     EnvironmentGuarantee,
     FunctionalityRef,
+    ParameterSection,
     ParameterValue,
     PortRef,
     Resource,
@@ -54,7 +55,8 @@ def handover_seconds(timing: Mapping[str, float], name: str) -> float:
 class Node:
     """A role: its component, the topics its ports are attached to, and its own parameter values.
 
-    ``respawn``: whether and when it is started again after a crash (None: it is not).
+    ``respawn``: whether and when it is started again after a crash (None: it is not). ``sections``: those of its
+    parameter files for further nodes in its process, in their order, where its program does not use Midstride's API.
     """
 
     role: str
@@ -62,6 +64,7 @@ class Node:
     attachments: Map[str, tuple[str, ...]] = field(default_factory=Map)
     parameters: Map[str, ParameterValue] = field(default_factory=Map)
     respawn: RespawnPolicy | None = None
+    sections: tuple[ParameterSection, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +129,8 @@ class Specification:
 
     def instance(self, role: str, name: str | None = None) -> Instance:
         """The instance of ``role`` called ``name`` (the role's own name where None)."""
-        return Instance(name or role, role, self.component_of(role), self.nodes[role].parameters)
+        node = self.nodes[role]
+        return Instance(name or role, role, self.component_of(role), node.parameters, node.sections)
 
     def attachments_of(self, role: str, instance: str | None = None) -> list[tuple[PortRef, str]]:
         """The attachments of the role, outputs first, in order of declaration."""

@@ -248,7 +248,7 @@ def _differs(instance: Instance, wanted: Instance) -> bool:
     if instance.component is not wanted.component and not instance.component.same_body(wanted.component):
         return True
     current = instance.parameters
-    if set(current) != set(wanted.parameters):
+    if set(current) != set(wanted.parameters) or instance.sections != wanted.sections:
         return True
     declared, asked = instance.component.parameters, wanted.component.parameters
     return any(

@@ -76,7 +76,7 @@ def _decisions(
             yield runtime_value(role, name, value, "not_kept", f"not kept, as requested; it becomes {declares[name]!r}")
         elif _file_changed(before, after, role, name):
             yield runtime_value(role, name, value, "file_wins", f"the file wins and changes it to {declares[name]!r}")
-        elif not value_fits(value, default := _default(will, name)):
+        elif not value_fits(value, default := _default(will, name, declares[name])):
             raise PlanRefused(
                 f"{role} has {name} = {value!r}, set at run time, and {will.name} takes {value_kind(default)}: set "
                 "another value, or start from the file with --declared-parameters"
@@ -85,9 +85,10 @@ def _decisions(
             yield runtime_value(role, name, value, "kept", "kept")
 
 
-def _default(component: ComponentSpec, name: str) -> ParameterValue:
+def _default(component: ComponentSpec, name: str, value: ParameterValue) -> ParameterValue:
+    """Of ROS, or of a program that declares its parameters itself, the ``value`` of the node."""
     declared = component.parameters.get(name)
-    return ROS_PARAMETERS[name] if declared is None else declared.value
+    return value if declared is None else declared.value
 
 
 def _file_changed(before: Specification, after: Specification, role: str, name: str) -> bool:

@@ -9,8 +9,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Literal, TypeVar
 
+from immutables import Map
+
 from midstride.codec.form import Form
-from midstride.model.component import ComponentSpec, Connector, EnvironmentGuarantee, Resource, same_value
+from midstride.model.component import (
+    ComponentSpec,
+    Connector,
+    EnvironmentGuarantee,
+    ParameterValue,
+    Resource,
+    same_value,
+)
 from midstride.model.contract import format_number
 from midstride.model.specification import Node, Specification
 
@@ -228,12 +237,27 @@ def _node(
         became = _became(f"parameter {name}", then.get(name), now.get(name))
         details.append(became + (", set in place" if in_place else ""))
         replaced = not in_place
+    if sections := list(_sections(before, after)):
+        details += sections
+        replaced = True
     wiring = list(_wiring(before, after))
     replaced = replaced or (bool(wiring) and was.gate is not None)  # its topics are fixed at its start
     policy = [] if before.respawn == after.respawn else [_became("respawn", before.respawn, after.respawn)]
     if details or wiring or policy:
         kind: DifferenceKind = "replaced" if replaced or why is not None else "rewired" if wiring else "set"
         yield Difference(subject, kind if details or wiring else "changed", (*details, *wiring, *policy))
+
+
+def _sections(before: Node, after: Node) -> Iterator[str]:
+    """The values for further nodes in the process that are others, and whether their order is."""
+    then, now = ({each.pattern: each.parameters for each in node.sections} for node in (before, after))
+    for pattern in dict.fromkeys([*then, *now]):
+        old, new = (each.get(pattern, Map[str, ParameterValue]()) for each in (then, now))
+        for name in sorted({*old, *new}):
+            if not (name in old and name in new and same_value(old[name], new[name])):
+                yield _became(f"parameter {name} of the section {pattern}", old.get(name), new.get(name))
+    if list(then) != list(now):
+        yield _became("sections for its process", *(", ".join(each) or "none" for each in (then, now)))
 
 
 def _wiring(before: Node, after: Node) -> Iterator[str]:

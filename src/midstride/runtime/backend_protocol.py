@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
-from midstride.model.component import ComponentSpec, StopTimes
+from midstride.model.component import ComponentSpec, ParameterSection, StopTimes
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.records.status_forms import Middleware
 from midstride.wire.state import ComponentState
@@ -33,6 +33,7 @@ class Launch:
     ``package``: the program is an executable of that package, where the platform has such.
     ``prefix``: words before the program; ``environment``: variables that its process has besides, None for one that it
     does not inherit.
+    ``sections``: parameters of further nodes in the process, where its program does not use Midstride's API.
     ``foreign``: the component, where its program does not use Midstride's API; ``topics`` then has those of its ports.
     """
 
@@ -50,6 +51,7 @@ class Launch:
     package: str | None = None
     prefix: tuple[str, ...] = ()
     environment: dict[str, str | None] = field(default_factory=dict)
+    sections: tuple[ParameterSection, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

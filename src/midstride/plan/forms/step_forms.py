@@ -10,7 +10,7 @@ from immutables import Map
 from msgspec import UNSET, UnsetType
 
 from midstride.codec.form import FiniteNumber, Form, field
-from midstride.codec.parameter import ValueForm, values_form, values_of
+from midstride.codec.parameter import SectionForm, SectionsForm, ValueForm, values_form, values_of
 from midstride.errors import PlanRefused
 from midstride.model.action import (
     Action,
@@ -76,6 +76,7 @@ class CreateStep(StepForm, frozen=True, kw_only=True, tag="create"):
     role: str
     component: str
     parameters: dict[str, ValueForm] = {}
+    sections: SectionsForm | UnsetType = UNSET
     seconds: FiniteNumber
 
 
@@ -153,6 +154,7 @@ def _form(step: Step) -> AnyStep:
                 role=new.role,
                 component=new.component.name,
                 parameters=values,
+                sections=[SectionForm.of(section) for section in new.sections] or UNSET,
                 seconds=seconds,
             )
         case Remove():
@@ -204,7 +206,8 @@ def _action(change: Change, known: Mapping[str, Instance], form: AnyStep) -> Act
     match form:
         case CreateStep():
             component = _component(change, form.component)
-            return Create(Instance(form.instance, form.role, component, values_of(form.parameters)))
+            sections = () if form.sections is UNSET else tuple(each.section() for each in form.sections)
+            return Create(Instance(form.instance, form.role, component, values_of(form.parameters), sections))
         case RemoveStep():
             return Remove(form.instance)
         case AttachStep():

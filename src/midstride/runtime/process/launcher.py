@@ -23,7 +23,15 @@ from midstride.errors import (
     Unreachable,
 )
 from midstride.model import wording
-from midstride.model.component import DEFAULT_STOP, GATES, KILL_AT_ONCE, ComponentSpec, Gate, StopTimes
+from midstride.model.component import (
+    DEFAULT_STOP,
+    GATES,
+    KILL_AT_ONCE,
+    ComponentSpec,
+    Gate,
+    ParameterSection,
+    StopTimes,
+)
 from midstride.model.configuration import Instance
 from midstride.runtime.backend_protocol import RELAY_SUFFIX, Backend, Exited, Handle, Launch, RemainingProcess
 from midstride.runtime.instance_life import STOPPED, ProcessEvent
@@ -144,6 +152,11 @@ class Launcher:
                 raise StartFailed(f"{name}: component {instance.component.name} has an empty `run` command")
             namespace = instance.role.rpartition("/")[0]
             parameters: dict[str, object] = {"use_sim_time": True} if self._options.use_sim_time else {}
+            # Of all nodes in a process, unless a file or the specification states another value.
+            sections: tuple[ParameterSection, ...] = ()
+            if self._options.use_sim_time:
+                sections = (ParameterSection("/**", Map(use_sim_time=True)),)
+            sections += instance.sections
             parameters.update(instance.parameters)
             token, directory = self._client.token, self._directory
             # A program without Midstride's API has the instance's name: nothing in it could answer for the role.
@@ -165,6 +178,7 @@ class Launcher:
                 package,
                 tuple(shlex.split(instance.component.prefix or "")),
                 dict(instance.component.environment),
+                sections,
             )
             self._life.started(name, await self._backend.start(launch))
         except ValueError as error:

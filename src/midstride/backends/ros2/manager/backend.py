@@ -30,7 +30,7 @@ from midstride.backends.processes import ProcessBackend
 from midstride.backends.ros2 import dds_profiles, names
 from midstride.backends.ros2.component.early_join import hidden_node
 from midstride.backends.ros2.manager import launching
-from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes, ros_arguments
+from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.ros2.manager.graph import Graph
 from midstride.backends.ros2.manager.node_services import RosNodeServices
 from midstride.errors import BackendError, NodeError, StartFailed, Unreachable
@@ -145,7 +145,7 @@ class Ros2Backend(ProcessBackend, Backend):
             return await self._start_relay(launch, launch.foreign, own_name, command, environment)
         environment, record = await self._foreign_nodes.prepare(launch, launch.foreign, own_name, environment)
         try:
-            command = (*command, *ros_arguments(launch, launch.foreign, own_name))
+            command = (*command, *self._foreign_nodes.arguments(launch, launch.foreign, own_name))
             handle = await self._spawn(launch, own_name, command, environment)
             await self._foreign_nodes.started(record, handle)
         except BaseException as error:  # a process without an agent must not keep running
@@ -165,7 +165,11 @@ class Ros2Backend(ProcessBackend, Backend):
         environment = launching.environment(own, self._control, sys.executable, self.settings, os.environ)
         different = differing(program, environment)
         order = self._foreign_nodes.prepare_relay(launch, component, node, command, different)
-        return await self._spawn(own, node, (sys.executable, "-m", _RELAY, str(order)), environment)
+        try:
+            return await self._spawn(own, node, (sys.executable, "-m", _RELAY, str(order)), environment)
+        except BaseException:
+            self._foreign_nodes.gone(launch.instance)
+            raise
 
     async def adopt(self, handle: Handle) -> bool:
         runs = await super().adopt(handle)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
 import os
 import time
@@ -19,6 +18,7 @@ from msgspec.structs import replace
 
 from midstride.backends.common import in_background
 from midstride.backends.naming import topics_of
+from midstride.backends.ros2.manager.parameter_file import parameter_file, write_parameters
 from midstride.codec.component_form import NamedComponentForm
 from midstride.codec.parameter import json_values
 from midstride.errors import BackendError, CommandRefused
@@ -115,7 +115,7 @@ class ForeignNodes:
         """The file of the order of a relay; the arguments are those of :class:`RelayOrder`. Raises BackendError."""
         topics = topics_of(component, node, launch.topics) | private_topics(component, launch.instance)
         order = RelayOrder(
-            command=[*command, *ros_arguments(replaced(launch, topics=topics), component, node)],
+            command=[*command, *self.arguments(replaced(launch, topics=topics), component, node)],
             node=node,
             declaration=NamedComponentForm.of(component),
             topics=topics,
@@ -127,6 +127,16 @@ class ForeignNodes:
         order.write(path)
         self._relays(launch.instance, node)
         return path
+
+    def arguments(self, launch: Launch, component: ComponentSpec, node: str) -> list[str]:
+        """What follows the command; the parameters are in a file, which is deleted with the process.
+
+        Raises BackendError.
+        """
+        values = typed(component, {**launch.parameters, **launch.set_parameters}, {})
+        path = parameter_file(self._folder.absolute(), launch.instance)
+        written = write_parameters(path, launch.sections, node, values)
+        return ros_arguments(launch, component, node, path if written else None)
 
     def _relays(self, instance: str, node: str) -> None:
         self._relayed[instance] = node
@@ -156,6 +166,7 @@ class ForeignNodes:
 
     def discard(self, record: ForeignRecord) -> None:
         """The process could not be started, or has ended."""
+        parameter_file(self._folder, record.instance).unlink(missing_ok=True)
         if record.index is not None and self._page is not None:
             self._page.free(record.index)
 
@@ -200,6 +211,7 @@ class ForeignNodes:
 
     def gone(self, instance: str) -> None:
         """Its process has ended."""
+        parameter_file(self._folder, instance).unlink(missing_ok=True)
         self._peers.nodes.pop(instance, None)
         if self._relayed.pop(instance, None) is not None:
             order_file(self._folder, instance).unlink(missing_ok=True)
@@ -220,22 +232,15 @@ class ForeignNodes:
         await asyncio.gather(*(agent.close() for agent in agents), *self._closing)
 
 
-def ros_arguments(launch: Launch, component: ComponentSpec, node: str) -> list[str]:
-    """What follows the command: the node's name, the topics of its ports, and its parameters."""
+def ros_arguments(launch: Launch, component: ComponentSpec, node: str, parameters: Path | None = None) -> list[str]:
+    """What follows the command: the node's name, the topics of its ports, and its file of parameters."""
     name, namespace = split_name(node)
-    remaps = [f"__node:={name}", f"__ns:={namespace}"]
+    remaps = [f"__node:={name}"]
+    remaps += [f"__ns:={namespace}"] if namespace != "/" else []  # else a further node may have one of its own
     remaps += [
         f"{component.topic_of(port)}:={topic}"
         for port, topic in launch.topics.items()
         if component.topic_of(port) != topic
     ]
-    values = typed(component, {**launch.parameters, **launch.set_parameters}, {})
     arguments = [part for remap in remaps for part in ("-r", remap)]
-    arguments += [part for key, value in values.items() for part in ("-p", f"{key}:={_in_yaml(value)}")]
-    return ["--ros-args", *arguments]
-
-
-def _in_yaml(value: object) -> str:
-    """``value`` as rcl reads it: JSON, but for its escapes of characters beyond U+FFFF, which are no YAML."""
-    text = json.dumps(value, ensure_ascii=False)
-    return "".join(each if each.isascii() and each.isprintable() else f"\\U{ord(each):08x}" for each in text)
+    return ["--ros-args", *arguments, *([] if parameters is None else ["--params-file", str(parameters)])]
