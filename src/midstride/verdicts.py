@@ -54,6 +54,12 @@ class Assessments(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=
     found: list[Assessment]
 
     @property
+    def in_short(self) -> str:
+        """``kept``, ``not measurable``, ``lost 1.20 s``: for a table."""
+        longest = self.lost_seconds if self.verdict == "lost" else None
+        return f"{self.verdict.replace('_', ' ')}{'' if longest is None else f' {seconds_in_words(longest)}'}"
+
+    @property
     def lasting(self) -> bool:
         """Whether something is lost afterwards that no plan has asked for."""
         return any(each.lasting for each in self.found)

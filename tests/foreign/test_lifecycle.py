@@ -104,7 +104,7 @@ def test_what_does_not_end_when_it_is_asked_to_is_in_the_report_the_log_and_the_
         console = Console(width=200)
         with console.capture() as shown:
             console.print(render.outcome(outcome))
-        assert f"{words}.\n" in shown.get()
+        assert f"Not measurable here: {words}: what it does at its end is lost.\n" in shown.get()
         assert [event.words for event in manager.log() if event.kind == "killed"] == [words]
         report = await manager.change_report()
         assert report.outcome is not None and report.outcome.killed == outcome.killed

@@ -291,12 +291,12 @@ def test_the_next_manager_finds_what_was_interrupted_and_where(tmp_path: Path) -
         [found] = await second.take_over()
         assert (found.number, found.target, found.step) == (2, FIRST, 1)
         assert str(found) == "the manager ended during step 1 of 7"
-        await second.end_interrupted(found, SECOND)
+        await second.end_interrupted(found, SECOND, ())
         assert [change.outcome for change in await changes(second)] == ["done", "rolled_back"]
         assert (await changes(second))[1].because == f"{found}; the next one has rolled it back"
-        await second.end_interrupted(found, FIRST)
+        await second.end_interrupted(found, FIRST, ())
         assert (await changes(second))[1].because == f"{found}; the next one has finished it"
-        await second.end_interrupted(found, None)
+        await second.end_interrupted(found, None, ())
         last = (await changes(second))[1]
         assert (last.outcome, last.because) == ("failed", f"{found}; no component of the system was left")
         assert await journal(tmp_path).take_over() == []
@@ -410,7 +410,7 @@ def test_what_was_interrupted_is_found_on_a_full_disk_and_ended_once_it_has_room
         second = journal(tmp_path, disk)
         [found] = await second.take_over()
         assert (found.number, found.step, second.estimates != {}) == (2, 1, True)
-        await second.end_interrupted(found, SECOND)
+        await second.end_interrupted(found, SECOND, ())
         assert "disk is full" in str(second.unwritten) and (await changes(second))[1].outcome is None
         disk.full = False
         assert [change.outcome for change in await changes(second)] == ["done", "rolled_back"]

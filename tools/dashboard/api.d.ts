@@ -87,6 +87,8 @@ declare namespace Api {
     missed: number | null;
     /** what was measured at each subscriber */
     swaps: SwapReport[];
+    /** what was kept, what was lost, and what is not measurable; null: unknown */
+    continuity: Assessments | null;
   }
 
   /** A change of the history. Null: not recorded, as by an earlier version, or because the manager ended meanwhile. */

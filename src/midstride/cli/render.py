@@ -321,22 +321,23 @@ def history(history: History, *, in_progress: bool = True) -> RenderableType:
     """The changes and the incidents, oldest first. ``in_progress``: a manager goes on with what has no outcome yet."""
     from midstride.runtime.records.change_history import Incident
 
-    left, right = ("", "when", "what", "outcome", "version"), ("steps", "missed", "gap", "took")
+    left, right = ("", "when", "what", "outcome", "levels", "version"), ("steps", "missed", "gap", "took")
     rows = table(left, right)
     entries: list[ChangeRecord | Incident] = [*history.changes, *history.incidents]
     for each in sorted(entries, key=lambda entry: entry.at):
         when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(each.at))
         if isinstance(each, Incident):
-            rows.add_row("", when, Text(each.words.splitlines()[0], style="dim"), *[""] * 6)
+            rows.add_row("", when, Text(each.words.splitlines()[0], style="dim"), *[""] * 7)
             continue
         done = sum(step.outcome == "done" for step in each.steps)
         outcome = (each.outcome or ("in progress" if in_progress else "interrupted")).replace("_", " ")
         figures: list[RenderableType] = [_count(each.missed), seconds(each.gap), seconds(each.seconds)]
         style = "green" if each.outcome == "done" else "yellow"
         number, what, version = str(each.number), each.by or each.command, f"v{each.version}"
-        rows.add_row(number, when, what, Text(outcome, style=style), version, f"{done}/{each.total}", *figures)
+        levels = "" if each.continuity is None else each.continuity.in_short
+        rows.add_row(number, when, what, Text(outcome, style=style), levels, version, f"{done}/{each.total}", *figures)
         if each.because:
-            rows.add_row("", "", Text(each.because.splitlines()[0], style="dim"), *[""] * 6)
+            rows.add_row("", "", Text(each.because.splitlines()[0], style="dim"), *[""] * 7)
     damaged = [Text(history.damaged, style="red")] if history.damaged else []
     return Group(rows, *damaged)
 

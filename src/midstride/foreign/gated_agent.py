@@ -8,6 +8,7 @@ shared memory and in a file, so if the manager ends the node goes on, and the ne
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,6 +24,7 @@ from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.lifecycle_outputs import LifecycleOutputs, LifecyclePeers
 from midstride.foreign.node import WATCH, ForeignNode, without_ports
 from midstride.foreign.record import ForeignRecord
+from midstride.foreign.replaced_node import lacks
 from midstride.foreign.reported_states import ReportedStates
 from midstride.foreign.services import NoAnswer, NodeServices
 from midstride.foreign.ungated_outputs import UngatedOutputs
@@ -57,7 +59,10 @@ class ForeignAgent:
         peers: LifecyclePeers | None = None,
         graph: NodeGraph | None = None,
         others: ReportedStates | None = None,
+        served: Callable[[], Sequence[str]] | None = None,
+        before: Sequence[GraphEndpoint] = (),
     ) -> None:
+        """``served``: the services and ROS actions of the node; ``before``: the endpoints of the one it replaces."""
         self.node = ForeignNode(record, folder, gates, others or ReportedStates())
         outputs = UngatedOutputs(self.node) if gates is None else GatedOutputs(self.node, gates)
         self._services = services
@@ -70,6 +75,8 @@ class ForeignAgent:
             if gates is None:
                 outputs = LifecycleOutputs(self.lifecycle, peers or LifecyclePeers())
         self._graph = graph
+        self._served = served
+        self._before = before
         self._declared = DeclaredEndpoints(self.node.component, record.topics, record.node)
         self._failed: str | None = None  # why it has not been configured, or is not what is declared
         self._replies: dict[str, asyncio.Task[Reply]] = {}
@@ -129,10 +136,31 @@ class ForeignAgent:
         if self.node.gates is not None and self._failed is None:
             missing = await self._missing(self.node.gates)
             missing = await self._compare(missing, asyncio.get_running_loop().time() - begun)
+        if not self.node.component.ports() and self._failed is None:
+            self._failed = await self._not_up()
         self._registered.set()
         self._report()
         declaration = NamedComponentForm.of(without_ports(self.node.component, missing))
         self._server.register(frames.Registration(declaration=declaration, endpoints=[]))
+
+    async def _not_up(self) -> str | None:
+        """Wait until a node without ports has taken the place of the one that it replaces; why it has not.
+
+        Of one that the graph does not show, such as a program without ROS, it is only known that its process runs.
+        """
+        record, graph = self.node.record, self._graph
+        if graph is None or record.predecessor is None or record.welcomed:
+            return None
+        old, before, longest = record.predecessor, self._before, endpoints_seconds(self.node.component)
+        up = await self.node.comes_true(
+            lambda: bool(found := graph()) and not lacks(found, record.node, before, old),
+            longest if before else SETTLED,
+            every=WATCH,
+        )
+        if up or not before:
+            return None
+        missing = lacks(graph(), record.node, before, old)
+        return f"node {record.node} is not up within {longest:g} s: {old} {', '.join(missing)}, and it does not"
 
     async def _missing(self, gates: Gates) -> list[str]:
         """The ports for which the node creates no endpoint in the time that it has.
@@ -202,9 +230,10 @@ class ForeignAgent:
                     f"{'publishes on' if each.output else 'subscribes to'} {each}"
                     for each in self._declared.undeclared(found)
                 ],
+                [] if self._served is None else [*self._served()],
             )
-            if seen != (self.node.differences, self.node.undeclared):
-                self.node.differences, self.node.undeclared = seen
+            if seen != (self.node.differences, self.node.undeclared, self.node.serves):
+                self.node.differences, self.node.undeclared, self.node.serves = seen
                 self._report()
 
     async def _heartbeat(self) -> None:
@@ -226,6 +255,7 @@ class ForeignAgent:
             await asyncio.sleep(LOOK)
             async with self._lock:
                 left = await self.lifecycle.look()
+                self.node.answered(self.lifecycle.lifecycle.responsive)
                 if self.lifecycle.lifecycle.responsive:
                     await self._parameters.read()
                 if left:

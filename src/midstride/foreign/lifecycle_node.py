@@ -6,6 +6,7 @@ also only while all outputs that the specification attaches are open.
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Mapping
 
 from midstride.errors import CommandRefused
@@ -23,6 +24,23 @@ class LifecycleNode:
         component = node.component
         startup, activate = component.startup_seconds or 0.0, component.activate_seconds
         self.lifecycle = NodeLifecycle(node.record.instance, services, startup, activate)
+        self._inactive = 0.0  # how long its outputs have been silent, until it was last active (s)
+        self._inactive_since: float | None = None  # on the loop's clock
+        if node.gates is None:
+            node.inactive = self.inactive
+
+    def inactive(self) -> float:
+        """For how long in all (s) nothing has written its outputs since they were first handed to it."""
+        now = asyncio.get_running_loop().time()
+        return self._inactive + (0.0 if self._inactive_since is None else now - self._inactive_since)
+
+    def handed_over(self, seconds: float) -> None:
+        """Its outputs were silent for so long before it was active."""
+        self._inactive += seconds
+
+    def _note_state(self) -> None:
+        if self.lifecycle.state == ACTIVE and self._inactive_since is not None:
+            self._inactive, self._inactive_since = self.inactive(), None
 
     async def configure(self) -> None:
         """After the start of its process. Raises CommandRefused."""
@@ -60,12 +78,16 @@ class LifecycleNode:
         """``apply`` once the node is active, or before it is deactivated, so that what is open is active."""
         if required == ACTIVE:
             await self.lifecycle.reach(ACTIVE)
+            self._note_state()
             apply()
             return
+        if self.lifecycle.state == ACTIVE:
+            self._inactive_since = asyncio.get_running_loop().time()
         apply()
         try:
             await self.lifecycle.reach(INACTIVE)
         except CommandRefused:
+            self._note_state()
             undo()
             raise
 
@@ -84,6 +106,7 @@ class LifecycleNode:
             return False
         if not self.left() or record != self.node.record:
             return False
+        self._inactive_since = self._inactive_since or asyncio.get_running_loop().time()
         last = {each.name: each.modes[-1].name for each in self.node.component}
         self.node.enter_modes(last, f"its lifecycle state is {state}")
         return True

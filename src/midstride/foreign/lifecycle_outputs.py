@@ -88,7 +88,9 @@ class LifecycleOutputs(UngatedOutputs):
         begun = asyncio.get_running_loop().time()
         await old.set_links(dict.fromkeys(theirs, "closed"))
         await self._own.set_links(dict.fromkeys(ours, "open"))
-        return asyncio.get_running_loop().time() - begun
+        silent = asyncio.get_running_loop().time() - begun
+        self._own.handed_over(silent)
+        return silent
 
     async def await_cut(self, command: commands.AwaitCutCommand) -> replies.CutResult:
         """Both sides: until the new one is active, or one of them has failed to make its transition."""

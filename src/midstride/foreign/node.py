@@ -52,6 +52,10 @@ class ForeignNode:
         self.declared: dict[str, Any] = {}
         self.differences: list[str] = []  # in which way the graph shows another node than the declared one
         self.undeclared: list[str] = []  # its topics that are no ports
+        self.serves: list[str] = []  # its services and ROS actions that others may rely on
+        # Of a lifecycle node without a gate inside: for how long its outputs have been silent in all (s).
+        self.inactive: Callable[[], float] | None = None
+        self._unanswered: float | None = None  # since when it has not answered (monotonic s)
         self.others = others
         self._folder = folder
         self._since = dict.fromkeys(record.modes, time.monotonic())
@@ -67,6 +71,13 @@ class ForeignNode:
                 return False
             await asyncio.sleep(every)
         return True
+
+    def answered(self, answers: bool) -> None:
+        """Whether it has answered when it was last asked."""
+        if answers:
+            self._unanswered = None
+        elif self._unanswered is None:
+            self._unanswered = time.monotonic()
 
     def change_record(self, **changes: Any) -> None:
         """Change these fields of the record, also in its file; if the disk refuses, ``unwritten`` says why."""
@@ -147,6 +158,8 @@ class ForeignNode:
             waiting=None if record.welcomed else NOT_WELCOMED,
             differences=self.differences,
             undeclared=self.undeclared,
+            serves=self.serves,
+            unanswered=None if self._unanswered is None else time.monotonic() - self._unanswered,
             node=record.node,
             imported=1,
             host=THIS_HOST,
@@ -166,7 +179,8 @@ class ForeignNode:
     def _link(self, port: str) -> LinkState:
         gates = self.gates
         if gates is None:
-            return LinkState(gate=self._gate_state(port), count=0)
+            silent = None if self.inactive is None or not self.component.has_output(port) else self.inactive()
+            return LinkState(gate=self._gate_state(port), count=0, inactive=silent)
         entry = gates.entry(port)
         return LinkState(
             gate=self._gate_state(port),

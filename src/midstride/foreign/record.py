@@ -22,6 +22,7 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     functionality; ``fallen``: why the reflex has entered these, where it has. ``stated``: the parameters of the
     specification; ``taken_over``: those that were set while its predecessor ran; ``started_with``: all that it had at
     first, once known, except what is only taken over.
+    ``predecessor``: the full name of the node that it replaces, where that runs until this one is up.
     ``revision`` counts its changes.
     """
 
@@ -42,6 +43,7 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     taken_over: dict[str, Any] = {}
     started_with: dict[str, Any] | None = None
     welcomed: bool = False
+    predecessor: str | None = None
     revision: int = 0
 
     @property

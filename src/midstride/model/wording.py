@@ -51,6 +51,13 @@ def parameters(instance: str, values: Mapping[str, object]) -> str:
     return f"set {', '.join(f'{name} = {value!r}' for name, value in sorted(values.items()))} on {instance}"
 
 
+def exited(status: int | None) -> str:
+    """``exited with status 1``, ``was killed by signal 9``; ``ended`` where the status is not known."""
+    if status is None:
+        return "ended"
+    return f"was killed by signal {-status}" if status < 0 else f"exited with status {status}"
+
+
 def killed(instance: str, seconds: float) -> str:
     """``camera had not ended 3 s after it was asked to, and was killed (SIGKILL)``"""
     return f"{instance} had not ended {seconds:g} s after it was asked to, and was killed (SIGKILL)"

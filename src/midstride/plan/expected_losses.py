@@ -10,9 +10,10 @@ from midstride.model.action import Create, Handover, Remove
 from midstride.model.configuration import Instance
 from midstride.plan.plan import Plan
 
-# How long the two transitions of a hand-over between lifecycle nodes without a library may take (s): `deactivate` and
-# `activate` (docs/how-to/unmodified-nodes.md).
-TRANSITIONS: Final = 10.0
+# How long the two transitions of a hand-over between lifecycle nodes without a library may take (s), where the
+# specification states no other time to activate (docs/how-to/unmodified-nodes.md).
+DEACTIVATE: Final = 5.0
+ACTIVATE: Final = 5.0
 
 
 def expected_losses(plan: Plan) -> verdicts.Assessments:
@@ -37,7 +38,8 @@ def _silences(plan: Plan) -> Iterator[verdicts.Assessment]:
         for swap in step.action.swaps if isinstance(step.action, Handover) else ():
             old, new = (instances[port.instance].component.gate for port in (swap.old, swap.new))
             if old == new == "lifecycle":
-                yield verdicts.will_be_inactive(swap.connector, swap.old.instance, swap.new.instance, TRANSITIONS)
+                longest = DEACTIVATE + (instances[swap.new.instance].component.activate_seconds or ACTIVATE)
+                yield verdicts.will_be_inactive(swap.connector, swap.old.instance, swap.new.instance, longest)
 
 
 def _exchanges(plan: Plan) -> Iterator[verdicts.Assessment]:
@@ -45,7 +47,7 @@ def _exchanges(plan: Plan) -> Iterator[verdicts.Assessment]:
     instances = _instances(plan)
     created = {step.action.instance.name: at for at, step in enumerate(plan.steps) if isinstance(step.action, Create)}
     removed = {step.action.instance: at for at, step in enumerate(plan.steps) if isinstance(step.action, Remove)}
-    for new, old in sorted(plan.change.replaced.items()):
+    for old, new in sorted(plan.change.replaced.items()):
         if new not in created or old not in removed:
             continue
         because = unmeasured_pair(instances, old, new)

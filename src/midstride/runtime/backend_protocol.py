@@ -29,7 +29,8 @@ class Launch:
 
     ``set_parameters`` are values that were set while its predecessor ran; they take precedence over ``parameters``.
     ``node`` is the name of its ROS node where the platform allows two nodes of one name, by default the instance's.
-    ``standby``: another instance of that node answers requests until the new one is sent ``answer``.
+    ``standby``: another instance of that node answers requests until the new one is sent ``answer``. ``predecessor``:
+    the instance that it is to replace, which runs until then; empty where there is none.
     ``package``: the program is an executable of that package, where the platform has such.
     ``prefix``: words before the program; ``environment``: variables that its process has besides, None for one that it
     does not inherit.
@@ -52,6 +53,7 @@ class Launch:
     prefix: tuple[str, ...] = ()
     environment: dict[str, str | None] = field(default_factory=dict)
     sections: tuple[ParameterSection, ...] = ()
+    predecessor: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -333,6 +333,11 @@ class LifeTable:
         """The state that the component last reported, while it is connected."""
         return self[name].latest
 
+    @property
+    def latest_states(self) -> dict[str, LatestState]:
+        """The last report of each component that is connected."""
+        return {name: life.latest for name, life in self._lives.items() if life.latest is not None}
+
     def responsive(self, name: str) -> ComponentState | None:
         """The state that the component last reported; None if it is not connected or silent for over ``SILENCE``."""
         latest = self.latest(name)

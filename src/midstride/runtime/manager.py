@@ -98,7 +98,7 @@ class Manager:
         # What is known of components.
         self._programs = Programs(client, directory)
         self._watch = DiscoveryWatch(backend, client, events, system, commands)
-        self._monitor = monitor = SilenceMonitor(client.life, clock, events, self._watch.stopped)
+        self._monitor = monitor = SilenceMonitor(client.life, clock, events, self._watch.stopped, backend.is_stopped)
         # What changes the system, each part by the one before it.
         self._reconciler = reconciler = Reconciler(system, client, monitor, launcher, events, store, commands)
         self._session = session = ChangeSession(reconciler, backend, journal, verifier or Verifier())
@@ -163,7 +163,8 @@ class Manager:
                     self._store.delete()
                 raise
             for change in interrupted:
-                await self._journal.end_interrupted(change, None if saved is None else self.specification)
+                left = None if saved is None else self.specification
+                await self._journal.end_interrupted(change, left, self.configuration.instances)
             missing = self._still_missing(absent) | missing
             missing = {role: self._with_policy(role, because) for role, because in sorted(missing.items())}
             many = counted(len(self.configuration.instances), "component")

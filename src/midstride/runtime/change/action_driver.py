@@ -15,6 +15,7 @@ from immutables import Map
 
 from midstride.codec.parameter import from_json, json_values
 from midstride.errors import CallTimeout, CommandRefused, MidstrideError, StepFailed, Unreachable
+from midstride.model import wording
 from midstride.model.action import (
     Action,
     Attach,
@@ -168,7 +169,11 @@ class ActionDriver:
         if instance.component.has_lifecycle:
             await self.change.parameters.ask(instance)
         start_values = self.change.parameters.start_values
-        return await self.launcher.start(instance, standby=standby, start_values=start_values, topics=topics)
+        others = [each.name for each in self.configuration.instances_of(instance.role) if each.name != instance.name]
+        predecessor = others[0] if others and not self.system.life.is_gone(others[0]) else ""
+        return await self.launcher.start(
+            instance, standby=standby, start_values=start_values, topics=topics, predecessor=predecessor
+        )
 
     def _topics(self, instance: Instance) -> dict[str, str]:
         """The topic of each port of a component whose program has to know them when it starts."""
@@ -202,6 +207,7 @@ class ActionDriver:
             # The others need no command where a process has exited, or where a port keeps its endpoint because it is
             # attached to another connector of the same topic.
             case Remove(instance) if not self.system.life.has_exited(instance):
+                self._require_successor(instance)
                 await self._change_answering(instance, runs=True)
                 await self._remove(action, budget)
                 await self._change_answering(instance, runs=False)  # if it did not respond
@@ -213,6 +219,19 @@ class ActionDriver:
                 self.system.life.is_gone_or_fenced(port.instance) or self._has_endpoint(port, connector)
             ):
                 await self._detach(action, budget)
+
+    def _require_successor(self, leaving: str) -> None:
+        """Raises StepFailed if what replaces an instance without taking over a topic has exited already.
+
+        Nothing else would show that the new program is broken, and the old one still works.
+        """
+        swaps = [swap for action in self.change.actions if isinstance(action, Handover) for swap in action.swaps]
+        handed = {swap.new.instance for swap in swaps}
+        for old, new in () if self.rolling_back else self.change.plan.change.replaced.items():
+            life = self.system.life[new]
+            if old == leaving and new not in handed and life.exit is not None:
+                log = f":\n{life.exit.log_tail.strip()}" if life.exit.log_tail.strip() else ""
+                raise StepFailed(f"{new}, which replaces {old}, {wording.exited(life.exit.status)}{log}")
 
     async def _set_parameters(self, instance: str, declared: dict[str, Any]) -> None:
         """Set parameters to the specification's values; a roll-back restores what was set at run time before."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from midstride import verdicts
 from midstride.model import wording
@@ -10,6 +10,8 @@ from midstride.model.action import Create, Remove
 from midstride.model.configuration import Configuration
 from midstride.plan.expected_losses import unmeasured_pair
 from midstride.plan.plan import Plan
+from midstride.runtime.change.foreign_losses import foreign_losses
+from midstride.runtime.instance_life import LatestState
 from midstride.runtime.records.reports import Outcome, StepTime
 from midstride.runtime.records.status_forms import SilenceFault
 
@@ -20,10 +22,12 @@ def change_assessment(
     now: Configuration,
     silences: Sequence[SilenceFault],
     at_outputs: Sequence[verdicts.Assessment],
+    states: Mapping[str, LatestState],
 ) -> verdicts.Assessments:
     """What may be said of ``outcome``, after which ``now`` runs.
 
-    ``silences``: all that is silent now, also what was before; ``at_outputs``: what the counts of outputs show.
+    ``silences``: all that is silent now, also what was before; ``at_outputs``: what the counts of outputs show;
+    ``states``: what each component reported before the change.
     """
     lowered = bool(outcome.below_baseline_seconds)
     return verdicts.assessed(
@@ -31,6 +35,7 @@ def change_assessment(
             *reported(outcome, silences),
             *(each for each in at_outputs if each.verdict != "lost" or not lowered),
             *_exchanged(plan, outcome),
+            *foreign_losses(plan, states, _together(plan, outcome)),
             *_others(plan, now),
         ]
     )
@@ -75,7 +80,7 @@ def _exchanged(plan: Plan, outcome: Outcome) -> Iterator[verdicts.Assessment]:
                 created[instance.name] = times.get(number)
             case Remove(name):
                 removed[name] = times.get(number)
-    for new, old in sorted(plan.change.replaced.items()):
+    for old, new in sorted(plan.change.replaced.items()):
         if new not in created or old not in removed:
             continue
         if (because := unmeasured_pair(instances, old, new)) is None:
@@ -87,6 +92,22 @@ def _exchanged(plan: Plan, outcome: Outcome) -> Iterator[verdicts.Assessment]:
         done = outcome.outcome == "done"
         if end is not None or not done:
             yield verdicts.unmeasured_exchange(instances[new].role, because, down=down, together=together, done=done)
+
+
+def _together(plan: Plan, outcome: Outcome) -> dict[str, float]:
+    """For how long both instances of a role ran at once, as measured (s)."""
+    times = {time.step: time for time in outcome.steps}
+    created: dict[str, float] = {}
+    found: dict[str, float] = {}
+    for number, step in enumerate(plan.steps, start=1):
+        if (time := times.get(number)) is None:
+            continue
+        match step.action:
+            case Create(instance):
+                created[instance.role] = time.began
+            case Remove(name) if (role := plan.change.role_of(name)) in created:
+                found[role] = time.began + time.seconds - created[role]
+    return found
 
 
 def _others(plan: Plan, now: Configuration) -> list[verdicts.Assessment]:

@@ -39,6 +39,7 @@ from midstride.runtime.change.change_assessment import change_assessment
 from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.crash_during_change import CrashResponse
 from midstride.runtime.change.executor import Executor
+from midstride.runtime.change.foreign_losses import foreign_losses
 from midstride.runtime.change.parameter_transfer import ParameterTransfer
 from midstride.runtime.change.reconciler import Reconciler
 from midstride.runtime.change.running_change import RunningChange
@@ -112,7 +113,8 @@ class ChangeSession:
         )
         require_arbiters(plan)
         left = (f"{role} does not run, and stays so: {system.remedy(role)}" for role in away)
-        return replace(plan, remarks=(*remarks, *left, *plan.remarks)), target
+        besides = tuple(foreign_losses(plan, system.life.latest_states))
+        return replace(plan, remarks=(*remarks, *left, *plan.remarks), besides=besides), target
 
     async def change(
         self,
@@ -253,6 +255,8 @@ class ChangeSession:
         await recording.begin(system.configuration, change.actions)
         tallies = OutputTallies(self.client, self.clock)
         tallies.begin(system.configuration, change.actions)
+        # As they were known before their nodes end.
+        states = system.life.latest_states
         driver = ActionDriver(self.client, self.launcher, self.backend, system, self.events, change)
         execution = await self._execute(driver)
         fenced = system.life.fenced
@@ -293,7 +297,7 @@ class ChangeSession:
             remaining_degradations=remaining,
             verdict=change.verdict,
         )
-        continuity = change_assessment(outcome, plan, system.configuration, list(silences.values()), at_outputs)
+        continuity = change_assessment(outcome, plan, system.configuration, list(silences.values()), at_outputs, states)
         said = f"{change.outcome}: {change.because}" if change.because else change.outcome
         self.events.add("outcome", "; ".join([said, *continuity.weakest]), outcome=change.outcome)
         return structs.replace(outcome, continuity=continuity)

@@ -116,12 +116,14 @@ class Launcher:
         standby: bool = False,
         start_values: Callable[[Instance], dict[str, Any]] = lambda _: {},
         topics: Mapping[str, str] = Map(),
+        predecessor: str = "",
     ) -> bool:
         """Start the process of ``instance`` and return at once; :meth:`registered` waits for it.
 
         Returns False if it is already starting. A component without ``run`` is started by hand. ``standby``: another
         instance of its role answers requests. ``start_values``: the values of parameters that it starts with instead of
         the declared ones. ``topics``: those of its ports, which a program without Midstride's API is started with.
+        ``predecessor``: the instance of its role that runs until this one is up.
         Raises StartFailed, or what ``start_values`` raises.
         """
         name = instance.name
@@ -179,6 +181,7 @@ class Launcher:
                 tuple(shlex.split(instance.component.prefix or "")),
                 dict(instance.component.environment),
                 sections,
+                predecessor,
             )
             self._life.started(name, await self._backend.start(launch))
         except ValueError as error:
@@ -435,11 +438,6 @@ def killed_in_words(name: str, leader: int | None, process: RemainingProcess) ->
 
 
 def _describe_exit(event: Exited) -> str:
-    if event.status is None:
-        how = "ended"
-    elif event.status < 0:
-        how = f"was killed by signal {-event.status}"
-    else:
-        how = f"exited with status {event.status}"
+    how = wording.exited(event.status)
     tail = event.log_tail.strip()
     return f"{event.instance} {how} before it registered" + (f":\n{tail}" if tail else " and wrote nothing to its log")

@@ -13,8 +13,11 @@ from midstride.runtime.records.disk import Database
 from midstride.runtime.records.journal_records import IN_FORCE
 from midstride.runtime.records.measure import SwapReport
 from midstride.runtime.records.reports import OutcomeKind
+from midstride.verdicts import Assessments
 
 _COLUMNS: Final = f"number, at, command, by, total, {IN_FORCE} AS version, outcome, because, seconds, swaps"
+# What the report of a change says of its continuity, where it was recorded.
+_CONTINUITY: Final = "SELECT json_extract(outcome, '$.continuity') FROM records WHERE change = ?"
 _CHANGES: Final = f"SELECT {_COLUMNS} FROM changes ORDER BY number DESC LIMIT ?"
 _CHANGE: Final = f"SELECT {_COLUMNS} FROM changes WHERE number = ?"
 _FIELDS: Final = ("number", "at", "command", "by", "total", "version", "outcome", "because", "seconds")
@@ -45,6 +48,9 @@ class ChangeRecord(Report, frozen=True, kw_only=True):
     gap: Annotated[float | None, Meta(description="the longest, in seconds; null where it is unknown")]
     missed: Annotated[int | None, Meta(description="messages, at all subscribers; null where it is unknown")]
     swaps: Annotated[list[SwapReport], Meta(description="what was measured at each subscriber")]
+    continuity: Annotated[
+        Assessments | None, Meta(description="what was kept, what was lost, and what is not measurable; null: unknown")
+    ] = None
 
 
 class Incident(Report, frozen=True):
@@ -99,7 +105,8 @@ def _change(database: Database, row: tuple[Any, ...]) -> dict[str, Any]:
     gaps, counts = [swap.gap for swap in swaps], [swap.missed for swap in swaps]
     found["gap"] = None if None in gaps else max(gaps, default=None)  # type: ignore[type-var]
     found["missed"] = None if None in counts or not counts else sum(filter(None, counts))
-    return found | {"swaps": msgspec.to_builtins(swaps)}
+    (said,) = next(iter(database.read(_CONTINUITY, found["number"])), (None,))
+    return found | {"swaps": msgspec.to_builtins(swaps), "continuity": msgspec.json.decode(said) if said else None}
 
 
 def _named(names: tuple[str, ...], row: tuple[Any, ...]) -> dict[str, Any]:

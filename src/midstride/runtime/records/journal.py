@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import sqlite3
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Container, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -112,15 +112,17 @@ class Journal:
                 raise
             return JournalEntry(self, None)
 
-    async def end_interrupted(self, interrupted: Interrupted, specification: Specification | None) -> None:
-        """An interrupted change has been finished, if ``specification`` is its target, or else rolled back.
+    async def end_interrupted(
+        self, interrupted: Interrupted, specification: Specification | None, instances: Container[str]
+    ) -> None:
+        """An interrupted change has been finished, if its target and what it created run, or else rolled back.
 
-        None: no component was left.
+        ``specification`` and ``instances`` are what runs; None: no component was left.
         """
         outcome, words = "rolled_back", f"{interrupted}; the next one has rolled it back"
         if specification is None:
             outcome, words = "failed", f"{interrupted}; no component of the system was left"
-        elif specification == interrupted.target:
+        elif interrupted.finished(specification, instances):
             outcome, words = "done", f"{interrupted}; the next one has finished it"
         update = "UPDATE changes SET outcome = ?, because = ? WHERE number = ?"
         await self.write((update, (outcome, words, interrupted.number)))

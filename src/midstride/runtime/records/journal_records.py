@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import sqlite3
 import time
+from collections.abc import Container
 from dataclasses import dataclass
 from typing import Final
 
@@ -73,6 +74,7 @@ class Interrupted:
     """A change that an earlier manager began, and did not end.
 
     ``step`` is the number of the last step that was begun, ``since`` that of the first which had not ended.
+    ``created``: the instances that it was to create, where it left the specification as it was, such as a restart.
     """
 
     number: int
@@ -81,6 +83,11 @@ class Interrupted:
     target: Specification
     step: int | None
     since: int | None
+    created: frozenset[str] = frozenset()
+
+    def finished(self, specification: Specification, instances: Container[str]) -> bool:
+        """Whether it has been finished, where ``specification`` and ``instances`` run now."""
+        return specification == self.target and all(name in instances for name in self.created)
 
     def __str__(self) -> str:
         if self.step is None:
@@ -154,13 +161,40 @@ def interrupted(database: Database) -> list[Interrupted]:
     """
     query = """
     SELECT changes.number, command, total, form, (SELECT max(number) FROM steps WHERE change = changes.number),
-        (SELECT min(number) FROM steps WHERE change = changes.number AND outcome IS NULL)
+        (SELECT min(number) FROM steps WHERE change = changes.number AND outcome IS NULL), before = after,
+        (SELECT plan FROM records WHERE change = changes.number)
     FROM changes JOIN specifications ON version = after WHERE outcome IS NULL ORDER BY changes.number
     """
     return [
-        Interrupted(number, command, steps, decode_saved_specification(msgspec.json.decode(form)), step, since)
-        for number, command, steps, form, step, since in database.read(query)
+        Interrupted(
+            number,
+            command,
+            steps,
+            decode_saved_specification(msgspec.json.decode(form)),
+            step,
+            since,
+            _created(plan) if same else frozenset(),
+        )
+        for number, command, steps, form, step, since, same, plan in database.read(query)
     ]
+
+
+class _Step(msgspec.Struct):
+    action: str
+    instance: str = ""
+
+
+class _Plan(msgspec.Struct):
+    steps: list[_Step] = []
+
+
+def _created(plan: str | None) -> frozenset[str]:
+    """The instances that a recorded plan creates, also where another version has recorded it."""
+    try:
+        steps = msgspec.json.decode(plan or "{}", type=_Plan).steps
+    except msgspec.DecodeError:
+        return frozenset()
+    return frozenset(step.instance for step in steps if step.action == "create")
 
 
 def estimates(database: Database, backend: str) -> dict[str, Estimate]:

@@ -7,7 +7,7 @@ during which they began (docs/protocols/faults.md).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -65,6 +65,8 @@ class SilenceMonitor:
     events: EventLog
     # Those whose middleware stands still, and since when that is known (steady s).
     undiscovering: Mapping[str, float] = field(default_factory=dict)
+    # Whether the process of an instance is stopped: an agent in the manager's process does not show that.
+    is_stopped: Callable[[str], bool] = lambda _: False
     _links: dict[str, dict[PortRef, _Link]] = field(default_factory=dict)  # by topic
     _reports: dict[str, _Report] = field(default_factory=dict)  # the last one of each instance
     _known: dict[str, SilenceFault] = field(default_factory=dict)  # the faults of the last check
@@ -135,6 +137,12 @@ class SilenceMonitor:
             words = f"{instance} does not answer"
             yield SilenceFault(kind="not_answering", instance=instance, seconds=seconds, words=words)
             return
+        if not configuration.component(instance).has_agent and self.is_stopped(instance):
+            yield SilenceFault(kind="not_answering", instance=instance, words=f"{instance} is stopped (SIGSTOP)")
+        elif state.unanswered is not None:
+            words = f"{instance} does not answer the requests to its lifecycle"
+            seconds = round(state.unanswered, 3)
+            yield SilenceFault(kind="not_answering", instance=instance, seconds=seconds, words=words)
         if (since := self.undiscovering.get(instance)) is not None:
             words = f"{instance} discovers no new endpoints, although its data flows: its middleware stands still"
             seconds = round(self.clock.steady() - since, 3)

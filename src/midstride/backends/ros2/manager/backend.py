@@ -77,7 +77,9 @@ class Ros2Backend(ProcessBackend, Backend):
         self._context: Any = None
         self._probes = 0
         self._probe_stuck = False
-        self._foreign_nodes = ForeignNodes(control / GATES_FOLDER, self.transport, self._services_of, self._graph_of)
+        self._foreign_nodes = ForeignNodes(
+            control / GATES_FOLDER, self.transport, self._services_of, self._graph_of, self._served_by
+        )
 
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
         self._on_exit = on_exit
@@ -189,6 +191,9 @@ class Ros2Backend(ProcessBackend, Backend):
 
     def _graph_of(self, node: str) -> list[GraphEndpoint]:
         return [] if self._context is None else self._graph.of_process(node)
+
+    def _served_by(self, node: str) -> list[str]:
+        return [] if self._context is None else self._graph.served_by(node)
 
     def _python(self) -> str:
         return sys.executable

@@ -34,7 +34,7 @@ from midstride.foreign.relayed_program import RelayOrder, order_file, private_to
 from midstride.foreign.reported_states import ReportedStates
 from midstride.foreign.services import NodeServices
 from midstride.model.component import ComponentSpec
-from midstride.model.instance_names import split_name
+from midstride.model.instance_names import full_name, split_name
 from midstride.runtime.backend_protocol import Handle, Launch
 from midstride.wire.state import ComponentState
 from midstride.wire.transport import Transport
@@ -48,7 +48,8 @@ log = logging.getLogger(__name__)
 class ForeignNodes:
     """Those of one system. Their page and records are in ``folder``; their agents listen on ``transport``.
 
-    ``services(node)``: what a node, by its full name, can be asked; ``graph(node)``: what the graph shows of it.
+    ``services(node)``: what a node, by its full name, can be asked; ``graph(node)``: what the graph shows of it;
+    ``served(node)``: the services and ROS actions that others may rely on, in words.
     """
 
     def __init__(
@@ -57,11 +58,13 @@ class ForeignNodes:
         transport: Transport,
         services: Callable[[str], NodeServices | None],
         graph: Callable[[str], Sequence[GraphEndpoint]] | None = None,
+        served: Callable[[str], Sequence[str]] | None = None,
     ) -> None:
         self._folder = folder
         self._transport = transport
         self._services = services
         self._graph = graph
+        self._served = served
         self._peers = LifecyclePeers()
         self._reported = ReportedStates()
         self._page: Page | None = None
@@ -101,6 +104,7 @@ class ForeignNodes:
             outputs=[port for port in component.outputs if port in launch.topics],
             stated=json_values(launch.parameters),
             taken_over=json_values(launch.set_parameters),
+            predecessor=full_name(launch.predecessor, launch.namespace) if launch.predecessor else None,
         )
         return variables, record
 
@@ -196,7 +200,19 @@ class ForeignNodes:
         self.names.add(record.node)
         services = self._services(record.node)
         graph = None if self._graph is None else partial(self._graph, record.node)
-        agent = ForeignAgent(record, self._folder, gates, services, self._peers, graph, self._reported)
+        served = None if self._served is None else partial(self._served, record.node)
+        before = None if self._graph is None or not record.predecessor else self._graph(record.predecessor)
+        agent = ForeignAgent(
+            record,
+            self._folder,
+            gates,
+            services,
+            self._peers,
+            graph,
+            self._reported,
+            served=served,
+            before=before or (),
+        )
         self._agents[record.instance] = agent
         await agent.open(self._transport)
 

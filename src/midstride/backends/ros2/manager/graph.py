@@ -14,7 +14,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from rclpy.node import NodeNameNonExistentError
 
@@ -25,6 +25,9 @@ from midstride.backends.ros2.names import InstanceNode
 from midstride.foreign.graph_check import GraphEndpoint
 from midstride.model.instance_names import full_name, split_name
 from midstride.runtime.backend_protocol import Endpoints
+
+# The packages of the services that ROS itself gives nodes: parameters, lifecycle, types, log levels.
+_OF_EVERY_NODE: Final = ("rcl_interfaces/", "lifecycle_msgs/", "type_description_interfaces/", "logging_interfaces/")
 
 # The instances by process. Where processes are unknown, by the name of their node; None where several nodes have it.
 _Instances: TypeAlias = Mapping[bytes | str, InstanceNode | None]
@@ -103,6 +106,21 @@ class Graph:
             for output, topic, info in self._of_node(node)
             if self._lives(info, node) and self._process(info) not in instances
         ]
+
+    def served_by(self, node: str) -> list[str]:
+        """The services and ROS actions of a node that others may rely on, in words, without those of every node."""
+        try:
+            found = self._node.get_service_names_and_types_by_node(*split_name(node))
+        except NodeNameNonExistentError:
+            return []
+        served = set()
+        for name, types in found:
+            action, _, part = name.partition("/_action/")
+            if part:
+                served.add(f"ROS action {action}")
+            elif not any(type_.startswith(_OF_EVERY_NODE) for type_ in types):
+                served.add(f"service {name}")
+        return sorted(served)
 
     def _under(self, full_name: str) -> Iterator[Any]:
         """The endpoints that are shown under that name."""

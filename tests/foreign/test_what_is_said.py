@@ -1,0 +1,174 @@
+"""Nodes without the API in virtual time: what plan, report and status say, beside what an outside recorder has seen."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from midstride.plan.forms.plan_forms import PlanPreview
+from midstride.plan.request import PlanRequest
+from midstride.runtime.backend_protocol import Handle, Launch
+from midstride.runtime.manager import Manager
+from midstride.verdicts import EXIT_STATUS, Assessments
+from tests.foreign import simulated
+from tests.foreign.chat import chat
+from tests.foreign.simulated import SimulatedRos
+
+CHAT = chat("lifecycle", talker='parameters { word = "hello" }')
+REPLACE = PlanRequest(replace=(("talker", "Other"),))
+DRIVER = """system robot
+component Driver { run "python3 driver.py" gate none }
+node driver : Driver
+"""
+RESTART = PlanRequest(restart=("driver",))
+
+
+class OutsideRecorder:
+    """Looks every millisecond whether a talker is active that is not hung, and keeps the longest time without one."""
+
+    def __init__(self, simulator: SimulatedRos) -> None:
+        self.longest = 0.0
+        self._simulator = simulator
+        self._task = asyncio.ensure_future(self._look())
+
+    async def _look(self) -> None:
+        loop = asyncio.get_running_loop()
+        last = loop.time()
+        while True:
+            if any(name.startswith("talker") for name in self._simulator.active()):
+                last = loop.time()
+            self.longest = max(self.longest, loop.time() - last)
+            await asyncio.sleep(0.001)
+
+    def stop(self) -> float:
+        self._task.cancel()
+        return self.longest
+
+
+def said(found: Assessments | None) -> Assessments:
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "outcome"),
+    [({}, "done"), ({"refuses": {"activate"}}, "rolled_back"), ({"hangs": {"activate"}}, "rolled_back")],
+)
+def test_a_lifecycle_node_is_silent_for_as_long_as_the_report_says(
+    tmp_path: Path, behaviour: dict[str, Any], outcome: str
+) -> None:
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        plan = PlanPreview.of(await manager.plan(REPLACE)).continuity
+        assert plan and plan.verdict == "lost" and "10 s at the longest" in plan.found[0].words
+        recorder = OutsideRecorder(simulator)
+        report = await manager.change(REPLACE)
+        heard = recorder.stop()
+        found = said(report.continuity)
+        assert (report.outcome, found.verdict) == (outcome, "lost")
+        (silence,) = (each for each in found.found if each.subject == "/chat" and each.verdict == "lost")
+        # While the old node is being deactivated, which takes 20 ms here, it may write or not.
+        assert silence.seconds is not None and heard > 0.02 and heard <= silence.seconds < heard + 0.03
+        history = await manager.history(1)
+        assert history.changes[-1].continuity == found
+        assert [event for event in manager.log() if event.kind == "outcome"][-1].words.endswith(silence.words)
+
+    simulated.managed(tmp_path, CHAT, body, {"Other": behaviour})
+
+
+def test_a_lifecycle_node_that_hangs_makes_the_system_degraded_and_no_report_calls_it_kept(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        simulator.nodes["talker"].hung = True
+        await asyncio.sleep(10)
+        condition = (await manager.status()).condition
+        assert condition.state == "degraded"
+        assert condition.headline.startswith(
+            "degraded, all 2 nodes run: talker does not answer the requests to its lifecycle (for "
+        )
+        found = said((await manager.change(PlanRequest(restart=("listener",)))).continuity)
+        (hung,) = (each for each in found.found if each.subject == "talker")
+        assert (hung.verdict, hung.lasting) == ("lost", False) and hung.words.endswith(", as before the change")
+        simulator.nodes["talker"].hung = False
+        await asyncio.sleep(5)
+        assert (await manager.status()).condition.state == "up"
+
+    simulated.managed(tmp_path, CHAT, body)
+
+
+def test_what_a_node_without_ports_does_is_said_to_be_not_measurable(tmp_path: Path) -> None:
+    async def body(manager: Manager, _: SimulatedRos) -> None:
+        plan = said(PlanPreview.of(await manager.plan(RESTART)).continuity or None)
+        because = "what driver does: it has no ports"
+        assert plan.headline == (
+            f"Nothing is known to degrade. Not measurable here: {because}. "
+            "The new instance has to be up before the old one is ended."
+        )
+        report = await manager.change(RESTART)
+        found = said(report.continuity)
+        assert (report.outcome, found.verdict) == ("done", "not_measurable")
+        assert found.headline.startswith(
+            f"Nothing is known to have fallen below its level. Not measurable here: {because}."
+        )
+        assert "It was never down: both instances ran for " in found.headline
+        condition = (await manager.status()).condition
+        assert condition.headline == "up, its node runs; not measurable here: what driver does (it has no ports)"
+
+    simulated.managed(tmp_path, DRIVER, body)
+
+
+class Broken(SimulatedRos):
+    """The program of the second instance ends ``after`` so many seconds."""
+
+    after = 0.0
+
+    async def start(self, launch: Launch) -> Handle:
+        handle = await super().start(launch)
+        if launch.instance == "driver_2":
+            asyncio.get_running_loop().call_later(self.after, self.die, "driver_2")
+        return handle
+
+
+@pytest.mark.parametrize("after", [0.0, 0.001])
+def test_the_old_node_stays_where_the_new_program_ends_at_once(
+    tmp_path: Path, after: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(simulated, "SimulatedRos", Broken)
+    monkeypatch.setattr(Broken, "after", after)
+
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        report = await manager.change(RESTART)
+        assert report.outcome == "rolled_back" and "driver_2" in str(report.because), report
+        assert list(manager.configuration.instances) == ["driver"] == list(simulator.nodes)
+        assert said(report.continuity).verdict != "kept"
+        assert (await manager.status()).condition.state == "up"
+
+    simulated.managed(tmp_path, DRIVER, body)
+
+
+def test_a_new_program_that_ends_while_the_old_one_is_ended_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(simulated, "SimulatedRos", Broken)
+    monkeypatch.setattr(Broken, "after", 0.004)
+
+    async def body(manager: Manager, _: SimulatedRos) -> None:
+        found = said((await manager.change(RESTART)).continuity)
+        assert (found.verdict, found.lasting) == ("lost", True)
+        assert found.headline.startswith("Lost: driver_2; ")
+
+    simulated.managed(tmp_path, DRIVER, body)
+
+
+def test_a_system_of_which_nothing_runs_is_down(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        simulator.die("driver")
+        await asyncio.sleep(1)
+        condition = (await manager.status()).condition
+        assert (condition.state, EXIT_STATUS[condition.state]) == ("down", 1)
+        assert condition.headline == "down: none of its 1 node runs" and condition.faults == [
+            "driver exited unexpectedly (status 1)"
+        ]
+
+    simulated.managed(tmp_path, DRIVER, body)
