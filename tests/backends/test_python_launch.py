@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
-import sys
+import os
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
-from midstride.backends.ros2.manager.python_launch import _Visitor
+from midstride.backends.ros2.manager.python_launch import _line_in
+from midstride.errors import SpecificationError
 from midstride.launch_files.launch_import import import_launch_file
 
 LAUNCH = """
@@ -47,66 +46,63 @@ def generate_launch_description():
 def test_the_nodes_of_a_python_launch_file_are_noted_and_none_is_started(tmp_path: Path) -> None:
     file = tmp_path / "robot.launch.py"
     file.write_text(LAUNCH)
-    found = import_launch_file(file, {"n": "7"}, {}, tmp_path, run_python=True)
-    assert [each.kind for each in found.findings] == ["unsupported", "package"]
+    found = import_launch_file(file, {"n": "7"}, dict(os.environ), None, run_python=True)
+    assert [each.kind for each in found.findings] == ["package"]
     assert 'run "a --x 7 --ros-args -r in:=/out" package "demo" gate preload' in found.text
     assert 'deep.k = "v"' in found.text and "node more_7 : More" in found.text and "namespace g {" in found.text
     assert found.nodes == 2
 
 
-class Launched:
-    """A `Node` of launch_ros, as far as it matters here."""
-
-    UNSPECIFIED_NODE_NAMESPACE = UNSPECIFIED_NODE_NAME = "<unspecified>"
-    condition = None
-    node_name, node_package, node_executable = "/a", "demo", "a"
-    expanded_remapping_rules = None
-    _Node__expanded_parameter_arguments = _Node__arguments = None
-
-    def __init__(self, **stated: Any) -> None:
-        self.process_description = SimpleNamespace(
-            prefix=stated.get("prefix", []), env=stated.get("env"), additional_env=stated.get("additional_env")
-        )
-        self._Node__ros_arguments = stated.get("ros_arguments")
-        self._ExecuteLocal__respawn = stated.get("respawn", False)
-        self._ExecuteLocal__sigterm_timeout = stated.get("sigterm_timeout", ["5"])
-        self._ExecuteLocal__sigkill_timeout = stated.get("sigkill_timeout", ["5"])
-
-    def _perform_substitutions(self, _: object) -> None:
-        pass
+LATER = """
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch_ros.actions import Node
 
 
-@pytest.mark.parametrize(
-    ("stated", "option"),
-    [
-        ({}, None),
-        ({"prefix": ["nice"]}, "prefix"),
-        ({"env": [(["A"], ["1"])]}, "env"),
-        ({"additional_env": [(["A"], ["1"])]}, "additional_env"),
-        ({"ros_arguments": ["--log-level", "debug"]}, "ros_arguments"),
-        ({"respawn": True}, "respawn"),
-    ],
-)
-def test_what_is_stated_of_a_process_is_not_lost_without_a_word(
-    monkeypatch: pytest.MonkeyPatch, stated: dict[str, Any], option: str | None
-) -> None:
-    """With a `launch` that is made up: the real one is on no package index."""
-    context = SimpleNamespace(launch_configurations={}, environment={"KEPT": "1", "GONE": "1"})
-    context._set_asyncio_loop = lambda loop: loop.close()
-    other = type("Other", (), {})
-    actions = SimpleNamespace(ExecuteProcess=other, RegisterEventHandler=other, TimerAction=other, EmitEvent=other)
-    monkeypatch.setitem(sys.modules, "launch", SimpleNamespace(actions=actions, LaunchContext=lambda: context))
-    ros_actions = SimpleNamespace(Node=Launched, LoadComposableNodes=other)
-    monkeypatch.setitem(sys.modules, "launch_ros", SimpleNamespace(actions=ros_actions))
-    monkeypatch.setitem(sys.modules, "launch_ros.actions", ros_actions)
-    visitor = _Visitor({}, "")
-    visitor.visit(Launched(sigterm_timeout=["1", "2.5"], sigkill_timeout=["soon"]))
-    assert visitor.nodes.pop()["stop"] == {"sigterm": 12.5}
-    visitor.visit(Launched(**stated))
-    assert visitor.nodes[-1]["stop"] == {}
-    assert visitor.left == ([] if option is None else [("unsupported", f"`{option}` of `a` is left out")])
-    del visitor.left[:]
-    context.environment = {"KEPT": "1", "NEW": "2"}
-    visitor.visit(Launched())
-    words = "the environment variable `{}` of `a` is left out"
-    assert visitor.left == [("unsupported", words.format(name)) for name in ("GONE", "NEW")]
+def fails(context):
+    raise ValueError("no luck")
+
+
+def generate_launch_description():
+    return LaunchDescription([
+        Node(package="nix", executable="a", name="a"),
+        Node(package="nix", executable="b", name="b"),
+        OpaqueFunction(
+            function=fails),
+        Node(executable="/bin/c", name="c"),
+    ])
+"""
+
+
+@pytest.mark.full
+@pytest.mark.skipif(importlib.util.find_spec("launch_ros") is None, reason="ROS 2's launch is on no package index")
+def test_findings_have_their_lines_and_a_missing_package_is_one(tmp_path: Path) -> None:
+    file = tmp_path / "robot.launch.py"
+    file.write_text(LATER)
+    found = import_launch_file(file, {}, dict(os.environ), None, run_python=True)
+    assert [(each.kind, each.place.rpartition(":")[2]) for each in found.findings] == [
+        ("python", "14"),
+        ("package", "12"),
+    ]
+    assert found.nodes == 3
+
+
+@pytest.mark.skipif(importlib.util.find_spec("launch") is not None, reason="here is ROS 2's launch")
+def test_where_there_is_no_launch_the_file_is_not_run(tmp_path: Path) -> None:
+    file = tmp_path / "robot.launch.py"
+    file.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\n")
+    with pytest.raises(
+        SpecificationError, match=r"ROS's `launch` cannot be imported .*; source the setup file of your ROS"
+    ):
+        import_launch_file(file, {}, dict(os.environ), None, run_python=True)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_the_line_of_an_error_is_the_last_one_of_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "robot.launch.py"
+    for text, line in (("x = 1\nimport json\njson.loads('{')\n", 3), ("x = (\n", 1)):
+        file.write_text(text)
+        with pytest.raises((ValueError, SyntaxError)) as caught:
+            exec(compile(text, str(file), "exec"), {})
+        assert _line_in(caught.value, str(file)) == (str(file), line)
+        assert _line_in(caught.value, str(tmp_path / "other.launch.py")) is None

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from midstride.lang import format_text, load
-from midstride.launch_files.launch_import import Imported, import_launch_file
+from midstride.launch_files.launch_import import Imported, import_launch_file, parameter_file_beside
 from midstride.model.specification import Specification
 
 
 def imported(path: Path, arguments: Mapping[str, str] | None = None, **environment: str) -> Imported:
     """The import of a file, which is formatted, and has no errors when it is checked."""
-    found = import_launch_file(path, arguments or {}, environment, path.parent)
+    found = import_launch_file(path, arguments or {}, environment, path.parent / "imported.stride")
     assert format_text(found.text).text == found.text
     specification(found, path.parent)
     return found
@@ -21,6 +21,8 @@ def imported(path: Path, arguments: Mapping[str, str] | None = None, **environme
 def specification(found: Imported, folder: Path) -> Specification:
     file = folder / "imported.stride"
     file.write_text(found.text, encoding="utf-8")
+    if found.parameters is not None:
+        parameter_file_beside(file).write_text(found.parameters, encoding="utf-8")
     loaded = load(file)
     assert [str(each) for each in loaded.diagnostics if each.severity == "error"] == []
     return loaded.require()

@@ -44,18 +44,42 @@ def test_an_existing_file_is_kept(launch: Path, capsys: pytest.CaptureFixture[st
 
 
 def test_json(launch: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["import", str(launch), "--json"]) == 0
+    assert main(["import", str(launch), "--json"]) == 3
     document = json.loads(capsys.readouterr().out)
     assert document["nodes"] == 0 and document["counts"] == {"argument": 2, "package": 1}
+    assert document["left_out"] == {"argument": 2} and document["parameter_file"] is None
     assert document["findings"][0] == {
         "kind": "argument",
         "message": "`who` has no value and no default; pass `who:=…`",
         "file": "robot.launch.xml",
         "line": 2,
         "column": 3,
+        "left_out": True,
     }
 
 
 @pytest.mark.parametrize(("words", "status"), [(["who=me"], 2), ([":=me"], 2)])
 def test_wrong_usage(launch: Path, words: list[str], status: int) -> None:
     assert main(["import", str(launch), *words]) == status
+
+
+def test_what_is_left_out_is_counted_at_the_end_and_gives_an_exit_status(
+    launch: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = LAUNCH.replace(
+        "</launch>", f'<shutdown/><node exec="./b" name="b"><param name="x-1" value="{"y" * 9000}"/></node></launch>'
+    )
+    launch.write_text(text)
+    assert main(["import", str(launch), "who:=me", "-o", "robot.stride"]) == 3
+    assert capsys.readouterr().err.splitlines()[-1] == "Left out: 1 unsupported"
+    assert Path("robot.parameters.yaml").read_text() == f"/b:\n  ros__parameters:\n    x-1: {'y' * 9000}\n"
+    Path("robot.stride").unlink()
+    assert main(["import", str(launch), "who:=me", "-o", "robot.stride"]) == 1
+    assert "robot.parameters.yaml exists" in capsys.readouterr().err and not Path("robot.stride").exists()
+
+
+def test_commands_are_carried_out_by_an_option(launch: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    launch.write_text("""<launch><node exec="./a" name="a" args="$(command 'echo hi')"/></launch>""")
+    assert main(["import", str(launch)]) == 3
+    assert main(["import", str(launch), "--run-commands"]) == 0
+    assert "\"./a 'hi\\n'\"" in capsys.readouterr().out

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
-from midstride.launch_files.context import Context
+from midstride.launch_files.allowed_files import ReadableFiles
+from midstride.launch_files.context import Context, IncludeTrace
 from midstride.launch_files.expression import evaluate
 from midstride.launch_files.findings import UnknownValue
 from midstride.launch_files.packages import Packages
@@ -12,8 +15,11 @@ from midstride.launch_files.substitutions import SubstitutionCall, Template, par
 
 
 def context(**variables: str) -> Context:
-    environment = {"HOME": "/home/robot"}
-    return Context(Packages({}, []), environment, "/robot/launch/a.launch.xml", variables=dict(variables))
+    file = "/robot/launch/a.launch.xml"
+    files = ReadableFiles(Path(file), [])
+    return Context(
+        Packages({}, []), files, {"HOME": "/home/robot"}, file, IncludeTrace(file), variables=dict(variables)
+    )
 
 
 def tree(template: Template) -> object:
@@ -73,8 +79,11 @@ def test_values(text: str, value: str) -> None:
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("$(command 'cat /etc/passwd')", "not carried out"),
-        ("$(file-content /etc/passwd)", "not carried out"),
+        ("$(command 'cat /etc/passwd')", "runs a program, `cat /etc/passwd`; `--run-commands` carries it out"),
+        ("$(file-content /etc/passwd)", "it is not below the folder of the launch file"),
+        ("$(file-content a.txt)", "is relative to the folder in which launch is started"),
+        ("$(anon name)", "not carried out"),
+        ("$(find-exec no_such_tool)", "there is no executable `no_such_tool` in the PATH"),
         ("$(env NONE)", "environment variable `NONE` is not set"),
         ("$(var missing)", "`missing` is not set"),
         ("$(find-pkg-share nix)", "package `nix` is not here"),

@@ -15,10 +15,15 @@ MAX_FILES: Final = 2048
 
 
 class ReadableFiles:
-    """Those below the folder of ``root``, below the folders that the user names, and below those of packages."""
+    """Those below the folder of ``root``, below the folders that the user names, and below those of packages.
 
-    def __init__(self, root: Path, packages: Iterable[str]) -> None:
+    ``installed``: folders of the workspaces that the user has sourced. A link there leads to a file that may be read:
+    `colcon build --symlink-install` installs links to the sources.
+    """
+
+    def __init__(self, root: Path, packages: Iterable[str], installed: Iterable[str] = ()) -> None:
         self._bounds = Bounds.of(root, packages)
+        self._installed = [each for folder in installed for each in {os.path.abspath(folder), os.path.realpath(folder)}]
         self._read: dict[str, Source] = {}
         self._total = 0
 
@@ -26,7 +31,7 @@ class ReadableFiles:
         """The text of the file at an absolute path. Raises UnknownValue with the reason."""
         if endings and not path.endswith(endings):
             raise UnknownValue(f"its name does not end in {' or '.join(endings)}", "include")
-        if not self._bounds.contain(path):
+        if not self._bounds.contain(path) and not self._is_installed(path):
             remedy = "allow its folder by `midstride --include-path DIR import`"
             raise UnknownValue(f"it is not below the folder of the launch file; {remedy}", "include")
         if path not in self._read:
@@ -38,6 +43,10 @@ class ReadableFiles:
                 raise UnknownValue(str(error), "include") from None
             self._total += len(self._read[path].text)
         return self._read[path]
+
+    def _is_installed(self, path: str) -> bool:
+        name = os.path.abspath(path)
+        return any(os.path.commonpath((folder, name)) == folder for folder in self._installed)
 
 
 def _shown(path: str) -> str:

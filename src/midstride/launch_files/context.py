@@ -1,56 +1,84 @@
-"""What holds at a place of a launch file: variables, the namespace, and what groups set for the nodes in them."""
+"""What holds at a place of a launch file: variables, the namespace, and what is set for the nodes that follow."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias
 
 from midstride.lang.source import Span
+from midstride.launch_files.allowed_files import ReadableFiles
 from midstride.launch_files.findings import UnknownValue
 from midstride.launch_files.packages import Packages
-from midstride.model.component import ParameterValue
-
-# A parameter with its value, or a parameter file.
-Setting: TypeAlias = "tuple[str, ParameterValue] | ParameterFileName"
 
 
 @dataclass(frozen=True, slots=True)
-class ParameterFileName:
-    """A parameter file by its path. ``text``: its text, if its substitutions are carried out. ``span``: named there."""
+class ParametersGiven:
+    """What launch gives to the process of a node: a parameter file at a path, one that launch writes, or one parameter.
 
-    path: str
-    text: str | None
+    ``path``: of a file that is there; ``text``: that of the file, if it is not what is at the path.
+    ``rule``: NAME:=VALUE, which follows ``-p``. ``span``: where it is stated.
+    """
+
     span: Span
+    path: str | None = None
+    text: str | None = None
+    rule: str | None = None
+
+
+@dataclass(slots=True)
+class IncludeTrace:
+    """Which launch file launch itself takes for the current one: the last that was begun, up to launch 3.7.
+
+    ``differing``: the substitutions that have another value there than here.
+    """
+
+    current: str
+    differing: list[str] = field(default_factory=list)
 
 
 @dataclass(slots=True)
 class Context:
     """A scope. ``file`` is the absolute path of the launch file; a variable may have no known value, and says why.
 
-    ``variables_set``: those of the environment, None for one that is taken away.
+    ``namespace`` is absolute, or None if none was stated. ``variables_set``: those of the environment, None for one
+    that is taken away. ``remaps`` and ``settings``, as in launch, are shared with the enclosing scope once they have
+    anything: what a group adds to them then stays.
     """
 
     packages: Packages
+    files: ReadableFiles
     environment: Mapping[str, str]
     file: str
+    trace: IncludeTrace
+    run_commands: bool = False
     variables: dict[str, str | UnknownValue] = field(default_factory=dict)
-    namespace: str = ""
+    namespace: str | None = None
     remaps: list[tuple[str, str]] = field(default_factory=list)
-    settings: list[Setting] = field(default_factory=list)
+    settings: list[ParametersGiven] = field(default_factory=list)
     variables_set: dict[str, str | None] = field(default_factory=dict)
 
     def scoped(self, forwarding: bool = True) -> Context:
-        """A copy, for a group. Without ``forwarding``, it has none of the variables."""
-        if not forwarding:
-            return Context(self.packages, self.environment, self.file)
-        return replace(
+        """A copy, for a group. Without ``forwarding``, it has only the environment that the launch file began with."""
+        scope = replace(
             self,
             variables=dict(self.variables),
-            remaps=list(self.remaps),
-            settings=list(self.settings),
+            remaps=self.remaps or [],
+            settings=self.settings or [],
             variables_set=dict(self.variables_set),
         )
+        if not forwarding:
+            scope.forget()
+            scope.reset_environment()
+        return scope
+
+    def forget(self) -> None:
+        """Without variables, namespace, and what is set for nodes, which are variables of launch as well."""
+        self.variables, self.namespace, self.remaps, self.settings = {}, None, [], []
+
+    def reset_environment(self) -> None:
+        """As launch was started with."""
+        self.environment, self.variables_set = self.packages.environment, {}
 
     def variable(self, name: str, default: str | None = None) -> str:
         """Raises UnknownValue."""
@@ -63,12 +91,35 @@ class Context:
 
     def global_parameter(self, name: str) -> str:
         """What `set_parameter` has set. Raises UnknownValue."""
-        for setting in reversed(self.settings):
-            if isinstance(setting, tuple) and setting[0] == name:
-                return str(setting[1])
+        for setting in self.settings:
+            if setting.rule is not None and setting.rule.startswith(f"{name}:="):
+                return setting.rule.removeprefix(f"{name}:=")
         raise UnknownValue(f"the global parameter `{name}` is not set by the launch files that were read")
 
-    def set_environment(self, name: str, value: str) -> None:
-        """For the processes that are started from here on, and for `env`."""
-        self.environment = {**self.environment, name: value}
+    def set_environment(self, name: str, value: str | None) -> None:
+        """For the processes that are started from here on, and for `env`. None takes it away."""
+        environment = dict(self.environment)
+        if value is None:
+            environment.pop(name, None)
+        else:
+            environment[name] = value
+        self.environment = environment
         self.variables_set[name] = value
+
+    def current_file(self) -> str:
+        """For `filename`."""
+        if self.trace.current != self.file:
+            self.trace.differing.append("filename")
+        return self.file
+
+    def current_folder(self) -> str:
+        """For `dirname`."""
+        if os.path.dirname(self.trace.current) != os.path.dirname(self.file):
+            self.trace.differing.append("dirname")
+        return os.path.dirname(self.file)
+
+    def read(self, path: str) -> str:
+        """The text of any file that may be read. Raises UnknownValue."""
+        if not os.path.isabs(path):
+            raise UnknownValue(f"`{path}` is relative to the folder in which launch is started")
+        return self.files.source(os.path.normpath(path)).text

@@ -8,12 +8,14 @@ from typing import Any, Final, TypeAlias
 from xml.parsers import expat
 
 from midstride.lang.source import Source, Span
-from midstride.lang.yaml_tree import InvalidYaml, Tree, read_tree
 
 Plain: TypeAlias = "str | bool | int | float"
+# A value of a YAML document, with its place.
+Tree: TypeAlias = "tuple[dict[str, Tree] | list[Tree] | Plain | None, Span]"
 EntityValue: TypeAlias = "Plain | list[Plain]"
 
 MAX_NESTING: Final = 64
+MAX_VALUES: Final = 50_000
 YAML_ENDINGS: Final = (".yaml", ".yml")
 ENDINGS: Final = (".xml", ".launch", *YAML_ENDINGS)
 
@@ -74,17 +76,50 @@ def _from_xml(source: Source) -> Entity:
 
 
 def _from_yaml(source: Source) -> Entity:
-    try:
-        tree = read_tree(source)
-    except InvalidYaml as error:
-        line = source.position(error.span.start)[0]
-        raise NotALaunchFile(f"line {line} is not valid YAML, or has more than a launch file may have") from None
-    value, span = tree or ({}, Span(source, 0, 0))
+    value, span = _tree(source)
     if not isinstance(value, dict) or list(value) != ["launch"]:
         raise NotALaunchFile("its outermost element is not `launch`")
     if not isinstance(value["launch"][0], (list, dict, type(None))):
         raise NotALaunchFile("its element `launch` has a value instead of elements")
     return _entity("launch", value["launch"], span)
+
+
+def _tree(source: Source) -> Tree:
+    """The document as PyYAML reads it, with the place of each value. Raises NotALaunchFile."""
+    import yaml  # type: ignore[import-untyped, unused-ignore]  # with its stubs or without
+
+    count = 0
+
+    def tree(node: Any, depth: int, loader: Any) -> Tree:
+        nonlocal count
+        count += 1
+        if count > MAX_VALUES or depth > MAX_NESTING:  # aliases may repeat values without end
+            raise NotALaunchFile("it has more than a launch file may have")
+        start = source.offset(node.start_mark.line + 1, node.start_mark.column + 1)
+        span = Span(source, start, start + 1)
+        if isinstance(node, yaml.SequenceNode):
+            return [tree(each, depth + 1, loader) for each in node.value], span
+        if isinstance(node, yaml.MappingNode):
+            loader.flatten_mapping(node)
+            pairs = [(loader.construct_object(key, deep=True), value) for key, value in node.value]
+            return {str(key): tree(value, depth + 1, loader) for key, value in pairs}, span
+        value = loader.construct_object(node)
+        if not isinstance(value, (str, bool, int, float, type(None))):
+            raise NotALaunchFile(f"line {node.start_mark.line + 1} has a value that launch does not take")
+        return value, span
+
+    loader = None
+    try:
+        loader = yaml.SafeLoader(source.text)
+        root = loader.get_single_node()
+        return ({}, Span(source, 0, 0)) if root is None else tree(root, 0, loader)
+    except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
+        mark = getattr(error, "problem_mark", None)
+        where = "it" if mark is None else f"line {mark.line + 1}"
+        raise NotALaunchFile(f"{where} is not valid YAML") from None
+    finally:
+        if loader is not None:
+            loader.dispose()
 
 
 def _entity(tag: str, tree: Tree, span: Span) -> Entity:

@@ -12,15 +12,18 @@ from midstride.model.printable import on_one_line
 # The kinds of findings, each with what it means for the specification.
 KINDS: Final = {
     "argument": "an argument has no value, or one that is not among its choices",
-    "package": "a package is not here",
+    "package": "a package is not here, or has no such executable",
     "include": "a launch file is not here, or may not be read; what it starts is left out",
     "python": "a launch file in Python is not carried out, or failed; what it starts is left out",
     "condition": "a condition has no known value; what it guards is left out",
     "substitution": "a substitution has no known value; what needs it is left out",
+    "command": "a command is not carried out, or has failed; what needs its output is left out",
+    "later": "a process is started later, or by an event; here it follows what it waits for",
     "composable": "a component in a container is left out: it shares its process with others",
     "parameters": "a parameter or a parameter file is left out",
     "name": "a node has no name, or one that another node or the language uses; it gets another name",
     "program": "the launch file does not say that a program is a node",
+    "restart": "a process is restarted in another way",
     "unsupported": "an element or an attribute has no counterpart and is left out",
 }
 
@@ -35,11 +38,12 @@ class UnknownValue(Exception):
 
 @dataclass(frozen=True, slots=True)
 class ImportFinding:
-    """One finding. ``kind`` is one of KINDS."""
+    """One finding. ``kind`` is one of KINDS. ``left_out``: something is not in the specification, not only assumed."""
 
     kind: str
     message: str
     span: Span
+    left_out: bool = True
 
     @property
     def place(self) -> str:
@@ -51,6 +55,7 @@ class ImportFinding:
         return {
             "kind": self.kind,
             "message": self.message,
+            "left_out": self.left_out,
             "file": self.span.source.name,
             "line": line,
             "column": column,
@@ -64,15 +69,21 @@ class ImportFindings:
     """The findings of one import, each once, in the order in which they are met."""
 
     def __init__(self) -> None:
-        self._found: dict[tuple[str, str, int], ImportFinding] = {}
+        self._found: dict[tuple[object, ...], ImportFinding] = {}
 
-    def add(self, kind: str, message: str, span: Span) -> None:
-        finding = ImportFinding(kind, message, span)
+    def add(self, kind: str, message: str, span: Span, left_out: bool = True) -> None:
+        """Something that is left out, or only assumed."""
+        finding = ImportFinding(kind, message, span, left_out)
         self._found.setdefault((str(finding), span.source.name, span.start), finding)
 
-    def counts(self) -> dict[str, int]:
-        """How many there are of each kind, the most frequent first."""
-        return dict(Counter(finding.kind for finding in self).most_common())
+    def add_once(self, kind: str, message: str, span: Span) -> None:
+        """What is assumed, and is the same wherever it is met: it is named at the first place."""
+        self._found.setdefault((kind, message), ImportFinding(kind, message, span, left_out=False))
+
+    def counts(self, left_out: bool | None = None) -> dict[str, int]:
+        """How many there are of each kind, the most frequent first; of those that are left out or not, if stated."""
+        kinds = (each.kind for each in self if left_out is None or each.left_out is left_out)
+        return dict(Counter(kinds).most_common())
 
     def __iter__(self) -> Any:
         return iter(self._found.values())

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 from midstride.lang.source import Span
 from midstride.launch_files.allowed_files import ReadableFiles
-from midstride.launch_files.context import Context, ParameterFileName
+from midstride.launch_files.context import Context, ParametersGiven
 from midstride.launch_files.entity import ENDINGS, Entity, NotALaunchFile, read_entity
 from midstride.launch_files.findings import ImportFindings, UnknownValue
 from midstride.launch_files.node_elements import NodeElements
 from midstride.launch_files.python_files import carried_out
-from midstride.launch_files.substitutions import substituted, truth
-from midstride.launch_files.values import value_of
+from midstride.launch_files.values import value_of_text
 
 MAX_INCLUDES: Final = 32
 MAX_INCLUSIONS: Final = 1024
 # They change nothing that a node does.
 _IGNORED: Final = frozenset({"log", "set_ros_log_dir"})
+# Elements and attributes of ROS 1's roslaunch that ROS 2's launch does not have.
+_OF_ROS_1: Final = frozenset({"rosparam", "param", "machine", "test", "remap"})
 
 
 class Interpreter(NodeElements):
@@ -33,30 +34,48 @@ class Interpreter(NodeElements):
     ) -> None:
         super().__init__(files, findings)
         self.undeclared = dict(arguments)
+        self._given = dict(arguments)
         self._run_python = run_python
         self._depth = 0
-        self._elements: Final[dict[str, tuple[str, Callable[[Entity, Context], None]]]] = {
-            "arg": ("name default", self._arg),
-            "let": ("name value", self._let),
-            "group": ("scoped forwarding", self._group),
-            "include": ("file", self._include),
-            "push-ros-namespace": ("namespace", self._push_namespace),
-            "push_ros_namespace": ("namespace", self._push_namespace),
-            "set_remap": ("from to", self._set_remap),
-            "set_parameter": ("name value", self._set_parameter),
-            "set_parameters_from_file": ("filename", self._set_parameters_from_file),
-            "set_use_sim_time": ("value", self._set_use_sim_time),
-            "set_env": ("name value", self._set_env),
-            "append_env": ("name value prepend separator", self._append_env),
-            "unset_env": ("name", self._unset_env),
-            "timer": ("period", self._timer),
-            "ros_timer": ("period", self._timer),
-            "node": ("", self.node),
-            "lifecycle_node": ("", self.node),
-            "node_container": ("", self.container),
-            "load_composable_node": ("target", self.left_out),
-            "executable": ("", self.executable),
+        # What timers start: when (s), how that is said, the elements, and their launch file.
+        self._postponed: list[tuple[float, str, Sequence[Entity], str]] = []
+        self._stated: set[str] = set()
+        # The attributes of each element and its nested ones, if they are the same for all of its kind.
+        self._elements: Final[dict[str, tuple[str | None, str | None, Callable[[Entity, Context], None]]]] = {
+            "arg": ("name default", "choice", self._arg),
+            "let": ("name value", "", self._let),
+            "group": ("scoped forwarding", None, self._group),
+            "include": ("file", "arg let", self._include),
+            "push-ros-namespace": ("namespace", "", self._push_namespace),
+            "push_ros_namespace": ("namespace", "", self._push_namespace),
+            "set_remap": ("from to", "", self._set_remap),
+            "set_parameter": ("name value", "", self._set_parameter),
+            "set_parameters_from_file": ("filename", "", self._set_parameters_from_file),
+            "set_use_sim_time": ("value", "", self._set_use_sim_time),
+            "set_env": ("name value", "", self._set_env),
+            "append_env": ("name value prepend separator", "", self._append_env),
+            "unset_env": ("name", "", self._unset_env),
+            "reset_env": ("", "", self._reset_env),
+            "reset": ("", "keep", self._reset),
+            "timer": ("period cancel_on_shutdown", None, self._timer),
+            "ros_timer": ("period", None, self._timer),
+            "shutdown": ("reason", "", self._shutdown),
+            "node": (None, None, self.node),
+            "lifecycle_node": (None, None, self.node),
+            "node_container": (None, None, self.container),
+            "load_composable_node": ("target", None, self.left_out),
+            "executable": (None, None, self.executable),
         }
+
+    def main(self, path: str, context: Context) -> None:
+        """Carry out the launch file at an absolute path, and what it starts later. Raises UnknownValue."""
+        self.file(path, context)
+        while self._postponed:
+            self._postponed.sort(key=lambda each: each[0])
+            time, how, elements, context.file = self._postponed.pop(0)
+            self.later = how, time  # launch has left all groups by then
+            self._children(elements, context)
+        context.file = path
 
     def file(self, path: str, context: Context) -> None:
         """Carry out the launch file at an absolute path. Raises UnknownValue if it cannot be read."""
@@ -68,27 +87,97 @@ class Interpreter(NodeElements):
             root = read_entity(source)
         except NotALaunchFile as error:
             raise UnknownValue(f"it is not a launch file that can be read: {error}", "include") from None
+        if of_ros_1(root):
+            raise UnknownValue(
+                "it is a launch file of ROS 1, which ROS 2 does not start; see docs/how-to/ros1.md", "include"
+            )
         self.system.files += 1
+        if self._depth > 0:
+            self._check_arguments(root, context)
         outer, context.file = context.file, path
+        context.trace.current = path
         try:
             self._children(root.children, context)
         finally:
             context.file = outer
 
+    def _check_arguments(self, root: Entity, context: Context) -> None:
+        """Launch refuses an include that states no value for an argument without default, even if it is set outside."""
+        for entity in root.named("arg"):
+            name = entity.attributes.get("name")
+            conditional = "if" in entity.attributes or "unless" in entity.attributes
+            if "default" in entity.attributes or conditional or name in self._stated:
+                continue
+            if name in context.variables:
+                message = f"launch refuses this include: it has no `<arg>` for `{name}`, which is set outside only"
+                self.findings.add("argument", message, entity.span, left_out=False)
+
     def _python(self, path: str, context: Context) -> None:
-        """Note the nodes of a launch file in Python. Raises UnknownValue."""
+        """Note what a launch file in Python starts, and take over what it sets. Raises UnknownValue."""
         span = Span(self.files.source(path, ".py"), 0, 0)
         if not self._run_python:
             message = "it is in Python, so a program; `--run-python` carries it out, where ROS's `launch` is"
             raise UnknownValue(message, "python")
         known = {name: value for name, value in context.variables.items() if isinstance(value, str)}
-        found = carried_out(path, known, context.namespace, context.environment)
+        rules = [
+            setting.path if setting.rule is None else list(setting.rule.split(":=", 1)) for setting in context.settings
+        ]
+        given = {
+            "variables": known,
+            "arguments": sorted(self._given) if self._depth == 0 else sorted(self._stated),
+            "namespace": context.namespace,
+            "remaps": context.remaps,
+            "parameters": rules,
+        }
+        found = carried_out(path, given, context.environment)
         self.system.files += 1
-        self.undeclared.clear()  # which of them it declares is not known
-        for kind, message in found["left"]:
-            self.findings.add(kind, message, span)
-        for node in found["nodes"]:
-            self.python_node(node, span, context)
+        for name in found["declared"]:
+            self.undeclared.pop(name, None)
+        for kind, message, file, line in found["left"]:
+            add = self.findings.add_once if kind == "package" else self.findings.add
+            add(kind, message, self._at(file, line, span))
+        for process in found["processes"]:
+            later, after = self.later, process["after"]
+            if after is not None:
+                self.later = after["how"], float("inf") if after["time"] is None else after["time"]
+            file, line = process["place"]
+            self.python_process(process, self._at(file, line, span), context)
+            self.later = later
+        self._take_over(found["state"], known, rules, span, context)
+
+    def _take_over(
+        self, state: Mapping[str, Any], known: Mapping[str, str], rules: Sequence[Any], span: Span, context: Context
+    ) -> None:
+        """What a launch file in Python has set holds for what follows, as after any include."""
+        for name in known:
+            if name not in state["variables"]:
+                del context.variables[name]
+        context.variables.update(
+            {name: value for name, value in state["variables"].items() if known.get(name) != value}
+        )
+        context.namespace = state["namespace"]
+        remaps = [(old, new) for old, new in state["remaps"]]
+        context.remaps[:] = remaps  # in place: it may be shared with the scopes around
+        kept = next(
+            (n for n, (old, new) in enumerate(zip(rules, state["parameters"], strict=False)) if old != new), len(rules)
+        )
+        context.settings[kept:] = [
+            ParametersGiven(span, path=os.path.abspath(each))
+            if isinstance(each, str)
+            else ParametersGiven(span, rule=f"{each[0]}:={each[1]}")
+            for each in state["parameters"][kept:]
+        ]
+        for name, value in state["environment"].items():
+            context.set_environment(name, value)
+
+    def _at(self, file: str, line: int, otherwise: Span) -> Span:
+        """A line of a launch file in Python, or of what it includes."""
+        try:
+            source = self.files.source(file)
+        except UnknownValue:
+            return otherwise
+        offset = source.offset(max(line, 1), 1)
+        return Span(source, offset, offset)
 
     def _children(self, entities: Sequence[Entity], context: Context) -> None:
         for entity in entities:
@@ -100,13 +189,19 @@ class Interpreter(NodeElements):
         if entity.tag not in self._elements:
             self.findings.add("unsupported", f"the element `{entity.tag}` is left out", entity.span)
             return
-        known, function = self._elements[entity.tag]
+        known, children, function = self._elements[entity.tag]
         try:
             if not self.applies(entity, context):
                 return
-            if known:
+            if known is not None:
                 self.expect(entity, known)
+            if children is not None:
+                self.expect_children(entity, children)
             function(entity, context)
+            for name in dict.fromkeys(context.trace.differing):
+                message = f"`$({name})` after an include is that of the included file in launch up to 3.7; not so here"
+                self.findings.add("include", message, entity.span, left_out=False)
+            context.trace.differing.clear()
         except UnknownValue as error:
             self.findings.add(error.kind, f"`{entity.tag}` is left out: {error}", entity.span)
             if entity.tag in {"arg", "let"}:  # whether it is set is not known, so no later value may be taken for it
@@ -116,7 +211,7 @@ class Interpreter(NodeElements):
     # -- variables -------------------------------------------------------------------------------------------
 
     def _arg(self, entity: Entity, context: Context) -> None:
-        name = str(self.required(entity, "name"))
+        name = self.text_of(entity, "name")
         self.undeclared.pop(name, None)
         if name not in context.variables:
             if "default" in entity.attributes:
@@ -125,7 +220,7 @@ class Interpreter(NodeElements):
                 message = f"`{name}` has no value and no default; pass `{name}:=…`"
                 self.findings.add("argument", message, entity.span)
                 context.variables[name] = UnknownValue(f"`{name}` has no value", "argument")
-        choices = [str(self.required(choice, "value")) for choice in entity.named("choice")]
+        choices = [self.text_of(choice, "value") for choice in entity.named("choice")]
         value = context.variables[name]
         if choices and isinstance(value, str) and value not in choices:
             message = f"`{name}` is `{value}`, which is not among its choices: {', '.join(choices)}"
@@ -136,6 +231,7 @@ class Interpreter(NodeElements):
 
     def _assign(self, name: str, entity: Entity, attribute: str, context: Context) -> None:
         """Set a variable. That its value is not known is reported where it is needed."""
+        self.text_of(entity, attribute)
         try:
             context.variables[name] = self.text(entity, attribute, context)
         except UnknownValue as error:
@@ -148,48 +244,65 @@ class Interpreter(NodeElements):
         name, value = self.text(entity, "name", context), self.text(entity, "value", context)
         separator = self.text(entity, "separator", context) if "separator" in entity.attributes else os.pathsep
         before = [context.environment[name]] if name in context.environment else []
-        prepend = truth(self.text(entity, "prepend", context)) if "prepend" in entity.attributes else False
+        prepend = self.boolean(entity, "prepend", context, False)
         context.set_environment(name, separator.join([value, *before] if prepend else [*before, value]))
 
     def _unset_env(self, entity: Entity, context: Context) -> None:
-        name = self.text(entity, "name", context)
-        context.environment = {key: value for key, value in context.environment.items() if key != name}
-        context.variables_set[name] = None  # what is inherited, too
+        context.set_environment(self.text(entity, "name", context), None)
+
+    def _reset_env(self, entity: Entity, context: Context) -> None:
+        context.reset_environment()
+
+    def _kept(self, entity: Entity, context: Context) -> dict[str, str | UnknownValue]:
+        return {self.text(each, "name", context): self.text(each, "value", context) for each in entity.named("keep")}
+
+    def _reset(self, entity: Entity, context: Context) -> None:
+        kept = self._kept(entity, context)
+        context.forget()
+        context.variables.update(kept)
 
     # -- scopes ----------------------------------------------------------------------------------------------
 
     def _group(self, entity: Entity, context: Context) -> None:
-        scoped = "scoped" not in entity.attributes or truth(self.text(entity, "scoped", context))
-        forwarding = "forwarding" not in entity.attributes or truth(self.text(entity, "forwarding", context))
-        kept = {self.text(each, "name", context): self.text(each, "value", context) for each in entity.named("keep")}
-        inner = context.scoped(forwarding) if scoped else context
+        scoped = self.boolean(entity, "scoped", context, True)
+        kept = self._kept(entity, context)
+        inner = context.scoped(self.boolean(entity, "forwarding", context, True)) if scoped else context
         inner.variables.update(kept)
         self._children([child for child in entity.children if child.tag != "keep"], inner)
 
     def _include(self, entity: Entity, context: Context) -> None:
         path = self.path(entity, "file", context)
         name = os.path.basename(path)
-        given = [(self.text(each, "name", context), each) for each in entity.named("arg")]
+        given = [(self.text(each, "name", context), each) for each in entity.named("arg", "let")]
         if self._depth >= MAX_INCLUDES or self.system.files >= MAX_INCLUSIONS:
             raise UnknownValue(f"`{name}`: launch files include too many others", "include")
         for argument, each in given:  # as in ROS, they stay set after the include
             self._assign(argument, each, "value", context)
         self._depth += 1
+        outer, self._stated = self._stated, {argument for argument, _ in given}
         try:
             self.file(path, context)
         except UnknownValue as error:
             raise UnknownValue(f"`{name}`: {error}", error.kind) from None
         finally:
             self._depth -= 1
+            self._stated = outer
 
     def _push_namespace(self, entity: Entity, context: Context) -> None:
         context.namespace = self.joined(context.namespace, self.text(entity, "namespace", context))
 
     def _timer(self, entity: Entity, context: Context) -> None:
-        self.findings.add(
-            "unsupported", f"the delay of `{entity.tag}` is left out; its nodes start at once", entity.span
-        )
-        self._children(entity.children, context)
+        stated = self.required(entity, "period")
+        text = self.text(entity, "period", context) if isinstance(stated, str) else str(stated)
+        try:
+            period = float(text)
+        except ValueError:
+            raise UnknownValue("its `period` is not a number", "unsupported") from None
+        now = 0.0 if self.later is None else self.later[1]
+        self._postponed.append((now + period, f"{now + period:g} s later", entity.children, context.file))
+
+    def _shutdown(self, entity: Entity, context: Context) -> None:
+        self.findings.add("unsupported", "`shutdown` is left out: it would end all that was started", entity.span)
 
     # -- what holds for nodes --------------------------------------------------------------------------------
 
@@ -197,11 +310,26 @@ class Interpreter(NodeElements):
         context.remaps.append((self.text(entity, "from", context), self.text(entity, "to", context)))
 
     def _set_parameter(self, entity: Entity, context: Context) -> None:
-        name = self.text(entity, "name", context)
-        context.settings.append((name, value_of(entity, "value", lambda text: substituted(text, context))))
+        value = value_of_text(self.text(entity, "value", context))
+        text = str(tuple(value) if isinstance(value, list) else value)  # as launch_ros passes it
+        rule = f"{self.text(entity, 'name', context)}:={text}"
+        context.settings.append(ParametersGiven(entity.span, rule=rule))
 
     def _set_parameters_from_file(self, entity: Entity, context: Context) -> None:
-        context.settings.append(ParameterFileName(self.path(entity, "filename", context), None, entity.span))
+        context.settings.append(ParametersGiven(entity.span, path=self.path(entity, "filename", context)))
 
     def _set_use_sim_time(self, entity: Entity, context: Context) -> None:
-        context.settings.append(("use_sim_time", truth(self.text(entity, "value", context))))
+        message = (
+            "`set_use_sim_time` sets the time of launch's own node, and of no other; it is left out. For all nodes: "
+        )
+        self.findings.add("unsupported", f'{message}`<set_parameter name="use_sim_time" value="true"/>`', entity.span)
+
+
+def of_ros_1(root: Entity) -> bool:
+    """Whether a launch file is one of ROS 1's roslaunch, by what only that has."""
+    for entity in root.children:
+        if entity.tag in _OF_ROS_1 or (entity.tag == "node" and "type" in entity.attributes):
+            return True
+        if entity.tag == "group" and of_ros_1(entity):
+            return True
+    return False

@@ -5,85 +5,175 @@ from __future__ import annotations
 import os
 import re
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any, Final
 
+from midstride.ament_index import prefixes
 from midstride.lang.source import Span
 from midstride.launch_files.allowed_files import ReadableFiles
-from midstride.launch_files.context import Context, ParameterFileName, Setting
+from midstride.launch_files.context import Context, ParametersGiven
 from midstride.launch_files.entity import Entity, EntityValue
 from midstride.launch_files.expression import shortened
 from midstride.launch_files.findings import ImportFindings, UnknownValue
-from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedSystem
-from midstride.launch_files.substitutions import substituted, truth
+from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedRespawn, LaunchedSystem
+from midstride.launch_files.launched_parameters import written_file
+from midstride.launch_files.ros_arguments import RosArguments, split_ros_arguments, words_of
+from midstride.launch_files.substitutions import performed, substituted, truth, typed_truth
 from midstride.launch_files.values import plain, value_of
 from midstride.model.component_rules import MAX_NUMBER
 
 # Attributes that every element may have, and those that change nothing that a node does.
 _ANYWHERE: Final = "if unless description output output_format emulate_tty exec_name"
-_PROCESS: Final = "launch-prefix respawn respawn_delay respawn_max_retries sigterm_timeout sigkill_timeout"
+_PROCESS: Final = (
+    "launch-prefix respawn respawn_delay respawn_max_retries cwd shell on_exit sigterm_timeout sigkill_timeout"
+)
 _NODE: Final = f"pkg exec name namespace args ros_args {_PROCESS}"
 _NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_]+")
+_NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _COMPONENTS: Final = ("composable_node",)
 
 
 class NodeElements:
-    """Notes nodes in ``system``, and in ``findings`` what was left out or assumed."""
+    """Notes processes in ``system``, and in ``findings`` what was left out or assumed.
+
+    ``later``: why what is met now is started after the others, and how long after them (s), if it is.
+    """
 
     def __init__(self, files: ReadableFiles, findings: ImportFindings) -> None:
         self.files = files
         self.findings = findings
         self.system = LaunchedSystem()
+        self.later: tuple[str, float] | None = None
+
+    # -- what starts a process -------------------------------------------------------------------------------
 
     def node(self, entity: Entity, context: Context) -> None:
         """Raises UnknownValue."""
         self.expect(entity, _NODE)
         program = self.text(entity, "exec", context)
         package = self.text(entity, "pkg", context) if "pkg" in entity.attributes else ""
-        self._check_package(package, entity.span, context)
+        self._check_package(package, program, entity.span, context)
         stated = self.text(entity, "name", context) if "name" in entity.attributes else None
-        name = self._name(stated, _stem(program), entity.span)
-        namespace = self.text(entity, "namespace", context) if "namespace" in entity.attributes else ""
-        self._note(entity, context, name, self.joined(context.namespace, namespace), _stem(program), [program], package)
-
-    def python_node(self, found: Mapping[str, Any], span: Span, context: Context) -> None:
-        """A node of a launch file in Python, as its process has described it."""
-        package, program = found["package"], found["executable"]
-        self._check_package(package, span, context)
-        folder = os.path.dirname(span.source.path or span.source.name)
-        settings = [ParameterFileName(os.path.join(folder, path), text, span) for path, text in found["parameters"]]
-        self.system.nodes.append(
-            LaunchedNode(
-                name=self._name(found["name"] or None, _stem(program), span),
-                namespace=found["namespace"],
-                program=_stem(program),
-                command=(program, *found["arguments"]),
-                span=span,
-                remaps=(*context.remaps, *((old, new) for old, new in found["remaps"])),
-                settings=(*context.settings, *settings),
-                environment=dict(context.variables_set),
-                package=package,
-                stop=tuple(f"{name} {seconds:g} s" for name, seconds in found["stop"].items()),
-                gate="lifecycle" if found["lifecycle"] else "preload",
-            )
+        own = self.text(entity, "namespace", context) if "namespace" in entity.attributes else None
+        namespace = self.joined(context.namespace, own)
+        words = self._words(entity, "args", context)
+        if "ros_args" in entity.attributes:
+            words += ["--ros-args", *self._words(entity, "ros_args", context)]
+        arguments, ros = split_ros_arguments(words)
+        node = LaunchedNode(
+            name=self._name(stated or ros.name, _stem(program), entity.span),
+            namespace=self._namespace(ros.namespace if ros.namespace is not None else namespace),
+            program=_stem(program),
+            command=(program, *arguments),
+            span=entity.span,
+            remaps=(*ros.remaps, *context.remaps, *self._remaps(entity, context)),
+            ros_arguments=tuple(ros.others),
+            package=package,
+            gate="lifecycle" if entity.tag == "lifecycle_node" else "preload",
         )
+        section = f"{namespace.rstrip('/')}/{stated}" if stated and namespace is not None else "/**"
+        settings = [
+            *self._given_by_arguments(ros, entity.span),
+            *context.settings,
+            *self._settings(entity, section, context),
+        ]
+        self._note(entity, context, replace(node, settings=tuple(settings)))
 
     def executable(self, entity: Entity, context: Context) -> None:
         """Any program. Raises UnknownValue."""
         self.expect(entity, f"cmd name {_PROCESS}")
-        command = _split(self.text(entity, "cmd", context))
-        if not command:
+        words = words_of(self.text_of(entity, "cmd"), lambda template: performed(template, context))
+        label = self.text(entity, "name", context) if "name" in entity.attributes else ""
+        self._note(entity, context, self._program(words, label, entity.span, context))
+
+    def _program(self, words: Sequence[str], label: str, span: Span, context: Context) -> LaunchedNode:
+        """A program of which the launch file does not say that it is a node. Raises UnknownValue."""
+        command, ros = split_ros_arguments(words)
+        if not command or not command[0]:
             raise UnknownValue("it has no command", "unsupported")
+        package, command = self._in_package(command, context)
         script = (number for number, word in enumerate(command) if number and not word.startswith("-"))
         last = next(script, 0) if "python" in command[0] else 0
         program = _stem(command[last])
-        stated = self.text(entity, "name", context) if "name" in entity.attributes else program
-        name = self._name(stated, program, entity.span)
+        name = self._name(ros.name or label or program, program, span)
         what = shlex.join(command[: last + 1])
-        message = f"`{what}` is started as the node `{name}`; remove it if it does not take ROS's arguments"
-        self.findings.add("program", message, entity.span)
-        self._note(entity, context, name, context.namespace, program, command)
+        known = "" if ros.name else f", by its {'label' if label else 'program'}"
+        message = f"`{what}` is started as the node `{name}`{known}; remove it if it does not take ROS's arguments"
+        self.findings.add("program", message, span, left_out=False)
+        return LaunchedNode(
+            name=name,
+            namespace=self._namespace(ros.namespace),
+            program=program,
+            command=tuple(command),
+            span=span,
+            remaps=tuple(ros.remaps),
+            settings=tuple(self._given_by_arguments(ros, span)),
+            ros_arguments=tuple(ros.others),
+            package=package,
+        )
+
+    def _in_package(self, command: list[str], context: Context) -> tuple[str, list[str]]:
+        """The package of a program that is named by its path, or run by `ros2 run`, and the rest of the command."""
+        if command[:2] == ["ros2", "run"] and len(command) > 3 and not command[2].startswith("-"):
+            self._check_package(command[2], command[3], None, context)
+            return command[2], command[3:]
+        for prefix in prefixes(context.environment):
+            folder = os.path.join(prefix, "lib", "")
+            package, _, program = command[0].removeprefix(folder).partition("/")
+            if command[0].startswith(folder) and program and "/" not in program and package in context.packages:
+                return package, [program, *command[1:]]
+        return "", command
+
+    def python_process(self, found: Mapping[str, Any], span: Span, context: Context) -> None:
+        """A process of a launch file in Python, as the process that carried it out has described it."""
+        try:
+            if found["type"]:
+                node = self._python_node(found, span, context)
+            else:
+                node = self._program(found["words"], found["label"], span, context)
+        except UnknownValue as error:
+            self.findings.add(error.kind, f"a process in Python is left out: {error}", span)
+            return
+        environment = dict(self._usable({**context.variables_set, **found["environment"]}, span))
+        if found["cleared"]:
+            environment = {name: value for name, value in environment.items() if value is not None}
+            message = f"`{node.role}` keeps the other variables of its environment, of which `env` would clear it"
+            self.findings.add("unsupported", message, span)
+        respawn = found["respawn"]
+        self._add(
+            replace(
+                node,
+                environment=environment,
+                prefix=tuple(found["prefix"]),
+                respawn=None if respawn is None else LaunchedRespawn(respawn["delay"], respawn["retries"]),
+                stop=tuple(f"{name} {seconds:g} s" for name, seconds in sorted(found["stop"].items(), reverse=True)),
+            ),
+            found["folder"],
+            found["shell"],
+        )
+
+    def _python_node(self, found: Mapping[str, Any], span: Span, context: Context) -> LaunchedNode:
+        package, program = found["package"], found["executable"]
+        self._check_package(package, program, span, context)
+        arguments, ros = split_ros_arguments(found["words"][1:])
+        settings = []
+        for given in self._given_by_arguments(ros, span):
+            text = found["texts"].get(given.path)
+            settings.append(given if text is None else ParametersGiven(span, text=text))
+        return LaunchedNode(
+            name=self._name(ros.name, _stem(program), span),
+            namespace=self._namespace(ros.namespace),
+            program=_stem(program),
+            command=(program, *arguments),
+            span=span,
+            remaps=tuple(ros.remaps),
+            settings=tuple(settings),
+            ros_arguments=tuple(ros.others),
+            package=package,
+            gate="lifecycle" if found["type"] == "LifecycleNode" else "preload",
+        )
 
     def container(self, entity: Entity, context: Context) -> None:
         """Raises UnknownValue."""
@@ -102,139 +192,209 @@ class NodeElements:
                 message = f"the component `{label}` is left out: it would share the process of its container"
                 self.findings.add("composable", message, component.span)
 
-    def _note(
-        self,
-        entity: Entity,
-        context: Context,
-        name: str,
-        namespace: str,
-        program: str,
-        command: list[str],
-        package: str = "",
-    ) -> None:
-        prefix, args = (self._words(entity, each, context) for each in ("launch-prefix", "args"))
-        self.system.nodes.append(
-            LaunchedNode(
-                name=name,
-                namespace=namespace,
-                program=program,
-                command=(*command, *args),
-                span=entity.span,
-                remaps=(*context.remaps, *self._remaps(entity, context)),
-                settings=(*context.settings, *self._settings(entity, "", context)),
-                environment=dict(self._environment(entity, context)),
-                ros_arguments=self._words(entity, "ros_args", context),
-                respawn=tuple(self._respawn(entity, context)),
-                stop=tuple(self._stop(entity, context)),
-                package=package,
-                prefix=prefix,
-                gate="lifecycle" if entity.tag == "lifecycle_node" else "preload",
-            )
-        )
-        for child in entity.children:
-            if child.tag not in {"param", "remap", "env", *_COMPONENTS}:
-                self.findings.add("unsupported", f"the element `{child.tag}` in a node is left out", child.span)
-
-    def _words(self, entity: Entity, attribute: str, context: Context) -> tuple[str, ...]:
-        try:
-            return tuple(_split(self.text(entity, attribute, context))) if attribute in entity.attributes else ()
-        except UnknownValue as error:
-            self.findings.add(error.kind, f"`{attribute}` of a node is left out: {error}", entity.span)
-            return ()
-
-    def _environment(self, entity: Entity, context: Context) -> Iterator[tuple[str, str | None]]:
-        variables: list[tuple[str, str | None, Span]] = [
-            (name, value, entity.span) for name, value in context.variables_set.items()
-        ]
+    def _note(self, entity: Entity, context: Context, node: LaunchedNode) -> None:
+        """Add the node, with what every process may have."""
+        folder = self.text(entity, "cwd", context) if "cwd" in entity.attributes else None
+        shell = self.boolean(entity, "shell", context, False)
+        if "on_exit" in entity.attributes:
+            self.findings.add("unsupported", f"the attribute `on_exit` of `{entity.tag}` is left out", entity.span)
+        variables = dict(context.variables_set)
         for variable in entity.named("env"):
             try:
-                name = self.text(variable, "name", context)
-                variables.append((name, self.text(variable, "value", context), variable.span))
+                self.expect(variable, "name value", "")
+                variables[self.text(variable, "name", context)] = self.text(variable, "value", context)
             except UnknownValue as error:
                 self.findings.add(error.kind, f"an environment variable is left out: {error}", variable.span)
-        for name, value, span in variables:
+        self._add(
+            replace(
+                node,
+                environment=dict(self._usable(variables, entity.span)),
+                prefix=tuple(self._prefix(entity, node, context)),
+                respawn=self._respawn(entity, context),
+                stop=tuple(self._stop(entity, context)),
+            ),
+            folder,
+            shell,
+        )
+        for child in entity.children:
+            if child.tag not in {"param", "remap", "env", *_COMPONENTS} or (
+                child.tag != "env" and not _is_node(entity)
+            ):
+                message = f"the element `{child.tag}` in `{entity.tag}` is left out"
+                self.findings.add("unsupported", message, child.span)
+
+    def _add(self, node: LaunchedNode, folder: str | None, shell: bool) -> None:
+        if shell:
+            words = [node.run()] if node.package else [" ".join(node.command)]
+            node = replace(node, command=("sh", "-c", *words), package="", program=node.program)
+        if folder:
+            node = replace(node, prefix=("env", f"--chdir={folder}", *node.prefix))
+        if self.later is not None:
+            how, at = self.later
+            node = replace(node, later=how, at=at)
+        self.system.nodes.append(node)
+
+    # -- what is stated of a process -------------------------------------------------------------------------
+
+    def _words(self, entity: Entity, attribute: str, context: Context) -> list[str]:
+        if attribute not in entity.attributes:
+            return []
+        try:
+            return words_of(self.text_of(entity, attribute), lambda template: performed(template, context))
+        except UnknownValue as error:
+            self.findings.add(error.kind, f"`{attribute}` of a node is left out: {error}", entity.span)
+            return []
+
+    def _given_by_arguments(self, ros: RosArguments, span: Span) -> Iterator[ParametersGiven]:
+        for option, value in ros.parameters:
+            if option == "-p":
+                yield ParametersGiven(span, rule=value)
+            elif os.path.isabs(value):
+                yield ParametersGiven(span, path=value)
+            else:
+                message = f"the parameter file `{value}` is left out: it is relative to the folder of the process"
+                self.findings.add("parameters", message, span)
+
+    def _prefix(self, entity: Entity, node: LaunchedNode, context: Context) -> list[str]:
+        """The words before the program: its own, or those that the variable `launch-prefix` has for all processes."""
+        try:
+            if "launch-prefix" in entity.attributes:
+                return _split(self.text(entity, "launch-prefix", context))
+            text = context.variable("launch-prefix", "")
+            applies = re.match(context.variable("launch-prefix-filter", ""), os.path.basename(node.command[0]))
+            return _split(text) if applies else []
+        except (UnknownValue, re.error) as error:
+            kind = error.kind if isinstance(error, UnknownValue) else "unsupported"
+            self.findings.add(kind, f"`launch-prefix` of `{node.role}` is left out: {error}", entity.span)
+            return []
+
+    def _usable(self, variables: Mapping[str, str | None], span: Span) -> Iterator[tuple[str, str | None]]:
+        for name, value in variables.items():
             if name != "LD_PRELOAD":
                 yield name, value
             elif value:
                 message = "`LD_PRELOAD` is left out: the library with the gate is loaded by it"
                 self.findings.add("unsupported", message, span)
 
-    def _respawn(self, entity: Entity, context: Context) -> Iterator[str]:
-        """The statements on restarts, of which `respawn` is the first."""
-        if "respawn" in entity.attributes and truth(self.text(entity, "respawn", context)):
-            yield "respawn"
-            if (delay := self._number(entity, "respawn_delay", context)) is not None:
-                yield f"respawn_delay {delay:g} s"
-            retries = self._number(entity, "respawn_max_retries", context)
-            if retries is not None and retries >= 1:
-                yield f"respawn_max_retries {int(retries)}"
+    def _respawn(self, entity: Entity, context: Context) -> LaunchedRespawn | None:
+        if "respawn" not in entity.attributes or not typed_truth(self.text(entity, "respawn", context)):
+            return None
+        delay = self._number(entity, "respawn_delay")
+        retries = self._number(entity, "respawn_max_retries")
+        return LaunchedRespawn(max(delay or 0.0, 0.0), -1 if retries is None else int(retries))
 
     def _stop(self, entity: Entity, context: Context) -> Iterator[str]:
         """How the process is ended: what of `stop` is stated, by the element or for the whole launch."""
         for name in ("sigterm", "sigkill"):
-            seconds = self._number(entity, f"{name}_timeout", context)
-            if seconds is None:
-                seconds = _seconds(context.variables.get(f"{name}_timeout"))
+            attribute = f"{name}_timeout"
+            stated = entity.attributes.get(attribute, context.variables.get(attribute))
+            if attribute in entity.attributes and isinstance(stated, str):
+                try:
+                    stated = substituted(stated, context)
+                except UnknownValue as error:
+                    self.findings.add(error.kind, f"`{attribute}` of a node is left out: {error}", entity.span)
+                    continue
+            seconds = _seconds(stated)
             if seconds is not None:
                 yield f"{name} {seconds:g} s"
+            elif attribute in entity.attributes:
+                message = f"`{attribute}` of a node is left out: `{shortened(str(stated))}` is not a number from 0"
+                self.findings.add("unsupported", message, entity.span)
 
-    def _number(self, entity: Entity, attribute: str, context: Context) -> float | None:
-        """A number from 0 that the language has, if the node states one."""
+    def _number(self, entity: Entity, attribute: str) -> float | None:
+        """A number that the node states; launch carries out no substitutions in it."""
         if attribute not in entity.attributes:
             return None
+        stated = entity.attributes[attribute]
         try:
-            text = self.text(entity, attribute, context)
-            with suppress(ValueError):
-                if 0 <= (found := float(text)) <= MAX_NUMBER:
-                    return found
-            raise UnknownValue(f"`{shortened(text)}` is not a number from 0", "unsupported")
-        except UnknownValue as error:
-            self.findings.add(error.kind, f"`{attribute}` of a node is left out: {error}", entity.span)
-            return None
+            found = float(stated) if isinstance(stated, (int, float, str)) else None
+            if found is not None and abs(found) <= 1e9 and (attribute != "respawn_delay" or found >= 0):
+                return found
+        except ValueError:
+            pass
+        message = f"`{attribute}` of a node is left out: `{shortened(str(stated))}` is not a number from 0"
+        self.findings.add("unsupported", message, entity.span)
+        return None
 
     def _remaps(self, entity: Entity, context: Context) -> Iterator[tuple[str, str]]:
         for remap in entity.named("remap"):
             try:
-                self.expect(remap, "from to")
-                yield self.text(remap, "from", context), self.text(remap, "to", context)
+                self.expect(remap, "from to", "")
+                old, new = self.text(remap, "from", context), self.text(remap, "to", context)
+                if not new or old in {"__node", "__ns"}:
+                    raise UnknownValue(f"launch passes `-r {shortened(old)}:={shortened(new)}`", "unsupported")
+                yield old, new
             except UnknownValue as error:
                 self.findings.add(error.kind, f"a remapping is left out: {error}", remap.span)
 
-    def _settings(self, entity: Entity, prefix: str, context: Context) -> Iterator[Setting]:
-        """Of the parameters in an element; their names begin with ``prefix``."""
+    def _settings(self, entity: Entity, section: str, context: Context) -> Iterator[ParametersGiven]:
+        """Of the parameters in an element; launch writes a file with the ``section`` for each value."""
         for parameter in entity.named("param"):
-            yield from self._parameter(parameter, prefix, context)
+            try:
+                self.expect(parameter, "name value type from allow_substs", "param")
+                if "from" in parameter.attributes:
+                    yield self._file(parameter, context)
+                elif "allow_substs" in parameter.attributes:
+                    raise UnknownValue("`allow_substs` is for parameter files", "unsupported")
+                else:
+                    text = written_file(section, self._values(parameter, context))
+                    yield ParametersGiven(parameter.span, text=text)
+            except UnknownValue as error:
+                what = parameter.attributes.get("name", parameter.attributes.get("from", ""))
+                message = f"the parameter or file `{what}` is left out: {error}"
+                kind = error.kind if error.kind != "include" else "parameters"
+                self.findings.add(kind, message, parameter.span)
 
-    def _parameter(self, entity: Entity, prefix: str, context: Context) -> Iterator[Setting]:
-        try:
-            self.expect(entity, "name value type from allow_substs")
-            if "from" in entity.attributes:
-                path = self.path(entity, "from", context)
-                replaced = "allow_substs" in entity.attributes and truth(self.text(entity, "allow_substs", context))
-                text = substituted(self.files.source(path, ".yaml", ".yml").text, context) if replaced else None
-                yield ParameterFileName(path, text, entity.span)
-                return
-            name = prefix + self.text(entity, "name", context)
-            yield from self._settings(entity, f"{name}.", context)
-            if not any(entity.named("param")):
-                yield name, value_of(entity, "value", lambda text: substituted(text, context))
-        except UnknownValue as error:
-            what = entity.attributes.get("name", entity.attributes.get("from", ""))
-            message = f"the parameter or file `{what}` is left out: {error}"
-            self.findings.add(error.kind if error.kind != "include" else "parameters", message, entity.span)
+    def _file(self, entity: Entity, context: Context) -> ParametersGiven:
+        if "name" in entity.attributes:
+            raise UnknownValue("it has both `name` and `from`", "unsupported")
+        path = self.path(entity, "from", context)
+        stated = entity.attributes.get("allow_substs", False)
+        if isinstance(stated, str) and "$(" in stated:
+            raise UnknownValue("launch carries out no substitution in `allow_substs`", "unsupported")
+        if not self.boolean(entity, "allow_substs", context, False):
+            return ParametersGiven(entity.span, path=path)
+        return ParametersGiven(entity.span, path, substituted(self.files.source(path, ".yaml", ".yml").text, context))
+
+    def _values(self, entity: Entity, context: Context) -> dict[str, Any]:
+        """The parameters that an element states, as a nested mapping. Raises UnknownValue."""
+        name, nested = self.text(entity, "name", context), list(entity.named("param"))
+        if nested and "value" in entity.attributes:
+            raise UnknownValue("it has both `value` and nested parameters", "unsupported")
+        if not nested:
+            return {name: value_of(entity, "value", lambda template: performed(template, context))}
+        values: dict[str, Any] = {}
+        for each in nested:
+            self.expect(each, "name value type", "param")
+            values |= self._values(each, context)
+        return {name: values}
 
     # -- attributes ------------------------------------------------------------------------------------------
 
-    def expect(self, entity: Entity, known: str) -> None:
-        """Note each attribute that is not among the ``known`` ones."""
-        allowed = {*known.split(), *_ANYWHERE.split()}
+    def expect(self, entity: Entity, known: str, children: str | None = None) -> None:
+        """Note each attribute that is not among the ``known`` ones, and each element that is not among the children.
+
+        What has ``children`` is part of another element, and has no condition.
+        """
+        allowed = {*known.split(), *(_ANYWHERE.split() if children is None else ())}
         for name in entity.attributes:
             if name not in allowed and not name.endswith("-sep"):
                 message = f"the attribute `{name}` of `{entity.tag}` is left out"
                 self.findings.add("unsupported", message, entity.span)
+        if children is not None:
+            self.expect_children(entity, children)
+
+    def expect_children(self, entity: Entity, known: str) -> None:
+        """Note each nested element that is not among the ``known`` ones."""
+        for child in entity.children:
+            if child.tag not in known.split():
+                message = f"the element `{child.tag}` in `{entity.tag}` is left out"
+                self.findings.add("unsupported", message, child.span)
 
     def applies(self, entity: Entity, context: Context) -> bool:
         """Whether the conditions of the element hold. Raises UnknownValue."""
+        if "if" in entity.attributes and "unless" in entity.attributes:
+            raise UnknownValue("it has both `if` and `unless`, which launch refuses", "condition")
         for attribute, wanted in (("if", True), ("unless", False)):
             if attribute in entity.attributes:
                 try:
@@ -253,27 +413,61 @@ class NodeElements:
             raise UnknownValue(f"`{entity.tag}` has no `{attribute}`", "unsupported")
         return entity.attributes[attribute]
 
+    def text_of(self, entity: Entity, attribute: str) -> str:
+        """The text of an attribute, which launch wants to be text. Raises UnknownValue."""
+        value = self.required(entity, attribute)
+        if not isinstance(value, str):
+            message = f"`{attribute}: {plain(value)}` is no text, which launch wants; write it in quotes"
+            raise UnknownValue(message, "unsupported")
+        return value
+
     def text(self, entity: Entity, attribute: str, context: Context) -> str:
         """The value of an attribute, with its substitutions carried out. Raises UnknownValue."""
-        return substituted(plain(self.required(entity, attribute)), context)
+        return substituted(self.text_of(entity, attribute), context)
+
+    def boolean(self, entity: Entity, attribute: str, context: Context, otherwise: bool) -> bool:
+        """Raises UnknownValue."""
+        value = entity.attributes.get(attribute, otherwise)
+        return value if isinstance(value, bool) else typed_truth(substituted(plain(value), context))
 
     def path(self, entity: Entity, attribute: str, context: Context) -> str:
-        """The same as an absolute path, relative to the launch file. Raises UnknownValue."""
+        """An absolute path; a relative one is looked for beside the launch file. Raises UnknownValue."""
         text = self.text(entity, attribute, context)
         if not text or "\0" in text:
             raise UnknownValue("this is not a file name", "include")
-        return os.path.normpath(os.path.join(os.path.dirname(context.file), text))
+        folder = os.path.dirname(context.file)
+        path = os.path.normpath(os.path.join(folder, text))
+        elsewhere = not os.path.isabs(text) and os.path.realpath(folder) != os.path.realpath(os.getcwd())
+        if elsewhere and os.path.exists(path):
+            message = f"`{text}` is relative to the folder in which launch is started; here, to that of the launch file"
+            self.findings.add("include", message, entity.span, left_out=False)
+        return path
 
-    def joined(self, namespace: str, more: str) -> str:
-        """``more`` in ``namespace``; one that starts with a slash is absolute. Raises UnknownValue."""
-        found = (more if more.startswith("/") else f"{namespace}/{more}").strip("/")
-        if found and not all(re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", part) for part in found.split("/")):
+    def joined(self, base: str | None, more: str | None) -> str | None:
+        """``more`` in the namespace ``base``, as an absolute one; None if there is neither. Raises UnknownValue."""
+        if more is None:
+            return base
+        parts = more if more.startswith("/") else f"{base or ''}/{more}"
+        self._namespace(parts)
+        return parts.rstrip("/") or "/"
+
+    def _namespace(self, stated: str | None) -> str:
+        """Without outer slashes. Raises UnknownValue."""
+        found = (stated or "").strip("/")
+        if found and not all(_NAME.fullmatch(part) for part in found.split("/")):
             raise UnknownValue(f"`{found}` is not a namespace", "name")
         return found
 
-    def _check_package(self, package: str, span: Span, context: Context) -> None:
-        if package and package not in context.packages:
-            self.findings.add("package", f"package `{package}` is not here", span)
+    def _check_package(self, package: str, program: str, span: Span | None, context: Context) -> None:
+        if not package or span is None:
+            return
+        if package not in context.packages:
+            self.findings.add_once("package", f"package `{package}` is not here", span)
+        elif context.packages.is_installed(package):
+            try:
+                context.packages.executable(package, program)
+            except UnknownValue as error:
+                self.findings.add("package", str(error), span, left_out=False)
 
     def _name(self, stated: str | None, program: str, span: Span) -> str:
         """The name of a node, which its program gives it where none is ``stated``; with the characters of a name."""
@@ -282,18 +476,22 @@ class NodeElements:
         name = name if name[:1].isalpha() or name[:1] == "_" else f"node_{name}"
         if stated is None:
             message = f"the node has no name here, so its program gives it one; it is started as `{name}`"
-            self.findings.add("name", message, span)
+            self.findings.add("name", message, span, left_out=False)
         elif name != text:
-            self.findings.add("name", f"`{text}` is not the name of a node; it is named `{name}`", span)
+            self.findings.add("name", f"`{text}` is not the name of a node; it is named `{name}`", span, left_out=False)
         return name
 
 
-def _seconds(text: object) -> float | None:
-    """A number from 0 that the language has; None where ``text`` is none."""
+def _seconds(stated: object) -> float | None:
+    """A number from 0 that the language has; None where ``stated`` is none."""
     with suppress(ValueError):
-        if isinstance(text, str) and 0 <= (found := float(text)) <= MAX_NUMBER:
+        if isinstance(stated, (int, float, str)) and 0 <= (found := float(stated)) <= MAX_NUMBER:
             return found
     return None
+
+
+def _is_node(entity: Entity) -> bool:
+    return entity.tag != "executable"
 
 
 def _stem(path: str) -> str:

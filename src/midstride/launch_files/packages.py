@@ -9,7 +9,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Final
 
-from midstride.ament_index import prefix_of, prefixes
+from midstride.ament_index import executable, prefix_of, prefixes
+from midstride.errors import StartFailed
 from midstride.launch_files.findings import UnknownValue
 
 MAX_FOLDERS: Final = 50_000
@@ -22,7 +23,7 @@ class Packages:
     """Installed packages are those of AMENT_PREFIX_PATH in ``environment``; ``folders`` have source trees."""
 
     def __init__(self, environment: Mapping[str, str], folders: Sequence[str]) -> None:
-        self._environment = environment
+        self.environment = environment
         self._folders = folders
 
     def share(self, name: str) -> str:
@@ -41,15 +42,30 @@ class Packages:
             raise UnknownValue(f"package `{name}` is not installed here", "package")
         return prefix
 
+    def executable(self, package: str, name: str) -> str:
+        """The path of an executable of an installed package. Raises UnknownValue."""
+        self.prefix(package)
+        try:
+            return executable(package, name, self.environment)
+        except StartFailed as error:
+            raise UnknownValue(str(error), "package") from None
+
+    def is_installed(self, name: str) -> bool:
+        return self._installed(name) is not None
+
     def __contains__(self, name: str) -> bool:
         return self._installed(name) is not None or name in self._sources
 
     def roots(self) -> list[str]:
         """The folders below which launch files of packages are."""
-        return [*(os.path.join(prefix, "share") for prefix in prefixes(self._environment)), *self._folders]
+        return [*self.installed_folders(), *self._folders]
+
+    def installed_folders(self) -> list[str]:
+        """The folders below which the files of installed packages are."""
+        return [os.path.join(prefix, "share") for prefix in prefixes(self.environment)]
 
     def _installed(self, name: str) -> str | None:
-        return prefix_of(name, self._environment) if PACKAGE_NAME.fullmatch(name) else None
+        return prefix_of(name, self.environment) if PACKAGE_NAME.fullmatch(name) else None
 
     @cached_property
     def _sources(self) -> dict[str, str]:

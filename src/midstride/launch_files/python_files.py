@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -12,43 +10,37 @@ from pathlib import Path
 from typing import Any, Final
 
 from midstride.launch_files.findings import UnknownValue
+from midstride.launch_files.own_session import TIMEOUT, run_command
 
 RUNNER: Final = (sys.executable, "-m", "midstride.backends.ros2.manager.python_launch")
-TIMEOUT: Final = 60.0
 _NO_LAUNCH: Final = 3
 
 
 def carried_out(
     path: str,
-    variables: Mapping[str, str],
-    namespace: str,
+    given: Mapping[str, Any],
     environment: Mapping[str, str],
     runner: Sequence[str] = RUNNER,
+    timeout: float = TIMEOUT,
 ) -> dict[str, Any]:
-    """The nodes of a launch file in Python, and what was left out. Raises UnknownValue with the reason."""
+    """What a launch file in Python starts, what was left out, and what holds after it.
+
+    ``given``: what holds where it is included. Raises UnknownValue with the reason.
+    """
     with tempfile.TemporaryDirectory(prefix="midstride-") as folder:
         exchange = Path(folder, "exchange.json")
-        exchange.write_text(json.dumps({"variables": dict(variables), "namespace": namespace}), encoding="utf-8")
+        exchange.write_text(json.dumps(dict(given)), encoding="utf-8")
+        # What launch_ros and the file itself write to temporary files goes with the folder.
+        own = {**environment, "TMPDIR": folder, "ROS_LOG_DIR": folder}
         try:
-            done = subprocess.run(
-                [*runner, path, str(exchange)],
-                env={**os.environ, **environment},
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                text=True,
-                errors="replace",
-                timeout=TIMEOUT,
-                check=False,
-            )
-        except subprocess.TimeoutExpired:
-            raise UnknownValue(f"it has not ended within {TIMEOUT:g} s", "python") from None
-        last = (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
-        if done.returncode == _NO_LAUNCH:
-            raise UnknownValue(
-                f"ROS's `launch` cannot be imported ({last}); source the setup file of your ROS", "python"
-            )
-        if done.returncode != 0:
+            status, _, errors = run_command([*runner, path, str(exchange)], own, timeout)
+        except (TimeoutError, ValueError) as error:
+            raise UnknownValue(str(error), "python") from None
+        last = (errors.strip().splitlines() or [f"exit status {status}"])[-1]
+        if status == _NO_LAUNCH:
+            remedy = "source the setup file of your ROS"
+            raise UnknownValue(f"ROS's `launch` cannot be imported ({last}); {remedy}", "python")
+        if status != 0:
             raise UnknownValue(f"it failed: {last}", "python")
         found: dict[str, Any] = json.loads(exchange.read_text(encoding="utf-8"))
         return found

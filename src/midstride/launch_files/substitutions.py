@@ -1,14 +1,16 @@
 """Substitutions such as ``$(var name)`` in the text of a launch file: their grammar, and their values.
 
-The grammar is that of ``launch/frontend/grammar.lark`` of ROS 2. Two substitutions are never carried out, because a
-launch file may be a stranger's: ``command`` runs a program, and ``file-content`` reads any file.
+The grammar is that of ``launch/frontend/grammar.lark`` of ROS 2. A launch file may be a stranger's: so ``command``,
+which runs a program, is carried out only if the user says so, and ``file-content`` reads only files that an import may
+read.
 """
 
 from __future__ import annotations
 
 import math
-import os
 import re
+import shlex
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeAlias
@@ -16,8 +18,12 @@ from typing import Final, TypeAlias
 from midstride.launch_files.context import Context
 from midstride.launch_files.expression import evaluate, shortened
 from midstride.launch_files.findings import UnknownValue
+from midstride.launch_files.own_session import run_command
 
 MAX_NESTING: Final = 32
+# The words of PyYAML, and those that launch adds.
+_YAML_TRUE: Final = frozenset("1 true True TRUE yes Yes YES on On ON".split())
+_YAML_FALSE: Final = frozenset("0 false False FALSE no No NO off Off OFF".split())
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 _ESCAPE: Final = re.compile(r"\\(.)")
 # What text within the parentheses of a substitution may consist of, by the quotes around it.
@@ -47,7 +53,7 @@ class SubstitutionCall:
 
 def substituted(text: str, context: Context) -> str:
     """``text`` with the values of its substitutions. Raises UnknownValue."""
-    return _value(parse(text), context)
+    return performed(parse(text), context)
 
 
 def parse(text: str) -> Template:
@@ -116,16 +122,17 @@ class _Parser:
         return UnknownValue(f"`{shortened(self.text)}` is not a valid substitution")
 
 
-def _value(template: Template, context: Context) -> str:
-    return "".join(part if isinstance(part, str) else _performed(part, context) for part in template)
+def performed(template: Template, context: Context) -> str:
+    """The text of a template, with the values of its substitutions. Raises UnknownValue."""
+    return "".join(part if isinstance(part, str) else _call(part, context) for part in template)
 
 
-def _performed(call: SubstitutionCall, context: Context) -> str:
+def _call(call: SubstitutionCall, context: Context) -> str:
     if call.name == "if" and 2 <= len(call.arguments) <= 3:  # only the branch that is chosen needs a value
-        condition = truth(_value(call.arguments[0], context))
+        condition = typed_truth(performed(call.arguments[0], context))
         chosen = call.arguments[1:2] if condition else call.arguments[2:]
-        return "".join(_value(argument, context) for argument in chosen)
-    values = [_value(argument, context) for argument in call.arguments]
+        return "".join(performed(argument, context) for argument in chosen)
+    values = [performed(argument, context) for argument in call.arguments]
     function = _FUNCTIONS.get(call.name)
     if function is None:
         raise UnknownValue(f"`{shortened(call.text)}`: the substitution `{call.name}` is not carried out here")
@@ -142,6 +149,13 @@ def truth(text: str) -> bool:
         return True
     if word in {"false", "0"}:
         return False
+    raise UnknownValue(f"`{shortened(text)}` is neither true nor false", "condition")
+
+
+def typed_truth(text: str) -> bool:
+    """Whether ``text`` is true where launch wants a boolean of YAML. Raises UnknownValue."""
+    if text in _YAML_TRUE or text in _YAML_FALSE:
+        return text in _YAML_TRUE
     raise UnknownValue(f"`{shortened(text)}` is neither true nor false", "condition")
 
 
@@ -166,6 +180,35 @@ def _environment(context: Context, values: Sequence[str]) -> str:
     return value
 
 
+def _command(context: Context, values: Sequence[str]) -> str:
+    """The output of a program, as ``launch.substitutions.Command`` has it."""
+    shown, on_errors = shortened(values[0]), values[1] if len(values) > 1 else "fail"
+    if not context.run_commands:
+        raise UnknownValue(f"`$(command …)` runs a program, `{shown}`; `--run-commands` carries it out", "command")
+    if on_errors not in {"fail", "ignore", "warn", "capture"}:
+        raise UnknownValue(f"`{shortened(on_errors)}` is not a way to treat what `{shown}` writes to its errors")
+    try:
+        words = shlex.split(values[0])
+        done = run_command(words, context.environment) if words else None
+    except (OSError, ValueError, TimeoutError) as error:
+        raise UnknownValue(f"`{shown}` has failed: {error}", "command") from None
+    if done is None:
+        raise UnknownValue("`$(command …)` has no command")
+    status, output, errors = done
+    if status != 0 or (errors and on_errors == "fail"):
+        said = (errors.strip().splitlines() or [f"exit status {status}"])[-1]
+        what = f"exit status {status}: {said}" if status else f"it has written to its errors: {said}"
+        raise UnknownValue(f"`{shown}` has failed: {shortened(what)}", "command")
+    return output + (errors if on_errors == "capture" else "")
+
+
+def _found_executable(context: Context, values: Sequence[str]) -> str:
+    path = shutil.which(values[0], path=context.environment.get("PATH", ""))
+    if path is None:
+        raise UnknownValue(f"there is no executable `{values[0]}` in the PATH")
+    return path
+
+
 _Function: TypeAlias = Callable[[Context, Sequence[str]], str]
 _MANY: Final = 64
 # The least and the largest number of arguments, and the value. What ROS looks up elsewhere is not here.
@@ -173,17 +216,21 @@ _FUNCTIONS: Final[dict[str, tuple[int, int, _Function]]] = {
     "var": (1, 2, lambda context, values: context.variable(*values)),
     "env": (1, 2, _environment),
     "optenv": (1, 2, lambda context, values: context.environment.get(values[0], "".join(values[1:]))),
-    "dirname": (0, 0, lambda context, values: os.path.dirname(context.file)),
-    "filename": (0, 0, lambda context, values: context.file),
+    "dirname": (0, 0, lambda context, values: context.current_folder()),
+    "filename": (0, 0, lambda context, values: context.current_file()),
     "find-pkg-share": (1, 1, lambda context, values: context.packages.share(values[0])),
     "find-pkg-prefix": (1, 1, lambda context, values: context.packages.prefix(values[0])),
     "param": (1, 1, lambda context, values: context.global_parameter(values[0])),
+    "exec-in-pkg": (2, 2, lambda context, values: context.packages.executable(values[1], values[0])),
+    "find-exec": (1, 1, _found_executable),
+    "file-content": (1, 1, lambda context, values: context.read(values[0])),
+    "command": (1, 2, _command),
     "eval": (1, 1, lambda context, values: evaluate(values[0])),
     "equals": (2, 2, lambda context, values: _word(_equal(*values))),
     "not-equals": (2, 2, lambda context, values: _word(not _equal(*values))),
-    "not": (1, 1, lambda context, values: _word(not truth(values[0]))),
-    "and": (2, 2, lambda context, values: _word(all(map(truth, values)))),
-    "or": (2, 2, lambda context, values: _word(any(map(truth, values)))),
-    "all": (1, _MANY, lambda context, values: _word(all(map(truth, values)))),
-    "any": (1, _MANY, lambda context, values: _word(any(map(truth, values)))),
+    "not": (1, 1, lambda context, values: _word(not typed_truth(values[0]))),
+    "and": (2, 2, lambda context, values: _word(all(map(typed_truth, values)))),
+    "or": (2, 2, lambda context, values: _word(any(map(typed_truth, values)))),
+    "all": (1, _MANY, lambda context, values: _word(all(map(typed_truth, values)))),
+    "any": (1, _MANY, lambda context, values: _word(any(map(typed_truth, values)))),
 }

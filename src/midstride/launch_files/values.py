@@ -1,18 +1,31 @@
-"""The values of parameters in launch files: their types are those of YAML, unless they are stated."""
+"""The values of parameters in launch files, with the types that launch gives them.
+
+They are read twice: by launch, as PyYAML reads plain values, and by ROS, which reads what launch has written. The first
+is done here, as in ``launch.utilities.type_utils``.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, TypeAlias, cast
+from typing import Any, Final, TypeAlias
 
-from midstride.lang.source import Source
-from midstride.lang.yaml_tree import InvalidYaml, read_tree
 from midstride.launch_files.entity import Entity, EntityValue, Plain
 from midstride.launch_files.findings import UnknownValue
-from midstride.model.component import ParameterValue, canonical
+from midstride.launch_files.substitutions import SubstitutionCall, Template, parse
 
-Substitute: TypeAlias = Callable[[str], str]
-_TYPES: Final[dict[str, type]] = {"str": str, "int": int, "float": float, "bool": bool}
+Perform: TypeAlias = Callable[[Template], str]
+# A value of a type that parameters may have, as launch hands it to PyYAML.
+LaunchValue: TypeAlias = "Plain | list[Plain]"
+
+MAX_TEXT: Final = 1_000_000
+_SCALARS: Final = (int, float, bool, str)
+_TYPES: Final[dict[str, tuple[type, bool] | None]] = {
+    **{name: (kind, False) for name, kind in (("str", str), ("bool", bool), ("float", float), ("int", int))},
+    **{
+        f"list_of_{name}": (kind, True) for name, kind in (("str", str), ("bool", bool), ("float", float), ("int", int))
+    },
+    "yaml": None,
+}
 
 
 def plain(value: EntityValue) -> str:
@@ -20,78 +33,143 @@ def plain(value: EntityValue) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def value_of(entity: Entity, attribute: str, substitute: Substitute) -> ParameterValue:
+def value_of(entity: Entity, attribute: str, perform: Perform) -> LaunchValue:
     """The value of a parameter, with its substitutions carried out. Raises UnknownValue."""
     if attribute not in entity.attributes:
         raise UnknownValue(f"`{entity.tag}` has no `{attribute}`", "unsupported")
-    value, stated = entity.attributes[attribute], entity.attributes.get("type")
-    separator = entity.attributes.get(f"{attribute}-sep")
-    if isinstance(value, str) and separator:
-        return _list([_scalar(part, substitute, entity.typed) for part in value.split(str(separator))])
-    if isinstance(value, list):
-        return _list([_scalar(part, substitute, entity.typed) for part in value])
-    if stated is None:
-        return _plain_or_list(value, substitute, entity.typed)
-    return _of_type(substitute(plain(value)), str(stated))
-
-
-def _of_type(text: str, stated: str) -> ParameterValue:
-    name = stated.removeprefix("List[").removesuffix("]") if stated.startswith("List[") else stated
-    name = name.removeprefix("list_of_").rstrip("s") if stated.startswith("list_of_") else name
-    wanted = _TYPES.get(name)
-    if wanted is None:
+    stated = entity.attributes.get("type")
+    if stated is not None and stated not in _TYPES:
         raise UnknownValue(f"`{stated}` is not a type of parameters", "parameters")
-    if name != stated:
-        found = _yaml(text)
-        members = found if isinstance(found, list) else [found]
-        values = [float(each) if wanted is float and isinstance(each, int) else each for each in members]
-        if not all(isinstance(each, wanted) for each in values):
-            raise UnknownValue(f"the value is not of the type `{stated}`", "parameters")
-        return _list(values)
-    if wanted is str:
-        return text
-    try:
-        words = {"1": True, "0": False, "true": True, "false": False}
-        return words[text.lower()] if wanted is bool else cast("ParameterValue", canonical(wanted(text)))
-    except (KeyError, ValueError):
-        raise UnknownValue(f"the value is not of the type `{stated}`", "parameters") from None
+    wanted = None if stated is None else _TYPES[str(stated)]
+    value = entity.attributes[attribute]
+    separator = entity.attributes.get(f"{attribute}-sep")
+    if entity.typed:
+        _require_instance(value, wanted)
+    elif isinstance(value, str) and separator:
+        value = _coerced_list(value.split(str(separator)), wanted)
+    else:
+        value = _coerced(str(value), wanted, or_text=True)
+    if not isinstance(value, list):
+        return _performed(_parsed(value), wanted, perform)
+    members = [_parsed(each) for each in value]
+    if len({type(each) for each in members if not isinstance(each, tuple)}) > 1:
+        raise _mixed()
+    member_type = None if wanted is None else (wanted[0], False)
+    if wanted is not None and not wanted[1]:
+        raise UnknownValue(f"a list is not of the type `{stated}`", "parameters")
+    done = [_performed(each, member_type, perform) for each in members]
+    return _uniform(done)
 
 
-def _plain_or_list(value: Plain, substitute: Substitute, typed: bool) -> ParameterValue:
-    if not isinstance(value, str) or (typed and "$(" not in value):
-        return cast("ParameterValue", canonical(value))
-    return _yaml(substitute(value))
-
-
-def _scalar(value: Plain, substitute: Substitute, typed: bool) -> Plain:
-    found = _plain_or_list(value, substitute, typed)
-    if isinstance(found, list):
-        raise UnknownValue("a list has lists as its values", "parameters")
-    return found
-
-
-def _yaml(text: str) -> ParameterValue:
-    """``text`` read as YAML. Raises UnknownValue."""
-    if not text:
-        return ""
-    try:
-        value, _ = read_tree(Source("value", text)) or (None, None)
-    except InvalidYaml:
-        raise UnknownValue("the value is not valid YAML", "parameters") from None
+def value_of_text(text: str) -> LaunchValue:
+    """The value of a parameter that is set for all nodes; its type is that of its text. Raises UnknownValue."""
+    value = _yaml(text) if text else ""
     if isinstance(value, list):
-        members = [member for member, _ in value if isinstance(member, (str, bool, int, float))]
-        if len(members) == len(value):
-            return _list(members)
-    if value is None or isinstance(value, (dict, list)):
+        if not value:
+            raise UnknownValue("an empty list has no type", "parameters")
+        return _uniform(value)
+    if type(value) not in _SCALARS:
         raise UnknownValue("the value is no text, number, boolean or list of them", "parameters")
     return value
 
 
-def _list(values: list[Plain]) -> ParameterValue:
-    """Raises UnknownValue."""
+def _parsed(value: Plain) -> Plain | Template:
+    """Text without substitutions loses its escapes, and is read no further."""
+    if not isinstance(value, str):
+        return value
+    template = parse(value)
+    if any(isinstance(part, SubstitutionCall) for part in template):
+        return template
+    return "".join(str(part) for part in template)
+
+
+def _performed(value: Plain | Template, wanted: tuple[type, bool] | None, perform: Perform) -> LaunchValue:
+    if isinstance(value, tuple):
+        return _coerced(perform(value), wanted, or_text=False)
+    if wanted is not None and (wanted[1] or not isinstance(value, wanted[0])):
+        raise UnknownValue(f"`{plain(value)}` is not of the stated type", "parameters")
+    return value
+
+
+def _coerced(text: str, wanted: tuple[type, bool] | None, *, or_text: bool) -> LaunchValue:
+    """``text`` as a value of the wanted type, or of that which it has in YAML. ``or_text``: else it stays text."""
+    if wanted is None:
+        return _allowed(_yaml(text) if text else "", or_text)
+    kind, is_list = wanted
+    valid = (str, kind) if or_text else (kind,)
+    if is_list:
+        found = _allowed(_yaml(text) if text else "", or_text)
+        if not isinstance(found, list) or not all(isinstance(each, valid) for each in found):
+            raise UnknownValue("the value is not of the stated type", "parameters")
+        return found
+    if kind is str:
+        return text
+    if kind is not bool:
+        try:
+            return kind(text)  # type: ignore[no-any-return]
+        except (ValueError, OverflowError):
+            if or_text:
+                return text
+            raise UnknownValue(f"`{text[:80]}` is not of the stated type", "parameters") from None
+    found = _allowed(_yaml({"1": "true", "0": "false"}.get(text, text)) if text else "", or_text)
+    if not isinstance(found, valid):
+        raise UnknownValue(f"`{text[:80]}` is not of the stated type", "parameters")
+    return found
+
+
+def _coerced_list(texts: list[str], wanted: tuple[type, bool] | None) -> list[Plain]:
+    if wanted is not None and not wanted[1]:
+        raise UnknownValue("a list is not of the stated type", "parameters")
+    kind = None if wanted is None else (wanted[0], False)
+    members = [_coerced(text, kind, or_text=True) for text in texts]
+    found = _allowed(members, True)
+    assert isinstance(found, list)
+    return found
+
+
+def _require_instance(value: Any, wanted: tuple[type, bool] | None) -> None:
+    """As YAML, a value has its type; text may have substitutions that give another."""
+    if wanted is None:
+        _allowed(value, True)
+        return
+    valid = (str, wanted[0])
+    members = value if isinstance(value, list) else [value]
+    if isinstance(value, list) is wanted[1] and all(isinstance(each, valid) for each in members):
+        return
+    raise UnknownValue("the value is not of the stated type", "parameters")
+
+
+def _allowed(value: Any, or_text: bool) -> LaunchValue:
+    """Raises UnknownValue for what a parameter cannot be. ``or_text``: a list may have text beside one other type."""
+    if isinstance(value, list):
+        other = next((type(each) for each in value if type(each) is not str), str)
+        valid = (other, str) if or_text else (other,)
+        if other not in _SCALARS or not all(isinstance(each, valid) for each in value):
+            raise _mixed()
+        return value
+    if not isinstance(value, _SCALARS):
+        raise UnknownValue("the value is no text, number, boolean or list of them", "parameters")
+    return value
+
+
+def _uniform(values: list[Any]) -> list[Plain]:
     kinds = {type(value) for value in values}
-    if kinds == {int, float}:
-        return [float(value) for value in values]
-    if len(kinds) > 1:
-        raise UnknownValue("a list mixes types", "parameters")
-    return [canonical(value) for value in values]
+    if len(kinds) > 1 or not kinds <= set(_SCALARS):
+        raise _mixed()
+    return values
+
+
+def _mixed() -> UnknownValue:
+    return UnknownValue("a list mixes types, or has lists as its values", "parameters")
+
+
+def _yaml(text: str) -> Any:
+    """``text`` read as launch does. Raises UnknownValue."""
+    import yaml  # type: ignore[import-untyped, unused-ignore]  # with its stubs or without
+
+    if len(text) > MAX_TEXT:
+        raise UnknownValue("the value is too long", "parameters")
+    try:
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError, UnicodeError):
+        raise UnknownValue("the value is not valid YAML", "parameters") from None

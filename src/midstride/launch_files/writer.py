@@ -5,55 +5,213 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterable, Sequence
+import shlex
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
 from typing import Final
 
 from midstride.lang.printer import format_text
+from midstride.lang.source_files import include_folders
 from midstride.lang.token_stream import RESERVED
 from midstride.launch_files.findings import ImportFindings
 from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedSystem
-from midstride.launch_files.launched_parameters import LaunchedParameters, ParameterReader
+from midstride.launch_files.launched_parameters import LaunchedParameters, ParameterReader, written_file
 from midstride.model.component import ParameterValue
 from midstride.model.component_rules import MAX_NUMBER
 
 MAX_STRING: Final = 8000
+# Longer text is not read in a specification, such as a robot's description.
+MAX_INLINE: Final = 1000
 _PARAMETER: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*")
 _WORD: Final = re.compile(r"[A-Za-z0-9]+")
+_VARIABLE: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
-def specification(
-    name: str,
-    launched: LaunchedSystem,
-    reader: ParameterReader,
-    findings: ImportFindings,
-    folder: str,
-    heading: str,
-) -> str:
-    """The text of the system ``name``. Paths in it are relative to ``folder``; ``heading`` is its first comment."""
-    nodes = list(_with_own_names(launched.nodes, findings))
-    bodies = {node.role: _body(node, reader.parameters(node), findings, folder) for node in nodes}
-    names = _component_names(nodes, bodies)
-    lines = [*(f"# {line}" for line in heading.splitlines()), f"system {name}", ""]
-    written: set[str] = set()
-    for node in nodes:
-        component = names[node.role]
-        if component not in written:
-            written.add(component)
-            place = f"{os.path.basename(node.span.source.name)}:{node.span.source.position(node.span.start)[0]}"
-            lines += [f"# {place}", f"component {component} {{", *bodies[node.role], "}", ""]
-    for namespace in dict.fromkeys(node.namespace for node in sorted(nodes, key=lambda node: node.namespace != "")):
-        if namespace:
-            word = "/" if namespace in RESERVED else ""  # as a path, it is a name
-            lines.append(f"namespace {word}{namespace} {{")
+class SpecificationDraft:
+    """The specification of what was launched, to be written to ``target`` (None: to no file).
+
+    ``parameter_file``: the text of the parameter file that it names, for what the language cannot state, if there is
+    one, once :meth:`text` has been called.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        launched: LaunchedSystem,
+        reader: ParameterReader,
+        findings: ImportFindings,
+        target: Path | None,
+    ) -> None:
+        self._name = name
+        self._launched = launched
+        self._reader = reader
+        self._findings = findings
+        self._target = target
+        self._folder = Path() if target is None else target.parent
+        self._beside: dict[str, dict[str, ParameterValue]] = {}
+        self._named: set[str] = set()
+        self.parameter_file: str | None = None
+
+    def text(self, imported_from: str) -> str:
+        """The specification. Paths in it are relative to its folder."""
+        nodes = list(_with_own_names(self._launched.nodes, self._findings))
+        parameters = {node.role: self._reader.parameters(node) for node in nodes}
+        self._reader.note_other_sections(nodes)
+        bodies = {node.role: self._body(node, parameters[node.role]) for node in nodes}
+        names = _component_names(nodes, bodies)
+        lines = [*(f"# {line}" for line in self._heading(imported_from)), f"system {self._name}", ""]
+        written: set[str] = set()
         for node in nodes:
-            if node.namespace == namespace:
-                respawn = " {\n" + "\n".join(node.respawn) + "\n}" if node.respawn else ""
-                lines.append(f"node {node.name} : {names[node.role]}{respawn}")
-        lines.append("}\n" if namespace else "")
-    formatted = format_text("\n".join(lines))
-    assert formatted.text is not None, [str(each) for each in formatted.diagnostics]
-    return formatted.text
+            component = names[node.role]
+            if component not in written:
+                written.add(component)
+                lines += [f"# {_place(node)}", f"component {component} {{", *bodies[node.role], "}", ""]
+        for namespace in dict.fromkeys(node.namespace for node in sorted(nodes, key=lambda node: node.namespace != "")):
+            if namespace:
+                word = "/" if namespace in RESERVED else ""  # as a path, it is a name
+                lines.append(f"namespace {word}{namespace} {{")
+            for node in nodes:
+                if node.namespace == namespace:
+                    stated = [*self._respawn(node), *self._values(node, parameters[node.role].replaced)]
+                    block = " {\n" + "\n".join(stated) + "\n}" if stated else ""
+                    lines.append(f"node {node.name} : {names[node.role]}{block}")
+            lines.append("}\n" if namespace else "")
+        lines += self._order(nodes)
+        if self._beside:
+            self.parameter_file = "".join(
+                written_file(f"/{role}", values) for role, values in sorted(self._beside.items())
+            )
+        formatted = format_text("\n".join(lines))
+        assert formatted.text is not None, [str(each) for each in formatted.diagnostics]
+        return formatted.text
+
+    def _heading(self, imported_from: str) -> Iterator[str]:
+        """The first comment of the file, with what it needs."""
+        folder = os.path.realpath(self._folder)
+        outside = [path for path in self._named if os.path.commonpath((folder, os.path.realpath(path))) != folder]
+        allowed = {os.path.realpath(each): each for each in include_folders()}
+        needed = {
+            shown
+            for real, shown in allowed.items()
+            for path in outside
+            if os.path.commonpath((real, os.path.realpath(path))) == real
+        }
+        if needed:
+            options = " ".join(f"--include-path {shlex.quote(os.path.abspath(each))}" for each in sorted(needed))
+            yield f"Needs files of other folders: `midstride {options} COMMAND …`"
+        yield f"Imported from {imported_from}. A launch file does not state ports: while the nodes run,"
+        yield "`midstride capture --into FILE` adds what they publish and subscribe to."
+
+    def _body(self, node: LaunchedNode, parameters: LaunchedParameters) -> list[str]:
+        """The statements of the node's component."""
+        command = quoted(node.run())
+        if command is None:
+            message = f"the command of `{node.role}` cannot be written; it is `false`"
+            self._findings.add("unsupported", message, node.span)
+        of_package = f" package {quoted(node.package)}" if node.package and command else ""
+        after = f" prefix {prefix}" if (prefix := quoted(shlex.join(node.prefix))) and node.prefix else ""
+        if prefix is None:
+            self._findings.add("unsupported", f"the prefix of `{node.role}` cannot be written", node.span)
+        stop = f" stop {' '.join(node.stop)}" if node.stop else ""
+        lines = [f"run {command or quoted('false')}{of_package}{after}{stop} gate {node.gate}"]
+        lines += self._environment(node)
+        files = [quoted(os.path.relpath(path, self._folder)) for path in parameters.files]
+        self._named.update(parameters.files)
+        stated, beside = self._separated(node, parameters.values)
+        if beside and self._target is not None:
+            files.append(quoted(parameter_file_beside(self._target).name))
+            self._beside.setdefault(node.role, {}).update(beside)
+        lines += [f"parameters {file}" for file in files]
+        return [*lines, "parameters {", *stated, "}"] if stated else lines
+
+    def _environment(self, node: LaunchedNode) -> Iterator[str]:
+        variables = []
+        for name, value in node.environment.items():
+            text = None if value is None else quoted(value)
+            if not _VARIABLE.fullmatch(name) or (text is None and value is not None):
+                message = f"the environment variable `{name}` of `{node.role}` cannot be written"
+                self._findings.add("unsupported", message, node.span)
+            else:
+                variables.append(f"unset {name}" if text is None else f"{name} = {text}")
+        if variables:
+            yield "\n".join(["environment {", *variables, "}"])
+
+    def _separated(
+        self, node: LaunchedNode, values: Mapping[str, ParameterValue]
+    ) -> tuple[list[str], dict[str, ParameterValue]]:
+        """The values as the language states them, and those that are stated in a parameter file beside it."""
+        stated: list[str] = []
+        beside: dict[str, ParameterValue] = {}
+        for name, value in values.items():
+            text = _value(value)
+            long = isinstance(value, str) and (len(value) > MAX_INLINE or "\n" in value)
+            if text is not None and _PARAMETER.fullmatch(name) and (not long or self._target is None):
+                stated.append(f"{name} = {text}")
+            elif self._target is not None and name.isprintable():
+                beside[name] = value
+            else:
+                remedy = "" if self._target is not None else "; with `-o FILE`, it is in a parameter file beside FILE"
+                message = f"the parameter `{name}` of `{node.role}` cannot be written{remedy}"
+                self._findings.add("parameters", message, node.span)
+        return stated, beside
+
+    def _values(self, node: LaunchedNode, values: Mapping[str, ParameterValue]) -> list[str]:
+        """The values that replace those of the files that are named."""
+        stated, beside = self._separated(node, values)
+        for name in beside:
+            message = (
+                f"the parameter `{name}` of `{node.role}` keeps the value of its file: the other cannot be written"
+            )
+            self._findings.add("parameters", message, node.span)
+        return ["parameters {", *stated, "}"] if stated else []
+
+    def _respawn(self, node: LaunchedNode) -> Iterator[str]:
+        """The statements on restarts, of which `respawn` is the first."""
+        if (respawn := node.respawn) is None:
+            return
+        yield "respawn"
+        if respawn.delay >= 1:  # launch waits as long each time
+            yield f"respawn_delay {respawn.delay:g} s to {respawn.delay:g} s"
+        elif respawn.delay > 0:
+            yield f"respawn_delay {respawn.delay:g} s"
+        if respawn.retries > 0:  # launch counts all of them
+            yield f"respawn_max_retries {respawn.retries} in 1000000000 s"
+        differences = []
+        if respawn.delay < 1:
+            differences.append(f"launch waits {respawn.delay:g} s each time, here the delay grows up to 30 s")
+        if respawn.retries < 0:
+            differences.append("launch restarts it without end, here at most 5 times in 60 s")
+        if differences:
+            message = f"`{node.role}` is restarted in another way: {'; '.join(differences)}"
+            self._findings.add("restart", message, node.span, left_out=False)
+
+    def _order(self, nodes: Sequence[LaunchedNode]) -> Iterator[str]:
+        """What is started later follows all that is started before it."""
+        times = sorted({node.at for node in nodes})
+        for before, time in pairwise(times):
+            for late in (node for node in nodes if node.at == time):
+                for early in (node for node in nodes if node.at == before):
+                    yield f"order {_path(early)} before {_path(late)}"
+        for node in nodes:
+            if node.later:
+                message = f"`{node.role}` is started {node.later} in launch, here once those before it have registered"
+                message = f"{message}; if it needs their messages, assume them as inputs"
+                self._findings.add("later", message, node.span, left_out=False)
+
+
+def _place(node: LaunchedNode) -> str:
+    return f"{os.path.basename(node.span.source.name)}:{node.span.source.position(node.span.start)[0]}"
+
+
+def _path(node: LaunchedNode) -> str:
+    return f"/{node.role}"
+
+
+def parameter_file_beside(target: Path) -> Path:
+    """The parameter file that a specification names for what the language cannot state."""
+    return target.with_name(f"{target.stem}.parameters.yaml")
 
 
 def system_name(path: str) -> str:
@@ -76,7 +234,7 @@ def _with_own_names(nodes: Iterable[LaunchedNode], findings: ImportFindings) -> 
         used.add(renamed.role)
         if number > 1:
             why = "is a word of the Stride language" if node.name in RESERVED else "has another node already"
-            findings.add("name", f"`{node.role}` {why}; this node is named `{renamed.role}`", node.span)
+            findings.add("name", f"`{node.role}` {why}; this node is named `{renamed.role}`", node.span, left_out=False)
         yield renamed
 
 
@@ -105,28 +263,6 @@ def _component_names(nodes: Sequence[LaunchedNode], bodies: dict[str, list[str]]
 def _camel(text: str) -> str:
     name = "".join(word[0].upper() + word[1:] for word in _WORD.findall(text)) or "Node"
     return name if name[0].isalpha() else f"Node{name}"
-
-
-def _body(node: LaunchedNode, parameters: LaunchedParameters, findings: ImportFindings, folder: str) -> list[str]:
-    """The statements of the node's component."""
-    values, more = [], []
-    for name, value in parameters.values.items():
-        text = _value(value)
-        if text is None:
-            findings.add("parameters", f"the parameter `{name}` of `{node.role}` cannot be written", node.span)
-        elif _PARAMETER.fullmatch(name):
-            values.append(f"{name} = {text}")
-        else:  # not a name in the language, but one in ROS
-            more += ["-p", f"{name}:={text}"]
-    run, package = node.run(more)
-    command = quoted(run)
-    if command is None:
-        findings.add("unsupported", f"the command of `{node.role}` cannot be written; it is `false`", node.span)
-    of_package = f" package {quoted(package)}" if package and command else ""
-    stop = f" stop {' '.join(node.stop)}" if node.stop else ""
-    lines = [f"run {command or quoted('false')}{of_package}{stop} gate {node.gate}"]
-    lines += [f"parameters {quoted(os.path.relpath(path, folder))}" for path in parameters.files]
-    return [*lines, "parameters {", *values, "}"] if values else lines
 
 
 def quoted(text: str) -> str | None:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Final
 
 import click
 
 from midstride.cli.input_files import require_file, require_new, write
 from midstride.cli.output import json_option, print_json, stride_output, wants_json
-from midstride.launch_files.launch_import import Imported, import_launch_file
+from midstride.launch_files.launch_import import Imported, import_launch_file, parameter_file_beside
 from midstride.model.wording import counted
+
+# The exit status of an import that has left something out.
+INCOMPLETE: Final = 3
 
 
 @click.command("import")
@@ -20,31 +24,42 @@ from midstride.model.wording import counted
 @click.option(
     "--run-python", is_flag=True, help="Carry out launch files in Python, which are programs, by ROS's own `launch`."
 )
+@click.option("--run-commands", is_flag=True, help="Carry out `$(command …)`, which runs programs, such as xacro.")
 @json_option
-def import_command(file: Path, arguments: tuple[str, ...], output: Path | None, run_python: bool) -> int:
+def import_command(
+    file: Path, arguments: tuple[str, ...], output: Path | None, run_python: bool, run_commands: bool
+) -> int:
     """Write a specification of what a launch file in XML or YAML starts, without ROS.
 
     What cannot be taken over is listed with its place. Packages are looked up in AMENT_PREFIX_PATH, and in source
     trees below DIR, if that is given before the command: `midstride --include-path DIR import FILE`.
+
+    Exit status 3 if something was left out; what was only assumed does not count.
     """
     require_file(file)
+    beside = None if output is None else parameter_file_beside(output)
     require_new(output)
-    folder = output.parent if output is not None else Path()
-    imported = import_launch_file(file, _arguments(arguments), os.environ, folder, run_python)
+    require_new(beside)
+    imported = import_launch_file(file, _arguments(arguments), os.environ, output, run_python, run_commands)
     if output is not None:
         write(output, imported.text)
+    if beside is not None and imported.parameters is not None:
+        write(beside, imported.parameters)
+    left_out = imported.findings.counts(left_out=True)
     if wants_json():
         print_json(
             {
                 "file": None if output is None else str(output),
+                "parameter_file": None if imported.parameters is None else str(beside),
                 "specification": imported.text if output is None else None,
                 "nodes": imported.nodes,
                 "launch_files": imported.files,
                 "findings": [finding.to_json() for finding in imported.findings],
                 "counts": imported.findings.counts(),
+                "left_out": left_out,
             }
         )
-        return 0
+        return INCOMPLETE if left_out else 0
     if output is None:
         click.echo(imported.text, nl=False)
     for finding in imported.findings:
@@ -54,7 +69,9 @@ def import_command(file: Path, arguments: tuple[str, ...], output: Path | None, 
         unset = "" if os.environ.get("AMENT_PREFIX_PATH") else ", which is not set"
         remedy = "source your workspace, or name its sources: `midstride --include-path DIR import …`"
         click.echo(f"Packages are looked up in AMENT_PREFIX_PATH{unset}; {remedy}", err=True)
-    return 0
+    if left_out:
+        click.echo(f"Left out: {_listed(left_out)}", err=True)
+    return INCOMPLETE if left_out else 0
 
 
 def _arguments(words: tuple[str, ...]) -> dict[str, str]:
@@ -67,8 +84,12 @@ def _arguments(words: tuple[str, ...]) -> dict[str, str]:
     return found
 
 
+def _listed(counts: dict[str, int]) -> str:
+    return ", ".join(f"{count} {kind}" for kind, count in counts.items())
+
+
 def _summary(imported: Imported, output: Path | None) -> str:
-    counts = ", ".join(f"{count} {kind}" for kind, count in imported.findings.counts().items())
+    counts = imported.findings.counts()
     where = f" in {output}" if output is not None else ""
-    left = f"{counted(len(imported.findings), 'finding')} ({counts})" if counts else "no findings"
+    left = f"{counted(len(imported.findings), 'finding')} ({_listed(counts)})" if counts else "no findings"
     return f"{counted(imported.nodes, 'node')}{where} from {counted(imported.files, 'launch file')}; {left}"

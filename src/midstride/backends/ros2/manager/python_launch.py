@@ -1,7 +1,8 @@
 """Carries out a launch file in Python by ROS's own `launch`, in a process for it alone, and starts nothing.
 
-Its arguments are the file, and a file that has the variables and the namespace as JSON, and is replaced by what was
-found: the nodes, and what was left out. Exit status 3 means that `launch` or `launch_ros` cannot be imported.
+Its arguments are the file, and a file that has as JSON what holds where the launch file is included, and is replaced by
+what was found: the processes that would be started, what was left out, and what holds after it. Exit status 3 means
+that `launch` or `launch_ros` cannot be imported.
 """
 
 from __future__ import annotations
@@ -10,144 +11,428 @@ import asyncio
 import json
 import os
 import sys
-from collections.abc import Iterable, Iterator
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
 NO_LAUNCH: Final = 3
-_DICTIONARY: Final = "launch_params_"  # how launch_ros names the files that it writes for parameters
+_HARMLESS: Final = frozenset({"LogInfo", "SetROSLogDir"})
 # What launch has for `sigterm_timeout` and `sigkill_timeout` (s).
 _UNSTATED: Final = 5.0
-_HARMLESS: Final = frozenset({"LogInfo"})
+_AT_EXIT: Final = float("inf")  # when processes end, which is later than any time
+# Variables of a process that launch itself and this process set.
+_OWN_VARIABLES: Final = frozenset({"ROS_LOG_DIR", "TMPDIR"})
+
+# A file and a line.
+Place = tuple[str, int]
+
+
+class _Refused(Exception):
+    """A part of the launch file cannot be carried out. ``kind`` is that of the finding."""
+
+    def __init__(self, kind: str, message: str) -> None:
+        super().__init__(message)
+        self.kind = kind
 
 
 class _Visitor:
-    def __init__(self, variables: dict[str, str], namespace: str) -> None:
+    """Visits the actions of launch files as launch does; what would start a process is noted."""
+
+    def __init__(self, given: dict[str, Any], file: str) -> None:
         import launch
+        import launch.actions
         import launch_ros.actions
 
-        self._process: Any = launch.actions.ExecuteProcess
-        self._node: Any = launch_ros.actions.Node
-        self._later: Any = launch.actions.RegisterEventHandler, launch.actions.TimerAction, launch.actions.EmitEvent
-        self._components: Any = launch_ros.actions.LoadComposableNodes
-        self._context: Any = launch.LaunchContext()
-        self._context._set_asyncio_loop(asyncio.new_event_loop())
-        self._context.launch_configurations.update(variables)
-        self._environment = dict(self._context.environment)
-        if namespace:
-            self._context.launch_configurations["ros_namespace"] = f"/{namespace}"
-        self.nodes: list[dict[str, Any]] = []
-        self.left: list[tuple[str, str]] = []
+        self._launch: Any = launch
+        self._actions: Any = launch.actions
+        self._ros: Any = launch_ros.actions
+        self._before = dict(os.environ)
+        self.context: Any = launch.LaunchContext(noninteractive=True)
+        self.context._set_asyncio_loop(asyncio.new_event_loop())
+        configurations = self.context.launch_configurations
+        configurations.update(given["variables"])
+        if given["namespace"] is not None:
+            configurations["ros_namespace"] = given["namespace"]
+        if given["remaps"]:
+            configurations["ros_remaps"] = [(old, new) for old, new in given["remaps"]]
+        if given["parameters"]:
+            configurations["global_params"] = [
+                each if isinstance(each, str) else tuple(each) for each in given["parameters"]
+            ]
+        self._given = set(given["arguments"])
+        self.processes: list[dict[str, Any]] = []
+        self.left: list[tuple[str, str, str, int]] = []
+        self.declared: list[str] = []
+        self._place: Place = (file, 1)
+        self._after: dict[str, Any] | None = None
+        self._later: list[tuple[float, int, Any, dict[str, Any], Place]] = []
+        self._missing: set[str] = set()
+        self._labels: dict[int, str] = {}
 
-    def visit(self, entity: Any) -> None:
-        name = type(entity).__name__
-        if isinstance(entity, self._node):
-            if self._applies(entity):
-                self._note(entity)
-        elif isinstance(entity, self._components):
-            if self._applies(entity):
-                self.left.append(("composable", f"`{name}` is left out: components share the process of a container"))
-        elif isinstance(entity, (self._process, *self._later)):
-            if self._applies(entity):
-                self.left.append(("unsupported", f"`{name}` in Python is left out"))
-        elif name not in _HARMLESS:
-            for each in entity.visit(self._context) or ():
-                self.visit(each)
+    def note(self, kind: str, message: str, place: Place | None = None) -> None:
+        """A finding, at the action that is visited unless stated."""
+        self.left.append((kind, message, *(place or self._place)))
 
-    def _applies(self, entity: Any) -> bool:
-        return entity.condition is None or bool(entity.condition.evaluate(self._context))
+    def note_package(self, name: str) -> None:
+        """A package that is not here is named once."""
+        if name not in self._missing:
+            self._missing.add(name)
+            self.note("package", f"package `{name}` is not here")
 
-    def _note(self, node: Any) -> None:
-        node._perform_substitutions(self._context)
-        full = node.node_name.replace(node.UNSPECIFIED_NODE_NAMESPACE, "").strip("/")
-        namespace, _, name = full.rpartition("/")
-        parameters: list[tuple[str, str | None]] = []
-        for value, is_file in node._Node__expanded_parameter_arguments or ():
-            if not is_file:
-                self.left.append(("parameters", f"a parameter of `{full}` is left out: it is stated by a description"))
-            elif os.path.basename(value).startswith(_DICTIONARY):
-                parameters.append((value, Path(value).read_text(encoding="utf-8")))
-                os.unlink(value)
-            else:
-                parameters.append((str(value), None))
-        for option in self._options(node):
-            self.left.append(("unsupported", f"`{option}` of `{full}` is left out"))
-        for variable in self._changed_variables():
-            self.left.append(("unsupported", f"the environment variable `{variable}` of `{full}` is left out"))
-        if type(node).__name__ == "ComposableNodeContainer":
-            self.left.append(("composable", f"the components of `{full}` are left out: they would share its process"))
-        self.nodes.append(
-            {
-                "name": "" if name == node.UNSPECIFIED_NODE_NAME else name,
-                "namespace": namespace,
-                "package": self._text(node.node_package),
-                "executable": self._text(node.node_executable),
-                "arguments": [self._text(each) for each in node._Node__arguments or ()],
-                "remaps": node.expanded_remapping_rules or [],
-                "parameters": parameters,
-                "lifecycle": type(node).__name__ == "LifecycleNode",
-                "stop": dict(self._stop(node)),
-            }
-        )
+    # -- visiting --------------------------------------------------------------------------------------------
 
-    def _options(self, node: Any) -> Iterator[str]:
-        """What is stated of a node's process, and not taken over."""
-        process = node.process_description
-        stated = {
-            "prefix": self._text(process.prefix),
-            "env": process.env,
-            "additional_env": process.additional_env,
-            "ros_arguments": getattr(node, "_Node__ros_arguments", None),
-            "respawn": getattr(node, "_ExecuteLocal__respawn", None),
+    def main(self, file: str) -> dict[str, Any]:
+        """Carry out the file, and what it does later. Returns what holds right after it."""
+        from launch.launch_description_sources import PythonLaunchDescriptionSource
+
+        self._include(self._actions.IncludeLaunchDescription(PythonLaunchDescriptionSource(file)), self._given)
+        configurations = dict(self.context.launch_configurations)
+        state = {
+            "namespace": configurations.pop("ros_namespace", None),
+            "remaps": list(configurations.pop("ros_remaps", None) or ()),
+            "parameters": [
+                each if isinstance(each, str) else (each[0], str(each[1]))
+                for each in configurations.pop("global_params", None) or ()
+            ],
+            "variables": {name: str(value) for name, value in configurations.items()},
+            "environment": self._changes(os.environ),
         }
-        return (name for name, value in stated.items() if value)
+        while self._later:
+            self._later.sort(key=lambda each: each[:2])
+            time, _, actions, how, place = self._later.pop(0)
+            self._after, self._place = {**how, "time": None if time == _AT_EXIT else time}, place
+            self.context._push_locals()
+            self.context.extend_locals(how["locals"])
+            self._all(actions)
+            self.context._pop_locals()
+        return state
 
-    def _stop(self, node: Any) -> Iterator[tuple[str, float]]:
+    def _all(self, entities: Iterable[Any] | None) -> None:
+        for entity in entities or ():
+            self._visit(entity)
+
+    def _visit(self, entity: Any) -> None:
+        outer, self._place = self._place, getattr(entity, "_midstride_place", self._place)
+        try:
+            self._carry_out(entity)
+        except _Refused as error:
+            self.note(error.kind, str(error))
+        except Exception as error:
+            self.note("python", f"`{type(entity).__name__}` is left out: {_described(error)}")
+        finally:
+            self._place = outer
+
+    def _carry_out(self, entity: Any) -> None:
+        name = type(entity).__name__
+        if name in _HARMLESS or (isinstance(entity, self._launch.Action) and not self._applies(entity)):
+            return
+        if isinstance(entity, self._actions.ExecuteLocal):
+            self._process(entity)
+        elif isinstance(entity, self._actions.IncludeLaunchDescription):
+            self._include(entity)
+        elif isinstance(entity, self._actions.DeclareLaunchArgument):
+            self._declare(entity)
+        elif isinstance(entity, self._actions.TimerAction):
+            self._timer(entity)
+        elif isinstance(entity, self._actions.RegisterEventHandler):
+            self._handler(entity.event_handler)
+        elif isinstance(entity, self._ros.LoadComposableNodes):
+            self._components(entity._LoadComposableNodes__composable_node_descriptions)
+        elif isinstance(entity, self._actions.Shutdown):
+            self.note("unsupported", "`Shutdown` is left out: it would end all that was started")
+        elif isinstance(entity, self._ros.SetUseSimTime):
+            message = "`SetUseSimTime` sets the time of launch's own node, and of no other; it is left out"
+            self.note("unsupported", message)
+        elif isinstance(entity, (self._actions.EmitEvent, self._actions.OpaqueCoroutine)):
+            self.note("unsupported", f"`{name}` in Python is left out")
+        else:
+            self._all(entity.visit(self.context))
+
+    def _applies(self, action: Any) -> bool:
+        try:
+            return action.condition is None or bool(action.condition.evaluate(self.context))
+        except Exception as error:
+            raise _Refused("condition", f"a condition has no known value: {_described(error)}") from None
+
+    def _declare(self, argument: Any) -> None:
+        self.declared.append(argument.name)
+        try:
+            argument.execute(self.context)
+        except RuntimeError as error:
+            raise _Refused("argument", str(error)) from None
+
+    def _include(self, entity: Any, given: Iterable[str] = ()) -> None:
+        source = entity.launch_description_source
+        try:
+            description = source.get_launch_description(self.context)
+        except Exception as error:
+            file = str(source.location)
+            where = _line_in(error, file)
+            self.note("python" if where else "include", f"`{os.path.basename(file)}`: {_described(error)}", where)
+            return
+        file = entity._get_launch_file()
+        self.context.extend_locals(
+            {"current_launch_file_path": file, "current_launch_file_directory": entity._get_launch_file_directory()}
+        )
+        stated = [self._text(name) for name, _ in entity.launch_arguments]
+        if missing := list(dict.fromkeys(self._required(description, {*stated, *given}))):
+            self.declared += [argument.name for argument in description.get_launch_arguments()]
+            for name in missing:
+                self.note(
+                    "argument", f"`{name}` of `{os.path.basename(file)}` has no value and no default; pass `{name}:=…`"
+                )
+            return
+        for name, value in entity.launch_arguments:
+            self.context.launch_configurations[self._text(name)] = self._text(value)
+        if not any(hasattr(each, "_midstride_place") for each in description.entities):
+            self._all(description.entities)  # of XML or YAML: the place is that of the action that includes it
+            return
+        outer, self._place = self._place, (file, 1)
+        self._all(description.visit(self.context))
+        self._place = outer
+
+    @staticmethod
+    def _required(description: Any, stated: set[str]) -> Iterator[str]:
+        """The arguments that launch insists on before it begins."""
+        for argument, including in description.get_launch_arguments_with_include_launch_description_actions():
+            if argument._conditionally_included or argument.default_value is not None or argument.name in stated:
+                continue
+            for action in including or ():
+                stated.update(action._try_get_arguments_names_without_context() or ())
+            if argument.name not in stated:
+                yield argument.name
+
+    # -- later -----------------------------------------------------------------------------------------------
+
+    def _postpone(self, time: float, how: str, actions: Iterable[Any]) -> None:
+        after = {"how": how, "locals": dict(self.context.get_locals_as_dict())}
+        self._later.append((time, len(self._later), list(actions), after, self._place))
+
+    def _now(self) -> float:
+        if self._after is None:
+            return 0.0
+        return _AT_EXIT if self._after["time"] is None else float(self._after["time"])
+
+    def _timer(self, timer: Any) -> None:
+        from launch.utilities.type_utils import perform_typed_substitution
+
+        period = float(perform_typed_substitution(self.context, timer.period, float))
+        self._postpone(self._now() + period, f"{period:g} s later", timer.actions)
+
+    def _handler(self, handler: Any) -> None:
+        kind = type(handler).__name__
+        actions = getattr(handler, "_OnActionEventBase__actions_on_event", None)
+        target = getattr(handler, "_OnActionEventBase__action_matcher", None)
+        label = self._labels.get(id(target), "a process")
+        if kind == "OnShutdown":
+            return self.note("unsupported", "what is done at the shutdown is left out")
+        if not actions or kind not in {"OnProcessExit", "OnProcessStart", "OnExecutionComplete"}:
+            return self.note("unsupported", f"what a function does on an event (`{kind}`) is left out")
+        if kind == "OnProcessExit":
+            self._postpone(_AT_EXIT, f"when `{label}` has ended", actions)
+        else:
+            self._postpone(self._now(), f"when `{label}` has started", actions)
+        return None
+
+    # -- processes -------------------------------------------------------------------------------------------
+
+    def _process(self, action: Any) -> None:
+        is_node = isinstance(action, self._ros.Node)
+        own = type(action).__module__.partition(".")[0] not in {"launch", "launch_ros"}
+        noted = len(self.processes)
+        # A class of the user's does what it does; those of launch_ros would join ROS to follow the node.
+        (type(action).execute if own or not is_node else self._ros.Node.execute)(action, self.context)
+        if len(self.processes) == noted:  # the action has its own way to start something
+            raise _Refused("unsupported", f"`{type(action).__name__}` is left out: what it starts is not known")
+
+    def started(self, action: Any) -> None:
+        """What launch would start now, in place of `ExecuteLocal.__execute_process`."""
+        is_node = isinstance(action, self._ros.Node)
+        details, described = action.process_details, action.process_description
+        words = [str(word) for word in details["cmd"]]
+        before = len(words) - len(described.cmd)
+        found: dict[str, Any] = {
+            "place": self._place,
+            "type": type(action).__name__ if is_node else "",
+            "prefix": words[:before],
+            "words": words[before:],
+            "package": self._text(action.node_package) if is_node else "",
+            "executable": self._text(action.node_executable) if is_node else "",
+            "environment": self._changes(details["env"]),
+            "cleared": described.env is not None,
+            "folder": details["cwd"] and str(details["cwd"]),
+            "shell": bool(action.shell),
+            "respawn": None,
+            "after": None,
+            "texts": {},
+            "stop": dict(self._stop(action)),
+        }
+        label = found["executable"] or os.path.basename(words[before]) if len(words) > before else ""
+        if described.name is not None:
+            label = self._text(described.name)
+        found["label"] = label
+        self._labels[id(action)] = label
+        if self._after is not None:
+            found["after"] = {"how": self._after["how"], "time": self._after["time"]}
+        if action._ExecuteLocal__respawn:
+            delay = action._ExecuteLocal__respawn_delay
+            found["respawn"] = {"delay": delay or 0.0, "retries": action._ExecuteLocal__respawn_max_retries}
+        for option, value in pairwise(words):
+            # Those that launch_ros has written are in a folder that ends with this process.
+            if option == "--params-file" and os.path.dirname(value) == os.environ.get("TMPDIR"):
+                found["texts"][value] = Path(value).read_text(encoding="utf-8")
+        self.processes.append(found)
+        self._on_exit(action, label)
+        if type(action).__name__ == "ComposableNodeContainer":
+            self._components(action._ComposableNodeContainer__composable_node_descriptions)
+
+    def _stop(self, action: Any) -> Iterator[tuple[str, float]]:
         """How long it may take to end, by the signal that then comes (s), where that is not launch's default."""
         for name in ("sigterm", "sigkill"):
-            seconds = self._seconds(getattr(node, f"_ExecuteLocal__{name}_timeout", None))
-            if seconds is not None and seconds != _UNSTATED:
+            try:
+                seconds = float(self._text(getattr(action, f"{name}_timeout")))
+            except ValueError:
+                continue
+            if 0 <= seconds < float("inf") and seconds != _UNSTATED:
                 yield name, seconds
 
-    def _seconds(self, value: Any) -> float | None:
-        """None where it is not stated, or no number from 0."""
-        try:
-            seconds = float(self._text(value))
-        except ValueError:
-            return None
-        return seconds if 0 <= seconds < float("inf") else None
+    def _on_exit(self, action: Any, label: str) -> None:
+        stated = getattr(action, "_ExecuteLocal__on_exit", None)
+        actions = stated if isinstance(stated, (list, tuple)) else [stated]
+        if stated is None:
+            return
+        if any(isinstance(each, self._actions.Shutdown) for each in actions):
+            self.note("unsupported", f"`on_exit` of `{label}` is left out: it would end all when this process ends")
+        elif all(isinstance(each, self._launch.LaunchDescriptionEntity) for each in actions):
+            self._postpone(_AT_EXIT, f"when `{label}` has ended", actions)
+        else:
+            self.note("unsupported", f"`on_exit` of `{label}` is left out: it is a function")
 
-    def _changed_variables(self) -> list[str]:
-        """The variables that actions of the launch file have set or taken away by now."""
-        before, now = self._environment, self._context.environment
-        return sorted(name for name in {*before, *now} if before.get(name) != now.get(name))
+    def _components(self, descriptions: Iterable[Any] | None) -> None:
+        for description in descriptions or ():
+            condition = description.condition()
+            if condition is None or condition.evaluate(self.context):
+                plugin = self._text(description.node_plugin)
+                message = f"the component `{plugin}` is left out: it would share the process of its container"
+                self.note("composable", message)
+
+    def _changes(self, after: Any) -> dict[str, str | None]:
+        """The variables that are other than at the beginning; None for one that is not there."""
+        names = sorted({*self._before, *after} - _OWN_VARIABLES)
+        return {name: after.get(name) for name in names if self._before.get(name) != after.get(name)}
 
     def _text(self, value: Any) -> str:
         if value is None or isinstance(value, (str, os.PathLike)):
             return "" if value is None else str(value)
         parts: Iterable[Any] = value if isinstance(value, (list, tuple)) else [value]
-        return "".join(
-            self._context.perform_substitution(part) if not isinstance(part, str) else part for part in parts
-        )
+        return "".join(self.context.perform_substitution(part) if not isinstance(part, str) else part for part in parts)
+
+
+def _described(error: BaseException) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())[:400]
+
+
+def _line_in(error: BaseException, file: str) -> Place | None:
+    """The last line of the file that was carried out when the error was raised."""
+    if isinstance(error, SyntaxError) and error.filename == file:
+        return file, error.lineno or 1
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
+    return (file, frames[-1].lineno or 1) if frames else None
+
+
+def _with_places(own: Iterable[str]) -> None:
+    """From now on, an action knows the line of the file in Python that has made it."""
+    import launch
+
+    folders = tuple(f"{folder}{os.sep}" for folder in own)
+    action: Any = launch.Action
+    initialize: Callable[..., None] = action.__init__
+
+    def with_place(self: Any, *arguments: Any, **named: Any) -> None:
+        frame: Any = sys._getframe(1)
+        while frame is not None and frame.f_code.co_filename.startswith(folders):
+            frame = frame.f_back
+        if frame is not None and frame.f_code.co_filename != __file__:
+            self._midstride_place = (frame.f_code.co_filename, frame.f_lineno)
+        initialize(self, *arguments, **named)
+
+    action.__init__ = with_place
+
+
+def _without_effect(visitor: _Visitor) -> None:
+    """From now on, launch starts no process and joins no ROS, and goes on where a package is not here."""
+    import ament_index_python.packages as index
+    import launch.actions
+    import launch_ros.substitutions as substitutions
+
+    async def nothing() -> None:
+        pass
+
+    def start(action: Any, _: Any) -> Any:
+        visitor.started(action)
+        return nothing()
+
+    def no_node(_: Any) -> Any:
+        raise _Refused("unsupported", "an action that needs a ROS node of launch's own is left out")
+
+    local: Any = launch.actions.ExecuteLocal
+    local._ExecuteLocal__execute_process = start
+    for name, module in list(sys.modules.items()):
+        if name.partition(".")[0] == "launch_ros" and hasattr(module, "get_ros_node"):
+            module.get_ros_node = no_node  # type: ignore[attr-defined]
+
+    def known(look_up: Callable[[str], str]) -> Callable[..., str]:
+        def found(package: str, *arguments: Any, **named: Any) -> str:
+            try:
+                return look_up(package, *arguments, **named)
+            except LookupError:
+                visitor.note_package(package)
+                return os.path.join(os.sep, f"package {package} is not here")
+
+        return found
+
+    for name in ("get_package_share_directory", "get_package_prefix"):
+        replacement = known(getattr(index, name))
+        for module in [index, sys.modules["ament_index_python"], *sys.modules.values()]:
+            if getattr(module, name, None) is not None and module.__name__.partition(".")[0] in {
+                "ament_index_python",
+                "launch_ros",
+            }:
+                setattr(module, name, replacement)
+    executable: Any = substitutions.ExecutableInPackage
+    perform = executable.perform
+
+    def performed(substitution: Any, context: Any) -> str:
+        try:
+            return str(perform(substitution, context))
+        except Exception:  # who is to start it says that it is not here
+            return visitor._text(substitution.executable)
+
+    executable.perform = performed
 
 
 def main(file: str, exchange: str) -> int:
     """The exit status."""
     try:
-        import launch_ros  # noqa: F401
-        from launch.launch_description_sources import PythonLaunchDescriptionSource
+        import launch
+        import launch_ros
     except ImportError as error:
         print(error, file=sys.stderr)
         return NO_LAUNCH
     given = json.loads(Path(exchange).read_text(encoding="utf-8"))
-    visitor = _Visitor(given["variables"], given["namespace"])
-    source = PythonLaunchDescriptionSource(file)
-    from launch.actions import IncludeLaunchDescription
-
-    visitor.visit(IncludeLaunchDescription(source))
-    Path(exchange).write_text(json.dumps({"nodes": visitor.nodes, "left": visitor.left}), encoding="utf-8")
+    visitor = _Visitor(given, file)
+    _with_places([os.path.dirname(os.path.abspath(str(each.__file__))) for each in (launch, launch_ros)])
+    _without_effect(visitor)
+    state = visitor.main(file)
+    found = {"processes": visitor.processes, "left": visitor.left, "declared": visitor.declared, "state": state}
+    Path(exchange).write_text(json.dumps(found, default=str), encoding="utf-8")
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    status = main(*sys.argv[1:])
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)  # threads of the launch file's do not keep the process

@@ -1,0 +1,13 @@
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+
+def generate_launch_description():
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("a", default_value="1"),
+            Node(package="made_up_pkg", executable="worker", name="n", arguments=[LaunchConfiguration("a")]),
+        ]
+    )

@@ -1,0 +1,16 @@
+from launch import LaunchDescription
+from launch.actions import RegisterEventHandler
+from launch.event_handlers import OnProcessExit
+from launch_ros.actions import Node
+
+
+def generate_launch_description():
+    first = Node(package="made_up_pkg", executable="worker", name="n")
+    return LaunchDescription(
+        [
+            first,
+            RegisterEventHandler(
+                OnProcessExit(target_action=first, on_exit=[Node(package="made_up_pkg", executable="worker", name="m")])
+            ),
+        ]
+    )

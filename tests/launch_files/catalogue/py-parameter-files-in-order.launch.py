@@ -1,0 +1,20 @@
+import os
+
+from launch import LaunchDescription
+from launch_ros.actions import Node
+
+
+def generate_launch_description():
+    return LaunchDescription(
+        [
+            Node(
+                package="made_up_pkg",
+                executable="worker",
+                name="n",
+                parameters=[
+                    os.path.join(os.path.dirname(__file__), "two1.yaml"),
+                    os.path.join(os.path.dirname(__file__), "two2.yaml"),
+                ],
+            )
+        ]
+    )

@@ -1,0 +1,15 @@
+from launch import LaunchDescription
+from launch_ros.actions import Node
+
+
+def generate_launch_description():
+    return LaunchDescription(
+        [
+            Node(
+                package="made_up_pkg",
+                executable="worker",
+                name="n",
+                parameters=[{"a": 1, "b": 1.5, "c": True, "d": "text", "e": {"f": "g"}, "h.i": 2}],
+            )
+        ]
+    )

@@ -1,0 +1,14 @@
+from launch import LaunchDescription
+from launch.actions import TimerAction
+from launch_ros.actions import Node
+
+
+def generate_launch_description():
+    return LaunchDescription(
+        [
+            TimerAction(
+                period=1.0,
+                actions=[TimerAction(period=2.0, actions=[Node(package="made_up_pkg", executable="worker", name="n")])],
+            )
+        ]
+    )
