@@ -12,7 +12,7 @@ import pytest
 
 from midstride.lang.parameter_files import SectionInFile, sections_of
 from midstride.lang.source import Source
-from midstride.lang.yaml_tree import InvalidYaml
+from midstride.lang.yaml_events import InvalidYaml
 from tests.rcl_parser import rcl_parser, rcl_sections
 
 needs_rcl = pytest.mark.skipif(rcl_parser() is None, reason="rcl's parser of parameter files cannot be loaded here")

@@ -16,7 +16,7 @@ from midstride.lang.respawn_builder import respawn_policy
 from midstride.lang.source import Source, Span
 from midstride.lang.source_files import Bounds, FileReader, Unreadable, read_source, shown_path
 from midstride.lang.syntax import ComponentDeclaration, Name, ParameterEntry
-from midstride.lang.yaml_tree import InvalidYaml
+from midstride.lang.yaml_events import InvalidYaml
 from midstride.model.component import ROS_PARAMETERS, ComponentSpec, ParameterSection, ParameterSpec, ParameterValue
 from midstride.model.near_miss import did_you_mean
 from midstride.model.specification import Node

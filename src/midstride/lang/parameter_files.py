@@ -14,7 +14,7 @@ from functools import lru_cache
 from midstride.lang.diagnostic_text import Reporter
 from midstride.lang.rcl_parameters import ParameterValueAt, RclParameters
 from midstride.lang.source import Source, Span
-from midstride.lang.yaml_tree import InvalidYaml
+from midstride.lang.yaml_events import InvalidYaml
 
 
 @dataclass(frozen=True, slots=True)

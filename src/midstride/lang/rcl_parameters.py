@@ -16,7 +16,7 @@ from fractions import Fraction
 from typing import Any, Final, Literal, NamedTuple
 
 from midstride.lang.source import Source, Span
-from midstride.lang.yaml_tree import InvalidYaml, events, span_of
+from midstride.lang.yaml_events import InvalidYaml, events, span_of
 from midstride.model.component import ParameterValue
 from midstride.model.contract import Scalar
 
