@@ -8,6 +8,9 @@ from typing import Any
 
 import pytest
 
+from midstride.foreign.graph_check import GraphEndpoint
+from midstride.foreign.replaced_node import lacks
+from midstride.model.contract import QoS
 from midstride.plan.forms.plan_forms import PlanPreview
 from midstride.plan.request import PlanRequest
 from midstride.runtime.backend_protocol import Handle, Launch
@@ -172,3 +175,15 @@ def test_a_system_of_which_nothing_runs_is_down(tmp_path: Path) -> None:
         ]
 
     simulated.managed(tmp_path, DRIVER, body)
+
+
+def test_a_successor_is_up_once_it_has_what_the_old_node_had() -> None:
+    def found(*topics: str) -> list[GraphEndpoint]:
+        return [GraphEndpoint(True, topic, "std_msgs/msg/String", QoS()) for topic in topics]
+
+    before = found("/said", "/driver/state")
+    assert lacks(found("/driver_2/state"), "/driver_2", before, "/driver") == [
+        "publishes on /said (std_msgs/msg/String)"
+    ]
+    assert lacks(found("/said", "/driver/state"), "/driver_2", before, "/driver") != [], "that is the old one's name"
+    assert lacks(found("/said", "/driver_2/state", "/more"), "/driver_2", before, "/driver") == []

@@ -18,6 +18,7 @@ import pytest
 from midstride.errors import ManagerError, Superseded
 from midstride.model.specification import Order, Specification
 from midstride.plan.estimate import Estimate
+from midstride.plan.forms.plan_forms import PlanPreview
 from midstride.runtime.records import journal_records
 from midstride.runtime.records.change_history import ChangeRecord
 from midstride.runtime.records.change_report import ChangeTimeline
@@ -26,6 +27,7 @@ from midstride.runtime.records.journal import Journal
 from midstride.runtime.records.journal_records import CHANGES, INCIDENTS, NewChange
 from midstride.runtime.records.measure import SwapReport
 from midstride.runtime.records.reports import Event, Outcome
+from tests.plan.cases import replaced
 from tests.runtime.systems import example
 
 FIRST = example("talker")
@@ -300,6 +302,28 @@ def test_the_next_manager_finds_what_was_interrupted_and_where(tmp_path: Path) -
         last = (await changes(second))[1]
         assert (last.outcome, last.because) == ("failed", f"{found}; no component of the system was left")
         assert await journal(tmp_path).take_over() == []
+
+    run(body)
+
+
+@pytest.mark.parametrize(
+    ("running", "outcome"), [(("talker",), "rolled_back"), (("talker_2",), "done"), (("talker", "talker_2"), "done")]
+)
+def test_an_interrupted_restart_is_done_only_if_what_it_created_runs(
+    tmp_path: Path, running: tuple[str, ...], outcome: str
+) -> None:
+    async def body() -> None:
+        first = journal(tmp_path)
+        await carried_out(first)
+        plan = PlanPreview.of(replaced(FIRST, "talker", "NewTalker", "minimal"))
+        entry = await first.begin(changed(new(FIRST, FIRST, steps=7), plan=plan))
+        await entry.step("create talker_2")
+        first.close()
+        second = journal(tmp_path)
+        [found] = await second.take_over()
+        assert found.created == {"talker_2"}
+        await second.end_interrupted(found, FIRST, running)
+        assert (await changes(second))[1].outcome == outcome
 
     run(body)
 

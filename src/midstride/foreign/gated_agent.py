@@ -19,9 +19,10 @@ from midstride.foreign.foreign_parameters import ForeignParameters
 from midstride.foreign.gated_outputs import GatedOutputs
 from midstride.foreign.gated_reflex import broken_assumptions
 from midstride.foreign.gates import Gates
-from midstride.foreign.graph_check import DeclaredEndpoints, GraphEndpoint, NodeGraph, endpoints_seconds
+from midstride.foreign.graph_check import DeclaredEndpoints, GraphEndpoint, NodeGraph, Served, endpoints_seconds
 from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.lifecycle_outputs import LifecycleOutputs, LifecyclePeers
+from midstride.foreign.lifecycle_transitions import ACTIVE
 from midstride.foreign.node import WATCH, ForeignNode, without_ports
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.replaced_node import lacks
@@ -59,10 +60,10 @@ class ForeignAgent:
         peers: LifecyclePeers | None = None,
         graph: NodeGraph | None = None,
         others: ReportedStates | None = None,
-        served: Callable[[], Sequence[str]] | None = None,
+        served: Callable[[], Served] | None = None,
         before: Sequence[GraphEndpoint] = (),
     ) -> None:
-        """``served``: the services and ROS actions of the node; ``before``: the endpoints of the one it replaces."""
+        """``served``: what the node serves; ``before``: the endpoints of the one that it replaces."""
         self.node = ForeignNode(record, folder, gates, others or ReportedStates())
         outputs = UngatedOutputs(self.node) if gates is None else GatedOutputs(self.node, gates)
         self._services = services
@@ -223,18 +224,34 @@ class ForeignAgent:
         await self._registered.wait()
         while self._graph is not None:
             await asyncio.sleep(GRAPH_LOOK)
+            served = Served() if self._served is None else self._served()
+            left = await self._left_active(served)
             found = self._graph()
             seen = (
-                self._declared.differences(found),
+                [*self._declared.differences(found), *left],
                 [
                     f"{'publishes on' if each.output else 'subscribes to'} {each}"
                     for each in self._declared.undeclared(found)
                 ],
-                [] if self._served is None else [*self._served()],
+                [*served.names],
             )
             if seen != (self.node.differences, self.node.undeclared, self.node.serves):
                 self.node.differences, self.node.undeclared, self.node.serves = seen
                 self._report()
+
+    async def _left_active(self, served: Served) -> list[str]:
+        """In which state a lifecycle node is that another program manages, if it or its predecessor was active."""
+        if not served.has_lifecycle or self.node.component.has_lifecycle or self._services is None:
+            return []
+        try:
+            state = await self._services.lifecycle_state(LOOK)
+        except NoAnswer:
+            return []
+        if state == ACTIVE and not self.node.record.was_active:
+            self.node.change_record(was_active=True)
+        if state == ACTIVE or not self.node.record.was_active:
+            return []
+        return [f"lifecycle node {self.node.record.node} is {state}, and was active before"]
 
     async def _heartbeat(self) -> None:
         """Report twice a second, and soon after a baton has moved, which the nodes do without a command.

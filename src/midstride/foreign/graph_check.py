@@ -33,6 +33,14 @@ class GraphEndpoint:
         return f"{self.topic} ({self.type})"
 
 
+@dataclass(frozen=True, slots=True)
+class Served:
+    """The services and ROS actions of a node, in words, without those of every node; whether it has a lifecycle."""
+
+    names: tuple[str, ...] = ()
+    has_lifecycle: bool = False
+
+
 #: What the graph shows of one node now.
 NodeGraph: TypeAlias = Callable[[], Sequence[GraphEndpoint]]
 

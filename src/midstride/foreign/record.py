@@ -23,6 +23,7 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     specification; ``taken_over``: those that were set while its predecessor ran; ``started_with``: all that it had at
     first, once known, except what is only taken over.
     ``predecessor``: the full name of the node that it replaces, where that runs until this one is up.
+    ``was_active``: it is a lifecycle node that another program manages, and it or its predecessor has been active.
     ``revision`` counts its changes.
     """
 
@@ -44,6 +45,7 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     started_with: dict[str, Any] | None = None
     welcomed: bool = False
     predecessor: str | None = None
+    was_active: bool = False
     revision: int = 0
 
     @property

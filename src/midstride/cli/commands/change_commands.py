@@ -94,7 +94,10 @@ def restart_command(
     declared_parameters: bool,
     options: RequestOptions,
 ) -> int:
-    """Start nodes again, with what their programs are now: each is handed over to a new instance, without a gap."""
+    """Start nodes again, with what their programs are now: each is handed over to a new instance.
+
+    The plan says what is lost on the way, and of which nodes nothing is measured, as of one without ports.
+    """
     request = {"restart": list(nodes), "declared_parameters": declared_parameters}
     return change(options, request, f"restart {', '.join(nodes)}")
 

@@ -34,7 +34,7 @@ from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.ros2.manager.graph import Graph
 from midstride.backends.ros2.manager.node_services import RosNodeServices
 from midstride.errors import BackendError, NodeError, StartFailed, Unreachable
-from midstride.foreign.graph_check import GraphEndpoint
+from midstride.foreign.graph_check import GraphEndpoint, Served
 from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.relayed_program import differing
 from midstride.model.component import KILL_AT_ONCE, ComponentSpec, StopTimes
@@ -192,8 +192,8 @@ class Ros2Backend(ProcessBackend, Backend):
     def _graph_of(self, node: str) -> list[GraphEndpoint]:
         return [] if self._context is None else self._graph.of_process(node)
 
-    def _served_by(self, node: str) -> list[str]:
-        return [] if self._context is None else self._graph.served_by(node)
+    def _served_by(self, node: str) -> Served:
+        return Served() if self._context is None else self._graph.served_by(node)
 
     def _python(self) -> str:
         return sys.executable

@@ -25,7 +25,7 @@ from midstride.errors import BackendError, CommandRefused
 from midstride.foreign import build
 from midstride.foreign.gated_agent import ForeignAgent
 from midstride.foreign.gates import Gates
-from midstride.foreign.graph_check import GraphEndpoint
+from midstride.foreign.graph_check import GraphEndpoint, Served
 from midstride.foreign.lifecycle_outputs import LifecyclePeers
 from midstride.foreign.mode_parameters import typed
 from midstride.foreign.page import PAGE, Page
@@ -49,7 +49,7 @@ class ForeignNodes:
     """Those of one system. Their page and records are in ``folder``; their agents listen on ``transport``.
 
     ``services(node)``: what a node, by its full name, can be asked; ``graph(node)``: what the graph shows of it;
-    ``served(node)``: the services and ROS actions that others may rely on, in words.
+    ``served(node)``: what the node serves.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class ForeignNodes:
         transport: Transport,
         services: Callable[[str], NodeServices | None],
         graph: Callable[[str], Sequence[GraphEndpoint]] | None = None,
-        served: Callable[[str], Sequence[str]] | None = None,
+        served: Callable[[str], Served] | None = None,
     ) -> None:
         self._folder = folder
         self._transport = transport
@@ -105,6 +105,7 @@ class ForeignNodes:
             stated=json_values(launch.parameters),
             taken_over=json_values(launch.set_parameters),
             predecessor=full_name(launch.predecessor, launch.namespace) if launch.predecessor else None,
+            was_active=(old := self._agents.get(launch.predecessor)) is not None and old.node.record.was_active,
         )
         return variables, record
 

@@ -22,12 +22,14 @@ from midstride.backends.ros2 import middleware, names
 from midstride.backends.ros2.component import port_endpoints
 from midstride.backends.ros2.middleware import RmwImplementation
 from midstride.backends.ros2.names import InstanceNode
-from midstride.foreign.graph_check import GraphEndpoint
+from midstride.foreign.graph_check import GraphEndpoint, Served
 from midstride.model.instance_names import full_name, split_name
 from midstride.runtime.backend_protocol import Endpoints
 
 # The packages of the services that ROS itself gives nodes: parameters, lifecycle, types, log levels.
 _OF_EVERY_NODE: Final = ("rcl_interfaces/", "lifecycle_msgs/", "type_description_interfaces/", "logging_interfaces/")
+
+_GET_STATE: Final = "lifecycle_msgs/srv/GetState"
 
 # The instances by process. Where processes are unknown, by the name of their node; None where several nodes have it.
 _Instances: TypeAlias = Mapping[bytes | str, InstanceNode | None]
@@ -107,20 +109,21 @@ class Graph:
             if self._lives(info, node) and self._process(info) not in instances
         ]
 
-    def served_by(self, node: str) -> list[str]:
-        """The services and ROS actions of a node that others may rely on, in words, without those of every node."""
+    def served_by(self, node: str) -> Served:
+        """The services and ROS actions of a node that others may rely on, and whether it is a lifecycle node."""
         try:
             found = self._node.get_service_names_and_types_by_node(*split_name(node))
         except NodeNameNonExistentError:
-            return []
+            return Served()
         served = set()
+        has_lifecycle = any(name == f"{node}/get_state" and _GET_STATE in types for name, types in found)
         for name, types in found:
             action, _, part = name.partition("/_action/")
             if part:
                 served.add(f"ROS action {action}")
             elif not any(type_.startswith(_OF_EVERY_NODE) for type_ in types):
                 served.add(f"service {name}")
-        return sorted(served)
+        return Served(tuple(sorted(served)), has_lifecycle)
 
     def _under(self, full_name: str) -> Iterator[Any]:
         """The endpoints that are shown under that name."""
