@@ -323,3 +323,12 @@ def test_a_component_from_a_node_is_checked_as_well() -> None:
     with pytest.raises(SpecificationError) as error:
         decode_component({"outputs": ["out", "out"], "imputs": {}})
     assert sorted(problem.code for problem in error.value.problems) == ["E002", "E003", "E007"]
+
+
+def test_a_program_that_ends_has_no_gate_to_state() -> None:
+    document = {"name": "Setup", "run": "./setup", "takes_seconds": 2, "once": True}
+    component = decode_component(document)
+    assert (component.once, component.gate) == (True, "none")
+    assert encode_component(component) == document
+    assert decode_component({**document, "gate": "none"}) == component
+    assert not component.same_body(decode_component({**document, "once": False, "gate": "none"}))

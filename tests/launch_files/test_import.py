@@ -685,3 +685,28 @@ def test_an_executable_of_a_package_is_started_itself(tmp_path: Path) -> None:
         'run "talker --y" package "demo" gate preload',
         'run "ros2 bag record /a" gate preload',
     ]
+@pytest.mark.parametrize(
+    ("element", "once"),
+    [
+        ('<executable cmd="true" name="a"/>', True),
+        ('<executable cmd="/bin/mkdir -p /tmp/maps" name="a"/>', True),
+        ('<executable cmd="ros2 service call /reset std_srvs/srv/Empty" name="a"/>', True),
+        ('<executable cmd="ros2 topic pub --once /go std_msgs/msg/Empty" name="a"/>', True),
+        ('<executable cmd="ros2 run controller_manager spawner base" name="a"/>', True),
+        ('<node pkg="controller_manager" exec="spawner" name="a" args="base"/>', True),
+        ('<node pkg="ros_gz_sim" exec="create" name="a" args="-name robot"/>', True),
+        ('<node pkg="gazebo_ros" exec="spawn_entity.py" name="a"/>', True),
+        ('<node pkg="controller_manager" exec="spawner" name="a" respawn="true"/>', False),
+        ('<executable cmd="true" name="a" respawn="true"/>', False),
+        ('<node pkg="controller_manager" exec="ros2_control_node" name="a"/>', False),
+        ('<node pkg="other" exec="spawner" name="a"/>', False),
+        ('<executable cmd="ros2 topic pub -r 1 /go std_msgs/msg/Empty" name="a"/>', False),
+        ('<executable cmd="ros2 bag record -a" name="a"/>', False),
+        ('<executable cmd="python3 tool.py" name="a"/>', False),
+    ],
+)
+def test_a_program_that_is_known_to_end_is_once(element: str, once: bool, tmp_path: Path) -> None:
+    found = of_xml(tmp_path, element)
+    component = specification(found, tmp_path).component_of("a")
+    assert component.once == once
+    assert ("once" in kinds(found)) == once

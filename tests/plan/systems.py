@@ -446,3 +446,19 @@ def degraded(
     running = running.with_modes(fallen)
     consumers = [other for ref in fallen for other in running.downstream(ref)]
     return running.with_modes(lowered(running, consumers)), start, target
+
+
+def with_programs(rng: Random, start: Specification, target: Specification) -> tuple[Specification, Specification]:
+    """Both with programs that end (`once`): of each role, both, either or neither has one, of the same or another."""
+    programs = {
+        name: ComponentSpec.of(name, run=f"./{name}", once=True, gate="none", startup_seconds=rng.choice((None, 2.0)))
+        for name in ("Spawn", "Home")
+    }
+    found = []
+    for specification in (start, target):
+        specification = replace(specification, components=specification.components.update(programs))
+        for role in ("spawner", "homing"):
+            if rng.random() < 0.7:
+                specification = specification.with_node(Node(role, rng.choice(("Spawn", "Home"))))
+        found.append(specification)
+    return found[0], found[1]

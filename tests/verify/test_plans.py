@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 
 from midstride.model.action import Action, Create, Degrade, Detach, Handover
+from midstride.model.component import ComponentSpec
 from midstride.model.configuration import Configuration
+from midstride.model.specification import Node, initial
+from midstride.plan.change_builder import change_between
 from midstride.plan.forms.plan_forms import encode_plan
+from midstride.plan.strategies.registry import planner
 from midstride.verify.checking import AlloyOptions, verify_plan
 from midstride.verify.run import Alloy, find
 from midstride.verify.verdict import Answer, Finding, Verdict
@@ -53,6 +57,19 @@ def test_a_long_plan_of_a_real_system_holds(alloy: Alloy) -> None:
 def test_a_hand_over_within_a_cap_and_a_capacity_holds(alloy: Alloy) -> None:
     found = plan(specification(ROVER), "minimal", planner="SmallPlanner", left="NewCamera")
     assert any(isinstance(step.action, Handover) for step in found.steps)
+    assert judged(encode_plan(found), alloy).holds
+
+
+def test_a_plan_with_programs_that_end_holds(alloy: Alloy) -> None:
+    """They are live without ports and functionalities, from their step on."""
+    start = specification(TALKER)
+    setup = ComponentSpec.of("Setup", run="./setup", once=True, gate="none")
+    start = replace(start, components=start.components.set("Setup", setup)).with_node(Node("setup", "Setup"))
+    target = start.with_replaced("talker", "NewTalker").with_node(Node("other", "Setup"))
+    change = change_between(initial(start), start, target, renewed=("setup",))
+    found = planner("minimal")(change)
+    created = [step.action.instance.name for step in found.steps if isinstance(step.action, Create)]
+    assert sorted(created) == ["other", "setup_2", "talker_2"]
     assert judged(encode_plan(found), alloy).holds
 
 

@@ -195,6 +195,8 @@ declare namespace Api {
     functionalities?: Record<string, FunctionalityForm>;
     /** what holds it back; none: it uses Midstride's API */
     gate?: "lifecycle" | "lifecycle preload" | "none" | "preload" | "relay";
+    /** its program ends when it has done its work */
+    once?: boolean;
     /** what its program calls the topics of its ports */
     topics?: Record<string, string>;
     /** the outputs that exist only while something subscribes to them */
@@ -514,6 +516,8 @@ declare namespace Api {
     answers: boolean;
     /** it has been asked to end */
     ending: boolean;
+    /** its program has ended as it should (`once`) */
+    done: boolean;
     /** what it is waiting for */
     waiting: string | null;
     /** its modes are those of the manager's model */
@@ -643,6 +647,8 @@ declare namespace Api {
     functionalities?: Record<string, FunctionalityForm>;
     /** what holds it back; none: it uses Midstride's API */
     gate?: "lifecycle" | "lifecycle preload" | "none" | "preload" | "relay";
+    /** its program ends when it has done its work */
+    once?: boolean;
     /** what its program calls the topics of its ports */
     topics?: Record<string, string>;
     /** the outputs that exist only while something subscribes to them */

@@ -49,6 +49,8 @@ def _process(component: InstanceStatus) -> Text:
     process = str(component.pid or "–")
     if component.ending:
         return Text(f"{process}, ending", style="dim")
+    if component.done:
+        return Text("done", style="dim")
     if not component.reachable:
         return Text(f"{process}, not responding", style="red")
     return Text(process, style="dim")

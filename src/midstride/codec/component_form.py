@@ -230,6 +230,7 @@ class ComponentForm(Form, frozen=True):
         dict[str, FunctionalityForm], by_name("an object of functionalities", "what it does")
     ] = {}
     gate: Annotated[Gate, field("a gate", "what holds it back; none: it uses Midstride's API")] | UnsetType = UNSET
+    once: Annotated[bool, field("true or false", "its program ends when it has done its work")] = False
     topics: Annotated[
         dict[str, Annotated[str, field("the name of a topic", min_length=1)]],
         field("an object of names of topics", "what its program calls the topics of its ports"),
@@ -262,7 +263,8 @@ class ComponentForm(Form, frozen=True):
             },
             outputs=list(component.outputs),
             functionalities={form.name: FunctionalityForm.of(form) for form in component},
-            gate=component.gate or UNSET,
+            gate=UNSET if component.once and component.gate == "none" else component.gate or UNSET,
+            once=component.once,
             topics=dict(sorted(component.topics.items())),
             lazy=sorted(component.lazy),
         )
@@ -284,7 +286,8 @@ class ComponentForm(Form, frozen=True):
             startup_seconds=given(self.takes_seconds),
             tolerates={port: form.tolerates for port, form in self.inputs.items() if form.tolerates is not UNSET},
             conditions=[port for port, form in self.inputs.items() if form.condition],
-            gate=given(self.gate),
+            gate=given(self.gate) or ("none" if self.once else None),
+            once=self.once,
             topics=self.topics,
             activate_seconds=given(self.activate_seconds),
             stop=None if self.stop_seconds is UNSET else self.stop_seconds.times(),

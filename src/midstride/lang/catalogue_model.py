@@ -322,6 +322,17 @@ MODEL: Final = (
         ),
     ),
     _entry(
+        "E028: part of a program that ends",
+        """A component that is `once` is a program that ends when it has done its work, such as a spawner. Here it has
+        ports, functionalities, resources, allowed endpoints or a gate, which only a program has that keeps running; or
+        it has no `run` command.""",
+        "omit what the message names, or omit `once`",
+        STARTED.replace('talker"', 'talker" once') + NODE,
+        'system s\nresource arm\ncomponent Home {\n  run "./home" once gate preload\n  holds arm\n'
+        "  allows service ~/home\n}\nnode home : Home\n",
+        _json('{"system": "s", "components": {"T": {"once": true}}, "nodes": {"t": {"component": "T"}}}\n'),
+    ),
+    _entry(
         "W030: port that is attached to no topic",
         """A port of this node is not attached to any topic: an output without subscribers, or an input that is never
         satisfied.""",

@@ -198,7 +198,11 @@ class ComponentBuilder:
             startup_seconds=None if run is None or run.startup is None else run.startup.value,
             tolerates={each.name.text: int(each.tolerates.value) for each in declaration.inputs if each.tolerates},
             conditions=[each.name.text for each in declaration.inputs if each.condition],
-            gate=next((gate for gate in GATES if run and run.gate and run.gate.text == gate), None),
+            gate=next(
+                (gate for gate in GATES if run and run.gate and run.gate.text == gate),
+                "none" if run is not None and run.once is not None else None,
+            ),
+            once=run is not None and run.once is not None,
             topics={own.name.text: own.topic.text for own in declaration.topics},
             activate_seconds=None if run is None or run.activate is None else run.activate.value,
             stop=None if run is None or run.stop is None else _stop_times(run.stop),

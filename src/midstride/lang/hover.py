@@ -51,6 +51,8 @@ class _Hover:
             return
         if component.run is not None:
             yield f"`{component.run}`" + ("" if component.package is None else f" of package {component.package}")
+        if component.once:
+            yield "ends when it has done its work"
         if component.prefix is not None:
             yield f"after `{component.prefix}`"
         for name, value in component.environment.items():

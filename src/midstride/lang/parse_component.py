@@ -75,8 +75,10 @@ class ComponentParser(ContractParser):
         startup = self.seconds("a startup time") if self.accept_word("takes") else None
         activate = self.seconds("a time to activate") if self.accept_word("activate") else None
         stop = self._stop() if self.accept_word("stop") else None
+        word = self.span()
+        once = word if self.accept_word("once") else None
         gate = self._gate() if self.accept_word("gate") else None
-        return syntax.Run(command, package, prefix, startup, activate, stop, gate, self.since(start))
+        return syntax.Run(command, package, prefix, startup, activate, stop, gate, once, self.since(start))
 
     def _stop(self) -> syntax.StopClause:
         start = self.i - 1

@@ -112,6 +112,8 @@ def _component(declaration: syntax.ComponentDeclaration, rest: Subject) -> Span:
             return output.span
         case ["gate"] if run is not None and run.gate is not None:
             return run.gate.span
+        case ["once", *_] if run is not None and run.once is not None:
+            return run.once
         case ["topics", name] if (own := find(declaration.topics, name)) is not None:
             return own.topic.span
         case ["holds", name, *_]:

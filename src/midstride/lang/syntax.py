@@ -111,6 +111,7 @@ class Run(NamedTuple):
     activate: Number | None
     stop: StopClause | None
     gate: Name | None
+    once: Span | None
     span: Span
 
 

@@ -14,6 +14,7 @@ from midstride.ament_index import prefixes
 from midstride.lang.source import Span
 from midstride.launch_files.allowed_files import ReadableFiles
 from midstride.launch_files.context import Context, ParametersGiven
+from midstride.launch_files.ending_programs import ends
 from midstride.launch_files.entity import Entity, EntityValue
 from midstride.launch_files.expression import shortened
 from midstride.launch_files.findings import ImportFindings, UnknownValue
@@ -100,9 +101,7 @@ class NodeElements:
         name = self._name(ros.name or label or program, program, span)
         what = shlex.join(command[: last + 1])
         known = "" if ros.name else f", by its {'label' if label else 'program'}"
-        message = f"`{what}` is started as the node `{name}`{known}; remove it if it does not take ROS's arguments"
-        self.findings.add("program", message, span, left_out=False)
-        return LaunchedNode(
+        node = LaunchedNode(
             name=name,
             namespace=self._namespace(ros.namespace),
             program=program,
@@ -113,6 +112,10 @@ class NodeElements:
             ros_arguments=tuple(ros.others),
             package=package,
         )
+        if not ends(node):
+            message = f"`{what}` is started as the node `{name}`{known}; remove it if it does not take ROS's arguments"
+            self.findings.add("program", message, span, left_out=False)
+        return node
 
     def _in_package(self, command: list[str], context: Context) -> tuple[str, list[str]]:
         """The package of a program that is named by its path, or run by `ros2 run`, and the rest of the command."""

@@ -15,6 +15,7 @@ from typing import Final
 from midstride.lang.printer import format_text
 from midstride.lang.source_files import include_folders
 from midstride.lang.token_stream import RESERVED
+from midstride.launch_files.ending_programs import ends
 from midstride.launch_files.findings import ImportFindings
 from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedSystem
 from midstride.launch_files.launched_parameters import LaunchedParameters, ParameterReader, written_file
@@ -115,7 +116,12 @@ class SpecificationDraft:
         if prefix is None:
             self._findings.add("unsupported", f"the prefix of `{node.role}` cannot be written", node.span)
         stop = f" stop {' '.join(node.stop)}" if node.stop else ""
-        lines = [f"run {command or quoted('false')}{of_package}{after}{stop} gate {node.gate}"]
+        gate = f"gate {node.gate}"
+        if ends(node):
+            gate = "once"
+            message = f"`{node.program}` is known to end when it has done its work, so `{node.role}` is `once`"
+            self._findings.add("once", message, node.span, left_out=False)
+        lines = [f"run {command or quoted('false')}{of_package}{after}{stop} {gate}"]
         lines += self._environment(node)
         files = [quoted(os.path.relpath(path, self._folder)) for path in parameters.files]
         self._named.update(parameters.files)

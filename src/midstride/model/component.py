@@ -237,6 +237,7 @@ class ComponentSpec:
     ``topics`` the names that such a program has for its ports, where they are not the ports' own. Of such a program,
     ``stop`` is how it is ended, ``activate_seconds`` how long a lifecycle node may take to become active (s), where
     stated, and ``lazy`` are the outputs that exist only while something subscribes to them.
+    ``once``: such a program ends when it has done its work; it has no ports, and exit status 0 is success.
     """
 
     name: str
@@ -260,6 +261,7 @@ class ComponentSpec:
     stop: StopTimes | None = None
     activate_seconds: float | None = None
     lazy: frozenset[str] = frozenset()
+    once: bool = False
     _owners: dict[str, FunctionalitySpec] = field(init=False, compare=False, repr=False)
     _users: dict[str, list[FunctionalitySpec]] = field(init=False, compare=False, repr=False)
     _outputs: frozenset[str] = field(init=False, compare=False, repr=False)
@@ -299,6 +301,7 @@ class ComponentSpec:
         stop: StopTimes | None = None,
         activate_seconds: float | None = None,
         lazy: Iterable[str] = (),
+        once: bool = False,
     ) -> ComponentSpec:
         """Build one from plain values, keeping the order of declaration."""
         inputs = inputs or {}
@@ -324,6 +327,7 @@ class ComponentSpec:
             stop=stop,
             activate_seconds=activate_seconds,
             lazy=frozenset(lazy),
+            once=once,
         )
 
     def __iter__(self) -> Iterator[FunctionalitySpec]:
@@ -417,6 +421,7 @@ class ComponentSpec:
             self.prefix,
             self.environment,
             self.gate,
+            self.once,
             self.topics,
             self.lazy,
         )

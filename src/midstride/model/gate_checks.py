@@ -1,4 +1,4 @@
-"""What must hold of a component whose program does not use Midstride's API, and of its nodes (E027)."""
+"""What must hold of a component whose program does not use Midstride's API, and of its nodes (E027, E028)."""
 
 from __future__ import annotations
 
@@ -9,6 +9,24 @@ from midstride.model.diagnostics import Problem, SubjectPath
 from midstride.model.specification import Node
 
 _CODE = "E027"
+
+
+def _once(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
+    """What a component cannot have whose program ends."""
+    name, help = component.name, "omit it, or omit `once`: a program that is done has none"
+    if component.run is None:
+        yield Problem("E028", (*path, "once"), f"{name} is `once`, but has no `run` command", "state the command")
+    if component.gate != "none":
+        message = f"{name} is `once`, and has a gate (`gate {component.gate}`)"
+        yield Problem("E028", (*path, "gate"), message, help)
+    parts = [("inputs", each, f"input {each}") for each in component.input_order]
+    parts += [("outputs", str(index), f"output {each}") for index, each in enumerate(component.outputs)]
+    parts += [("functionalities", each, f"functionality {each}") for each in component.functionality_order]
+    parts += [("holds", each, f"it holds {each}") for each in sorted(component.resource_usage)]
+    parts += [("allows", str(index), f"it allows {each}") for index, each in enumerate(component.allows)]
+    for kind, key, what in parts:
+        message = f"{name} is `once`, so it ends, and yet {what if what.startswith('it ') else f'it has {what}'}"
+        yield Problem("E028", (*path, kind, key), message, help)
 
 
 def gate_problems(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
@@ -23,9 +41,11 @@ def gate_problems(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
             yield Problem(_CODE, where, message, 'omit it, or state the gate: `run "…" gate preload`')
     yield from _mode_parameters(component, path)
     yield from _of_a_program(component, path)
+    if component.once:
+        yield from _once(component, path)
     if component.gate is None:
         return
-    if component.run is None:
+    if component.run is None and not component.once:
         message = f"{name} has a gate, but no `run` command: it must be started with its gate"
         yield Problem(_CODE, (*path, "gate"), message)
     if component.gate == "relay":

@@ -141,7 +141,8 @@ class ChangeBuilder:
             if running:
                 # After a failed roll-back there may be two: the topics are with one of them.
                 old = max(running, key=lambda instance: len(self.start.attached_ports(instance.name)))
-                self.replaced[old.name] = name
+                if not (old.component.once or wanted.component.once):  # a program that ends hands nothing over
+                    self.replaced[old.name] = name
         for instance in running:
             if instance is not kept:
                 self._leave(instance)

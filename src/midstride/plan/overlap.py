@@ -2,8 +2,9 @@
 
 The steps keep the order of the plan. What overlaps: a process starts as soon as everything is done that its ``create``
 step must wait for; and steps next to each other are carried out at once, in a round, if they are all removals, all
-attachments, all mode changes or all hand-overs. The hand-overs of a round are prepared and watched at once, and their
-cuts follow one another. How long the plan takes follows from that.
+attachments, all mode changes, all hand-overs or all programs that end, which do not start before their step. The
+hand-overs of a round are prepared and watched at once, and their cuts follow one another. How long the plan takes
+follows from that.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ def one_by_one(actions: Sequence[Action]) -> Overlap:
     for index, action in enumerate(actions):
         if not isinstance(action, Create):
             first = index + 1
-        else:
+        elif not action.instance.component.once:
             starts.setdefault(first, []).append(index)
     return Overlap(tuple((index,) for index in range(len(actions))), starts)
 
@@ -60,7 +61,7 @@ def overlap(plan: Plan) -> Overlap:
             rounds[-1] = (*last, index)
         else:
             rounds.append((index,))
-        if isinstance(step.action, Create):
+        if isinstance(step.action, Create) and not step.action.instance.component.once:
             starts.setdefault(max(waits, default=-1) + 1, []).append(index)
     return Overlap(tuple(rounds), starts)
 
@@ -111,7 +112,7 @@ class _Neighbours:
         kind = self._kind(index)
         if kind is None or any(self._kind(each) != kind for each in earlier):
             return False
-        if kind == "removals":
+        if kind in ("removals", "programs"):
             return True
         # A component refuses the second of two changes at one revision.
         commanded = self._commanded(index)
@@ -127,6 +128,8 @@ class _Neighbours:
         match self._plan.steps[index].action:
             case Remove():
                 return "removals"
+            case Create(instance) if instance.component.once:
+                return "programs"
             case Attach() if not shifts:
                 return "attachments"
             case Upgrade():

@@ -13,6 +13,7 @@ from midstride.plan import explain
 from midstride.plan.change import Change
 from midstride.plan.disruption import DIGITS, Levels, follow
 from midstride.plan.explain import Degradation, LevelShift
+from midstride.plan.programs_last import programs_last
 from midstride.plan.runtime_values import RuntimeValue
 from midstride.plan.schedule import Schedule, makespan, schedule
 from midstride.plan.step import Step
@@ -75,6 +76,8 @@ class Plan:
         A bound above the plan's own disruption refutes itself: then nothing is claimed. ``critical_path`` (s) is the
         makespan where it is known already.
         """
+        if (ordered := programs_last(steps, levels.change)) != tuple(steps):
+            steps, critical_path = ordered, None
         *_, (_, meter) = follow(levels, steps)
         # Sums of floats in another order may differ by less than any plan does.
         if lower_bound > meter.disruption + _EPSILON:

@@ -104,8 +104,10 @@ class PlanRequest:
         return [*self.remove, *self.replaced(), *(node.role for node in self.add)]
 
     def renewed(self, target: Specification) -> list[str]:
-        """The roles of ``target`` that get a new instance in any case: all of them, where everything is stopped."""
-        return sorted(target.nodes) if self.stops_everything else self.replaced()
+        """The roles of ``target`` that get a new instance in any case: where everything is stopped, all that run."""
+        if not self.stops_everything:
+            return self.replaced()
+        return sorted({*self.replaced(), *(role for role in target.nodes if not target.component_of(role).once)})
 
     def stays_away(self, role: str, specification: Specification) -> bool:
         """Whether a node that has crashed is none of the request's business.

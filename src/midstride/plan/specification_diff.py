@@ -144,6 +144,7 @@ def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterat
         ("gate", before.gate, after.gate),
         ("activate", before.activate_seconds, after.activate_seconds),
         ("stop", _stop(before), _stop(after)),
+        ("once", before.once or None, after.once or None),
     ):
         if old != new:
             yield _became(what, old, new)

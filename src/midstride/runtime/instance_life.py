@@ -44,6 +44,7 @@ class ProcessState(Enum):
     ABSENT = "no process of that name is known"
     STARTING = "it has been started, here or by hand, and has not been accepted"
     RUNNING = "it runs, as far as is known"
+    DONE = "its program has ended, as it should"
     STOPPING = "it has been asked to exit"
     STUCK = "it has been asked to exit, and could not be terminated"
     EXITED = "it has exited unexpectedly, and the model may still have it"
@@ -53,6 +54,7 @@ class ProcessState(Enum):
 class ProcessEvent(Enum):
     STARTED = "its process was started, or is awaited"
     REGISTERED = "it has registered, and was accepted"
+    COMPLETED = "its program has done its work, here or before"
     ADOPTED = "an earlier manager knew it, and it still runs"
     END_BEGUN = "it was asked to exit"
     END_FAILED = "it could not be terminated"
@@ -97,18 +99,19 @@ PROCESSES: Final = Transitions.read(
     ProcessState,
     ProcessEvent,
     """
-    event       absent   starting running  stopping stuck    exited   missing
-    started     starting .        .        .        starting starting starting
-    registered  .        running  .        .        .        exited   .
-    adopted     running  .        running  .        .        .        .
-    end_begun   absent   stopping stopping .        stopping exited   missing
-    end_failed  absent   .        .        stuck    .        exited   missing
-    ended       absent   .        .        absent   .        exited   missing
-    killed      .        .        .        exited   .        exited   .
-    released    absent   absent   absent   .        .        exited   missing
-    exited      .        exited   exited   exited   exited   exited   missing
-    missed      missing  .        .        .        missing  missing  .
-    replaced    .        .        .        .        .        absent   absent
+    event       absent   starting running  done     stopping stuck    exited   missing
+    started     starting .        .        .        .        starting starting starting
+    registered  .        running  .        .        .        .        exited   .
+    completed   done     done     .        .        .        .        .        .
+    adopted     running  .        running  .        .        .        .        .
+    end_begun   absent   stopping stopping .        .        stopping exited   missing
+    end_failed  absent   .        .        .        stuck    .        exited   missing
+    ended       absent   .        .        absent   absent   .        exited   missing
+    killed      .        .        .        .        exited   .        exited   .
+    released    absent   absent   absent   .        .        .        exited   missing
+    exited      .        exited   exited   .        exited   exited   exited   missing
+    missed      missing  .        .        .        .        missing  missing  .
+    replaced    .        .        .        .        .        .        absent   absent
     """,
 )
 # `refused` in open: the connection has been reopened, and leads to another process.
@@ -211,7 +214,7 @@ class LifeTable:
         match event:
             case ProcessEvent():
                 before, life.process = life.process, PROCESSES.after(life.process, event, name)
-                if event in {ProcessEvent.ENDED, ProcessEvent.KILLED}:
+                if event in {ProcessEvent.ENDED, ProcessEvent.KILLED, ProcessEvent.COMPLETED}:
                     life.handle = None
                 if event is ProcessEvent.REPLACED:
                     life.role = None
@@ -319,6 +322,10 @@ class LifeTable:
     def has_exited(self, name: str) -> bool:
         """True if an instance has exited unexpectedly, while the model may still have it."""
         return self[name].process is ProcessState.EXITED
+
+    def is_done(self, name: str) -> bool:
+        """True if the program of an instance has ended as it should: nothing runs, and nothing is missing."""
+        return self[name].process is ProcessState.DONE
 
     def is_gone(self, name: str) -> bool:
         """True if a process has exited, or is about to: the end of its connection is known first."""

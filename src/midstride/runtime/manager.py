@@ -204,7 +204,9 @@ class Manager:
         self._respawner.stop()  # also a restart in progress: it is rolled back
         async with self._reconciler.command("down"):
             self._spares = 0
-            names = sorted({*self.system.life.handles, *self.configuration.instances})
+            instances = self.configuration.instances.items()
+            running = {name for name, each in instances if not each.component.once}
+            names = sorted({*self.system.life.handles, *running})
             ended = await asyncio.gather(*(self._end(name) for name in names))
             if faults := [fault for fault in ended if fault is not None]:
                 raise ManagerError("; ".join(faults))

@@ -22,8 +22,12 @@ def differences(manager: Manager, platform: Platform, saved: SavedState | None) 
     found = []
     configuration, expected = manager.configuration, initial(manager.specification)
     processes = {process.instance: process for process in platform.stand_ins()}
-    if sorted(processes) != sorted(configuration.instances):
-        found.append(f"{sorted(processes)} run, the model has {sorted(configuration.instances)}")
+    running = sorted(name for name, each in configuration.instances.items() if not each.component.once)
+    if sorted(processes) != running:
+        found.append(f"{sorted(processes)} run, the model has {running}")
+    done = [] if saved is None else sorted(each.instance.name for each in saved.instances if each.done)
+    if done != sorted({*configuration.instances}.difference(running)):
+        found.append(f"saved as done are {done}")
     roles = {role: len(names) for role, names in configuration.instances_by_role.items() if names}
     if roles != dict.fromkeys(manager.specification.nodes, 1):
         found.append(f"instances by role: {roles}")
@@ -41,7 +45,7 @@ def differences(manager: Manager, platform: Platform, saved: SavedState | None) 
         modelled = {(port.port, configuration.topic(name)) for port, name in configuration.attached_ports(name)}
         if shown != modelled:
             found.append(f"{name} is attached to {sorted(shown)}, the model has {sorted(modelled)}")
-    recorded = [] if saved is None else sorted(each.instance.name for each in saved.instances)
+    recorded = [] if saved is None else sorted(each.instance.name for each in saved.instances if not each.done)
     if recorded != sorted(processes):
         found.append(f"saved are {recorded}")
     if saved is not None and saved.specification != manager.specification:

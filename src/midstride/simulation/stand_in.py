@@ -70,7 +70,7 @@ def _with_the_api(component: ComponentSpec) -> ComponentSpec:
     return replace(
         component,
         functionalities=Map(functionalities),
-        gate=None,
+        gate="none" if component.once else None,
         topics=Map(),
         package=None,
         stop=None,
@@ -118,6 +118,8 @@ class _Program(SimulatedProgram):
         self.outputs: tuple[Output, ...] = ()
 
     def run(self) -> None:
+        if self.component.once:  # it is done
+            return
         puppet = Puppet(self._description, _message_type)
         self.outputs = tuple(puppet.outputs.values())
         puppet.start()

@@ -42,9 +42,9 @@ class _OnLoop(CooperativeThread):
 
     def _unless_done(self) -> ThreadYield:
         main = self.process.main
-        if main is not None and main.done():
+        if main is None or main.done():  # None: the program has ended without a component
             self.ended = True
-            return Ended(None if main.cancelled() else main.exception())
+            return Ended(None if main is None or main.cancelled() else main.exception())
         return None
 
     def kill(self) -> None:

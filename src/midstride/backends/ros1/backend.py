@@ -90,7 +90,10 @@ class Ros1Backend(processes.ProcessBackend, Backend):
                 "end it yourself, or use another name"
             )
         if launch.foreign is not None:
-            command = self._relay(launch, launch.foreign, node, command)
+            if not launch.foreign.once:
+                command = self._relay(launch, launch.foreign, node, command)
+            elif launch.parameters:  # a node, which has to know its name
+                command = (*command, f"__name:={split_name(node)[0]}")
             # They are the program's. On its command line, roscpp would take the quotes of a string for a part of it.
             for name, value in _values(launch).items():
                 await master.set_parameter(f"{node}/{name}", value)

@@ -108,6 +108,7 @@ async def _still_running(workspace: Workspace) -> SavedState | None:
     running = [
         _runs(entry.handle) if entry.handle else await listens(by_hand, entry.instance.name)
         for entry in saved.instances
+        if not entry.done
     ]
     if not any(running):
         await end_orphans(saved.token, (), DEFAULT_STOP)

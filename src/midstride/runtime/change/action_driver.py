@@ -43,6 +43,7 @@ from midstride.runtime.handover.new_publishers import ATTACH_TIMEOUT, DETACH_TIM
 from midstride.runtime.handover.probation import watch_after
 from midstride.runtime.handover.state_moves import StateMoves
 from midstride.runtime.handover.state_transfers import STATE_TIMEOUT, StateTransfers, keeps_state, own_state
+from midstride.runtime.instance_life import ProcessEvent
 from midstride.runtime.process.answering_instance import have_answer
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.process.launcher import Launcher
@@ -164,7 +165,12 @@ class ActionDriver:
         return found
 
     async def start(self, instance: Instance) -> bool:
-        """Start the process of an instance that is to be created; see :meth:`Launcher.start`."""
+        """Start the process of an instance that is to be created; see :meth:`Launcher.start`.
+
+        What a roll-back brings back of programs that end is that they have.
+        """
+        if instance.component.once and self.rolling_back:
+            return False
         standby, topics = self.system.has_instance(instance.role), self._topics(instance)
         if instance.component.has_lifecycle:
             await self.change.parameters.ask(instance)
@@ -189,6 +195,13 @@ class ActionDriver:
         if not isinstance(action, Attach):
             await self.await_inputs()
         match action:
+            case Create(instance) if instance.component.once:
+                if self.rolling_back:
+                    self.system.life.record(instance.name, ProcessEvent.COMPLETED)
+                else:
+                    await self.launcher.completed(instance)
+            case Remove(instance) if self.configuration.component(instance).once:
+                self.system.life.record(instance, ProcessEvent.ENDED)
             case Create(instance):
                 standby = self.system.has_instance(instance.role)
                 await self.start(instance)

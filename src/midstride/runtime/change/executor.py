@@ -89,7 +89,7 @@ class Executor:
                     raise asyncio.CancelledError
                 await self.change.entry.step(*(self._described[index] for index in indices))
                 self._starts.check()
-                if isinstance(action := actions[indices[0]], Create):
+                if isinstance(action := actions[indices[0]], Create) and not action.instance.component.once:
                     await self._starts.start(action)
                 # The later creations whose processes may start from now on, where the steps before are done.
                 numbers, looked_up = range(looked_up, indices[0] + 1), indices[0] + 1
@@ -193,7 +193,10 @@ class Executor:
         creation is interrupted: it cleans up after itself. So it is as soon as a process started ahead has failed: this
         one may be waiting for that one, and would be blamed.
         """
-        performing = asyncio.ensure_future(self._perform(action) if held else self.perform(action, turn))
+        if isinstance(action, Create) and action.instance.component.once:
+            performing = asyncio.ensure_future(self._run_program(action))
+        else:
+            performing = asyncio.ensure_future(self._perform(action) if held else self.perform(action, turn))
         try:
             if isinstance(action, Create):
                 await self._starts.wait(performing)
@@ -244,6 +247,11 @@ class Executor:
         self._done = [(action, before) for action, before in self._done if failed.keys().isdisjoint(action.instances())]
         return True
 
+    async def _run_program(self, action: Create) -> Configuration:
+        """Start the program of a creation, which ends, and wait until it has; see :meth:`perform`."""
+        await self._starts.start(action)
+        return await self.perform(action)
+
     async def _fail(self, indices: Sequence[int], failures: Mapping[int, BaseException]) -> None:
         """Roll back, and raise StepFailed: ``failures`` are those of the steps at ``indices``, by index."""
         reasons = {index: _words(error) for index, error in failures.items() if not isinstance(error, GivenUp)}
@@ -291,6 +299,8 @@ class Executor:
         self.system.moved(after)
         self.change.moved(after, action.instances())
         match action:
+            case Create(instance) if instance.component.once:
+                self.store.write_instance(instance, None, done=True)
             case Remove(instance):
                 self.store.remove_instance(instance)
             case SetParameters(instance):

@@ -87,7 +87,8 @@ class Reconciler:
 
     def on_exit(self, event: Exited) -> None:
         """A process has exited without being asked to."""
-        self.launcher.exited(event)
+        if self.launcher.exited(event):
+            return
         if self.system.life[event.instance].is_owned:
             self._record_exit(event)
 

@@ -49,6 +49,10 @@ GATES_OF: Final[Mapping[str, tuple[Gate, ...]]] = {"ros2": GATES, "ros1": ("rela
 REGISTRATION_TIMEOUT: Final = float(os.environ.get("MIDSTRIDE_REGISTRATION_TIMEOUT", "30"))
 # On a machine that is busy with the starts of others: how long it may take at most (s).
 REGISTRATION_LIMIT: Final = 10 * REGISTRATION_TIMEOUT
+# How long a program that ends (`once`) may take, besides what its component states (s): a spawner waits for others.
+ONCE_TIMEOUT: Final = 60.0
+# What a program that has ended with status 0 may be.
+_IS_ONCE: Final = 'if it had done its work then, state it: `run "…" once`'
 # How often a process that starts is checked for having been stopped (s).
 CHECK_STOPPED: Final = 0.5
 # How long a component may take to end in order before it is killed (s), unless it asks for longer.
@@ -89,16 +93,21 @@ class Launcher:
         self._started_at: dict[str, float] = {}  # steady s
         self._components: dict[str, ComponentSpec] = {}  # of the processes that it has started or adopted
         self._asked: dict[str, float] = {}  # how long these take to end, as they have said (s)
+        self._to_end: set[str] = set()  # of those that start, the ones whose program is to end
         self._last_registration = -REGISTRATION_TIMEOUT  # steady s
         self._life = client.life
         # Called with an instance of which a process had to be killed, the seconds that this had to end, and words.
         self.on_killed: Callable[[str, float, str], object] | None = None
 
-    def exited(self, event: Exited) -> None:
-        """A process has exited: if its registration is awaited, the start fails."""
+    def exited(self, event: Exited) -> bool:
+        """A process has exited: if its registration is awaited, the start fails.
+
+        Returns True if it has done its work, and was to end.
+        """
         waiting = self._exits.get(event.instance)
         if waiting is not None and not waiting.done():
             waiting.set_result(event)
+        return event.instance in self._to_end and event.status == 0
 
     def on_component_event(self, event: ComponentEvent) -> None:
         """A component has reported its state, or it has disconnected."""
@@ -132,15 +141,19 @@ class Launcher:
         set_values = start_values(instance)
         self._exits[name] = asyncio.get_running_loop().create_future()
         self._started_at[name] = self._backend.clock.steady()
-        self._starting[name] = asyncio.ensure_future(self._client.registered(name))
-        self._starting[name].add_done_callback(self._registration_done)
+        if instance.component.once:  # it does not register
+            self._to_end.add(name)
+            self._starting[name] = asyncio.get_running_loop().create_future()
+        else:
+            self._starting[name] = asyncio.ensure_future(self._client.registered(name))
+            self._starting[name].add_done_callback(self._registration_done)
         command, gate = instance.component.run, instance.component.gate
         if command is None:
             self._life.started(name, None)
             return True
         self._components[name] = instance.component
         known = GATES_OF.get(self._backend.name, ())
-        if gate is not None and gate not in known:
+        if gate is not None and not instance.component.once and gate not in known:
             self._forget_start(name)
             instead = " or ".join(f"`gate {kind}` only" for kind in known) or "none"
             raise StartFailed(f"{name} has a gate (`gate {gate}`), and the back end {self._backend.name} has {instead}")
@@ -152,11 +165,14 @@ class Launcher:
             arguments = tuple(shlex.split(command))
             if not arguments:
                 raise StartFailed(f"{name}: component {instance.component.name} has an empty `run` command")
-            namespace = instance.role.rpartition("/")[0]
+            namespace, component = instance.role.rpartition("/")[0], instance.component
             parameters: dict[str, object] = {"use_sim_time": True} if self._options.use_sim_time else {}
             # Of all nodes in a process, unless a file or the specification states another value.
             sections: tuple[ParameterSection, ...] = ()
-            if self._options.use_sim_time:
+            is_ros = component.package is not None or bool(instance.parameters or instance.sections)
+            if component.once and not is_ros:
+                parameters.clear()  # it takes no arguments of ROS
+            elif self._options.use_sim_time:
                 sections = (ParameterSection("/**", Map(use_sim_time=True)),)
             sections += instance.sections
             parameters.update(instance.parameters)
@@ -246,6 +262,33 @@ class Launcher:
         finally:
             self._forget_start(name)
 
+    async def completed(self, instance: Instance) -> None:
+        """Wait until the program of ``instance``, which has been started, has ended with status 0.
+
+        Raises StartFailed for any other status, and where it takes longer than ``ONCE_TIMEOUT`` and what the component
+        states; then it is terminated.
+        """
+        name, component = instance.name, instance.component
+        limit = ONCE_TIMEOUT + (component.startup_seconds or 0.0)
+        timeout = asyncio.ensure_future(self._backend.clock.sleep(limit))
+        first: set[asyncio.Future[Any]] = {self._exits[name], timeout}
+        try:
+            await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
+            if not self._exits[name].done():
+                raise StartFailed(
+                    f"{name} has not ended within {limit:g} s (it was started with `{component.run}`); state how long "
+                    "its program takes (`takes 60 s once`), or omit `once` if it keeps running"
+                )
+            if self._exits[name].result().status != 0:
+                raise StartFailed(_describe_exit(self._exits[name].result(), "with its work not done"))
+            self._life.record(name, ProcessEvent.COMPLETED)
+        except (Exception, asyncio.CancelledError):
+            await self.abandon(name)
+            raise
+        finally:
+            timeout.cancel()
+            self._forget_start(name)
+
     async def _registration(self, instance: Instance) -> tuple[Greeting, Registration]:
         name, run = instance.name, instance.component.run
         registering, exiting = self._starting[name], self._exits[name]
@@ -260,7 +303,9 @@ class Launcher:
         if registering.done():
             return registering.result()
         if exiting.done():
-            raise StartFailed(_describe_exit(exiting.result()))
+            ended = exiting.result()
+            hint = "" if ended.status or instance.component.gate is None else f"; {_IS_ONCE}"
+            raise StartFailed(_describe_exit(ended, f"before it registered{hint}"))
         if stopped.done():
             raise StartFailed(f"{name} was stopped (SIGSTOP) before it registered, and not continued for {STOPPED:g} s")
         where = f"was started with `{run}`" if run else "is started elsewhere"
@@ -325,6 +370,7 @@ class Launcher:
 
     def _forget_start(self, name: str) -> None:
         self._started_at.pop(name, None)
+        self._to_end.discard(name)
         for waiting in (self._starting.pop(name, None), self._exits.pop(name, None)):
             if waiting is not None:
                 waiting.cancel()
@@ -418,6 +464,14 @@ class Launcher:
         self._asked[handle.instance] = state.stopping
         return state
 
+    async def end_if_running(self, handle: Handle) -> bool:
+        """End the program of an earlier manager that was to end; whether it still ran. Raises BackendError."""
+        if not await self._backend.adopt(handle):
+            return False
+        self._life.adopted(handle.instance, handle)
+        await self.end(handle.instance)
+        return True
+
     async def end_orphans(self, known: Container[str]) -> list[str]:
         """Terminate the system's processes whose instance is not ``known``. Raises BackendError."""
         ended = await self._backend.end_orphans(self._client.token, known, DEFAULT_STOP)
@@ -437,7 +491,7 @@ def killed_in_words(name: str, leader: int | None, process: RemainingProcess) ->
     return wording.killed(what, process.seconds)
 
 
-def _describe_exit(event: Exited) -> str:
+def _describe_exit(event: Exited, when: str = "before it registered") -> str:
     how = wording.exited(event.status)
     tail = event.log_tail.strip()
-    return f"{event.instance} {how} before it registered" + (f":\n{tail}" if tail else " and wrote nothing to its log")
+    return f"{event.instance} {how} {when}" + (f":\n{tail}" if tail else " and wrote nothing to its log")

@@ -44,16 +44,19 @@ CREATE TABLE IF NOT EXISTS instances (name TEXT PRIMARY KEY, form TEXT NOT NULL,
 _REST: Final = "rest"
 # Before the name of a role, for its parameter values that were set at run time.
 _VALUES: Final = "values of "
+# Instead of the handle of an instance whose program has ended as it should.
+_DONE: Final = "done"
 # Statements by what they write.
 _Statements: TypeAlias = dict[str, Statement]
 
 
 @dataclass(frozen=True, slots=True)
 class SavedInstance:
-    """An instance that an earlier manager knew. ``handle`` is None if it was started elsewhere."""
+    """An instance that an earlier manager knew. ``handle`` is None if it was started elsewhere, or is ``done``."""
 
     instance: Instance
     handle: Handle | None
+    done: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,10 +211,10 @@ class StateStore:
         """The file that the specification was read from."""
         self._write(_origin(file))
 
-    def write_instance(self, instance: Instance, handle: Handle | None) -> None:
-        """An instance has been started, or its parameters have changed."""
+    def write_instance(self, instance: Instance, handle: Handle | None, *, done: bool = False) -> None:
+        """An instance has been started, its parameters have changed, or it is ``done``: its program was to end."""
         form = msgspec.json.encode(InstanceForm.of(instance)).decode()
-        kept = None if handle is None else to_json(handle).decode()
+        kept = _DONE if done else None if handle is None else to_json(handle).decode()
         row = ("INSERT OR REPLACE INTO instances VALUES (?, ?, ?)", (instance.name, form, kept))
         self._write({f"instance {instance.name}": row})
 
@@ -305,5 +308,6 @@ def _specification(parts: tuple[tuple[str, str, str], ...]) -> Specification:
 def _instance(form: str, handle: str | None) -> SavedInstance:
     return SavedInstance(
         msgspec.json.decode(form, type=InstanceForm).instance(),
-        None if handle is None else msgspec.json.decode(handle, type=Handle),
+        None if handle is None or handle == _DONE else msgspec.json.decode(handle, type=Handle),
+        handle == _DONE,
     )

@@ -146,6 +146,7 @@ class InstanceStatus(Report, frozen=True, kw_only=True):
     reachable: Annotated[bool, Meta(description="it has reported its state in the last 2 s")]
     answers: Annotated[bool, Meta(description="it answers requests to its node's services")]
     ending: Annotated[bool, Meta(description="it has been asked to end")]
+    done: Annotated[bool, Meta(description="its program has ended as it should (`once`)")] = False
     waiting: Annotated[str | None, Meta(description="what it is waiting for")]
     as_modelled: Annotated[bool, Meta(description="its modes are those of the manager's model")]
     differences: Annotated[list[str], Meta(description="in which way its node is not what is declared")]

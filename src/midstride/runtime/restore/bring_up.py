@@ -153,10 +153,12 @@ class BringUp:
         gone = [each.instance for each in saved.instances if each.instance.name not in running]
         for instance in gone:
             self.store.remove_instance(instance.name)
+            if instance.component.once:  # it runs again, or another one counts
+                continue
             self.system.life.missed(instance.name, instance.role, Exited(instance.name, None))
         self.system.forget_filled_roles()
         self.reconciler.save_values()
-        names = ", ".join(instance.name for instance in gone)
+        names = ", ".join(instance.name for instance in gone if not instance.component.once)
         await self.reconciler.reconcile_all(f"{names} exited" if names else "its input was gone")
         if any(isinstance(error, CommandRefused) for error in self.reconciler.pending.values()):
             await self.reconciler.reconcile()  # its state had just changed

@@ -7,7 +7,7 @@ is a difference to the specification, which the manager removes by an ordinary p
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -17,6 +17,7 @@ from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance, configure
 from midstride.model.specification import Specification
 from midstride.runtime.backend_protocol import Handle
+from midstride.runtime.instance_life import ProcessEvent
 from midstride.runtime.process.answering_instance import have_answer
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.process.launcher import Launcher
@@ -41,9 +42,17 @@ async def recover(
     started by hand that does not answer is left out. Raises Unreachable for those that a manager started.
     """
     found: dict[str, tuple[Instance, ComponentState]] = {}
+    done: dict[str, Instance] = {}
     hanging: list[str] = []
     for entry in saved:
         instance, handle = entry.instance, entry.handle
+        if instance.component.once:
+            if not entry.done:
+                if handle is not None and await launcher.end_if_running(handle):
+                    events.add("ended", f"stopped {instance.name}, whose program had not ended")
+            elif (same := done.get(instance.role)) is None or _is_asked_for(instance, same, specification):
+                done[instance.role] = instance
+            continue
         try:
             state = await launcher.adopt(handle or Handle(instance.name), instance.component, owned=handle is not None)
         except (ProtocolError, Unreachable) as error:
@@ -68,6 +77,8 @@ async def recover(
         events.add("adopted", f"{instance.name} was reattached unchanged")
     if hanging:
         raise Unreachable("; ".join(hanging))
+    for each in done.values():
+        client.life.record(each.name, ProcessEvent.COMPLETED)
     for name in await launcher.end_orphans(found):
         events.add("ended", f"stopped {name}, which an earlier manager had just started")
     found = await _resolved(found, launcher, client, events)
@@ -91,7 +102,15 @@ async def recover(
         # This manager does not need the recordings of the earlier one.
         if inputs := list(instance.component.input_order):
             await client.undo(name, RecordCommand(inputs=inputs, on=False))
-    return await _configuration(specification, targets, found, client)
+    return await _configuration(specification, targets, found, client, done.values())
+
+
+def _is_asked_for(instance: Instance, other: Instance, specification: Specification) -> bool:
+    """Whether of two that are done, of a change that was interrupted, ``instance`` is that of the specification."""
+    if instance.role not in specification.nodes:
+        return False
+    wanted = specification.component_of(instance.role)
+    return wanted.same_body(instance.component) and not wanted.same_body(other.component)
 
 
 async def _resolved(
@@ -151,6 +170,7 @@ async def _configuration(
     targets: Sequence[Specification],
     found: dict[str, tuple[Instance, ComponentState]],
     client: ComponentClient,
+    done: Iterable[Instance],
 ) -> Configuration:
     connectors = specification.connectors
     by_topic = {connector.topic: connector.name for connector in connectors.values()}
@@ -171,4 +191,4 @@ async def _configuration(
                     await client.change(name, GateCommand(port=port, topic=topic, gate="open"))
                 attachments.append((PortRef(name, port), by_topic[topic]))
         modes |= reported_modes(instance.component, observed)
-    return configure(context, [instance for instance, _ in found.values()], attachments, modes)
+    return configure(context, [*(instance for instance, _ in found.values()), *done], attachments, modes)

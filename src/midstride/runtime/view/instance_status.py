@@ -113,6 +113,7 @@ def instance_status(
         reachable=state is not None,
         answers=state is not None and state.answers,
         ending=watched.system.life.is_ending(instance.name),
+        done=watched.system.life.is_done(instance.name),
         waiting=None if state is None else state.waiting,
         as_modelled=all(each.mode == each.modelled for each in modes),
         differences=[] if state is None else state.differences,
@@ -267,9 +268,9 @@ def _deviations(
 ) -> Iterator[str]:
     """In which way an instance is not as specified."""
     specification, role = baseline.specification, instance.role
-    if state is None:
+    if state is None and not instance.component.once:
         yield "it does not answer"
-    elif state.waiting is not None:
+    elif state is not None and state.waiting is not None:
         yield f"it is waiting: {state.waiting}"
     if role not in specification.nodes:
         yield "the specification does not have it"

@@ -84,6 +84,7 @@ class Programs:
             del self._asking[gone]
             self._known.pop(gone, None)
         found = [(instance, self._known.get(name)) for name, instance in sorted(running.items())]
+        found = [(instance, known) for instance, known in found if not instance.component.once]  # it runs no more
         return await asyncio.to_thread(lambda: [self._of(instance, known) for instance, known in found])
 
     def _of(self, instance: Instance, known: _Known | None) -> ProgramStatus:

@@ -63,7 +63,7 @@ def system_values(watched: WatchedSystem) -> dict[str, Any]:
             unused_by=[
                 name
                 for name, each in sorted(system.configuration.instances.items())
-                if watched.spares and not watched.launcher.takes_spare(each)
+                if watched.spares and not (each.component.once or watched.launcher.takes_spare(each))
             ],
         ),
     }

@@ -88,7 +88,8 @@ class DiscoveryWatch:
 
     async def look(self) -> None:
         """Probe every instance. What is known of one that does not answer stays."""
-        names = set(self.system.configuration.instances)
+        life, instances = self.client.life, self.system.configuration.instances
+        names = {name for name in instances if not life.is_done(name)}
         self._discovering &= names
         for name in self.stopped.keys() - names:
             del self.stopped[name]

@@ -20,6 +20,8 @@ def observe(configuration: Configuration, life: LifeTable) -> tuple[Configuratio
     for name in sorted(configuration.instances):
         if life.has_exited(name):
             configuration = configuration.without_instance(name)
+        elif life.is_done(name):
+            continue
         elif (state := life.responsive(name)) is None:
             silent.append(name)
         else:

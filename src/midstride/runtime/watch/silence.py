@@ -133,6 +133,8 @@ class SilenceMonitor:
         if state is None:
             if self.life.is_ending(instance) or self.life.has_exited(instance):  # which has its own events
                 return
+            if self.life.is_done(instance):
+                return
             seconds = None if latest is None else round(self.clock.steady() - latest.at, 3)
             words = f"{instance} does not answer"
             yield SilenceFault(kind="not_answering", instance=instance, seconds=seconds, words=words)

@@ -54,7 +54,7 @@ export function componentLook(component, view) {
   if (view.crashed.some((each) => each.name === component.name)) {
     return { kind: "gone", glyph: GLYPHS.gone, words: "crashed" };
   }
-  if (!component.reachable) return { kind: "gone", glyph: GLYPHS.gone, words: "does not answer" };
+  if (!component.reachable && !component.done) return { kind: "gone", glyph: GLYPHS.gone, words: "does not answer" };
   return worst(component.functionalities.map(look));
 }
 

@@ -69,7 +69,7 @@ function summaryOf(view) {
   const components = Object.values(view.instances);
   const kinds = components.map((each) => componentLook(each, view).kind);
   const lowered = kinds.filter((kind) => kind === "reduced" || kind === "degraded").length;
-  const silent = components.filter((each) => !each.reachable).length;
+  const silent = components.filter((each) => !each.reachable && !each.done).length;
   const low = components.flatMap((each) => each.ports).filter((port) => port.met === false).length;
   const found = [{ kind: "", words: `${plural(components.length, "component")} · ${plural(Object.keys(view.topics).length, "topic")}` }];
   const add = (/** @type {number} */ count, /** @type {string} */ kind, /** @type {string} */ words) => {

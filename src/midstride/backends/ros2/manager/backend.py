@@ -143,6 +143,10 @@ class Ros2Backend(ProcessBackend, Backend):
             if node in self._foreign_nodes.names:
                 environment[ENV_SHARED_NAME] = "1"
             return await self._spawn(launch, own_name, command, environment)
+        if launch.foreign.once:
+            if launch.package is not None or launch.parameters or launch.sections:  # a ROS node, as in a launch file
+                command = (*command, *self._foreign_nodes.arguments(launch, launch.foreign, own_name))
+            return await self._spawn(launch, own_name, command, environment)
         if launch.foreign.gate == "relay":
             return await self._start_relay(launch, launch.foreign, own_name, command, environment)
         environment, record = await self._foreign_nodes.prepare(launch, launch.foreign, own_name, environment)
