@@ -58,6 +58,7 @@ def written(policy: str, folder: Path) -> Specification:
             {"max_retries": 3, "window_seconds": 120, "fallback": "Simple"},
         ),
         ("  respawn  respawn_max_retries 0", RespawnPolicy(max_retries=0), {"max_retries": 0}),
+        ("  respawn  respawn_max_retries unlimited", RespawnPolicy(max_retries=None), {"max_retries": None}),
     ],
 )
 def test_a_policy_in_the_language_and_in_json(

@@ -16,6 +16,7 @@ from midstride.launch_files import interpreter, python_files
 from midstride.launch_files.findings import UnknownValue
 from midstride.launch_files.launch_import import import_launch_file
 from midstride.model.component import StopTimes
+from midstride.model.respawn import RespawnPolicy
 from tests.launch_files.support import commands, imported, kinds, of_xml, specification
 
 XML = """<launch>
@@ -89,7 +90,10 @@ def test_a_launch_file_becomes_a_specification(tmp_path: Path, ending: str, text
     assert {node.role for node in system.nodes.values()} == {"r50/talker", "ears/listener"}
     assert commands(found, tmp_path)["ears/listener"] == "listener --loud"
     (listener,) = (node for node in system.nodes.values() if node.role == "ears/listener")
-    assert listener.respawn is not None
+    assert listener.respawn == RespawnPolicy(delay=2.0, max_delay=2.0, max_retries=None), "launch restarts it for ever"
+    [finding] = [each for each in found.findings if each.kind == "restart"]
+    first = '<node pkg="demo" exec="listener"' if ending == "xml" else "- node:"
+    assert first in text.splitlines()[int(finding.place.rpartition(":")[2]) - 1]
 
 
 def test_arguments_of_the_command_replace_defaults(tmp_path: Path) -> None:
@@ -685,6 +689,8 @@ def test_an_executable_of_a_package_is_started_itself(tmp_path: Path) -> None:
         'run "talker --y" package "demo" gate preload',
         'run "ros2 bag record /a" gate preload',
     ]
+
+
 @pytest.mark.parametrize(
     ("element", "once"),
     [
@@ -710,3 +716,17 @@ def test_a_program_that_is_known_to_end_is_once(element: str, once: bool, tmp_pa
     component = specification(found, tmp_path).component_of("a")
     assert component.once == once
     assert ("once" in kinds(found)) == once
+
+
+@pytest.mark.parametrize(
+    ("stated", "limit"),
+    [("", None), ('respawn_max_retries="-1"', None), ('respawn_max_retries="3"', 3)],
+)
+def test_restarts_are_limited_as_launch_limits_them(stated: str, limit: int | None, tmp_path: Path) -> None:
+    element = f'<node pkg="" exec="n" name="n" respawn="true" respawn_delay="2" {stated}/>'
+    found = of_xml(tmp_path, element)
+    policy = specification(found, tmp_path).nodes["n"].respawn
+    assert policy is not None and policy.max_retries == limit
+    assert kinds(found) == (["restart"] if limit is None else [])
+    element = '<node pkg="" exec="n" name="n" respawn="true" respawn_max_retries="0"/>'
+    assert specification(of_xml(tmp_path, element), tmp_path).nodes["n"].respawn is None

@@ -424,3 +424,17 @@ def test_the_next_manager_restores_what_the_last_one_was_going_to_and_counts_ane
             await manager.close()
 
     simulator.run(main())
+
+
+def test_without_a_limit_it_is_restarted_for_ever_after_the_longest_delay(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        for number in range(1, 13):
+            await asyncio.sleep(3)
+            assert "talker" in manager.configuration.instances
+            await crash(simulator, "talker")
+            found = await crashed(manager)
+            assert found.respawn is not None and (found.respawn.restarts, found.respawn.max_retries) == (number, None)
+            assert found.respawn.words.endswith(f"(restart {number}, without a limit)")
+            await until(partial(restarted, manager, number))
+
+    run(body, tmp_path, respawning(RespawnPolicy(delay=0.5, max_delay=2.0, max_retries=None)))

@@ -1064,8 +1064,7 @@ declare namespace Api {
     delay_seconds?: number;
     /** the longest delay; unless stated 30 s, or the first one */
     max_delay_seconds?: number;
-    /** the most restarts in the window */
-    max_retries?: number;
+    max_retries?: number | null;
     /** the time in which restarts count */
     window_seconds?: number;
     /** what then replaces the node */
@@ -1079,7 +1078,8 @@ declare namespace Api {
     /** until the next restart; null: it has begun, or there is none */
     seconds: number | null;
     restarts: number;
-    max_retries: number;
+    /** in the window; null: no limit */
+    max_retries: number | null;
     /** the time in which restarts count, in seconds */
     window: number;
     words: string;

@@ -103,7 +103,9 @@ class RespawnForm(Form, frozen=True):
         Annotated[SecondsOrZero, Meta(description="the longest delay; unless stated 30 s, or the first one")]
         | UnsetType
     ) = UNSET
-    max_retries: Annotated[int, field("a number of restarts", "the most restarts in the window", ge=0)] = 5
+    max_retries: (
+        Annotated[int, field("a number of restarts", "the most restarts in the window; null: no limit", ge=0)] | None
+    ) = 5
     window_seconds: Annotated[PositiveSeconds, Meta(description="the time in which restarts count")] = 60
     fallback: (
         Annotated[str, field("the name of a component", "what then replaces the node", min_length=1)] | UnsetType
@@ -123,7 +125,7 @@ class RespawnForm(Form, frozen=True):
         return RespawnPolicy(
             float(self.delay_seconds),
             given(self.max_delay_seconds),
-            finite(self.max_retries),
+            None if self.max_retries is None else finite(self.max_retries),
             float(self.window_seconds),
             given(self.fallback),
         )

@@ -269,12 +269,15 @@ MODEL: Final = (
     _entry(
         "E026: restart policy that cannot be carried out",
         """The longest delay of `respawn_delay` is shorter than the first one; the component of the node, or the one
-        named by `respawn_fallback`, has no `run` command; or that one does not fit the topics of the node, or lacks
-        what a constraint on the node names.""",
+        named by `respawn_fallback`, has no `run` command; or that one does not fit the topics of the node, lacks what a
+        constraint on the node names, or never comes, since the restarts are unlimited.""",
         "correct the statement that the message names",
         respawning("respawn   respawn_delay 5 s to 2 s"),
         CHATTER + "node talker : Talker { out -> /chatter   respawn }\n",
         respawning("respawn   respawn_fallback Slow").replace("node", _SLOW + "node"),
+        respawning("respawn   respawn_max_retries unlimited   respawn_fallback Other").replace(
+            "node", "component Other like Talker { }\nnode"
+        ),
     ),
     _entry(
         "E027: gate that cannot work",

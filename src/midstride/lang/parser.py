@@ -159,17 +159,18 @@ class Parser(ComponentParser):
         )
 
     def _respawn(self, statements: list[syntax.RespawnStatement], word: str, start: int) -> None:
-        amount, bound, component = None, None, None
+        amount, bound, component, unlimited = None, None, None, False
         if word == "respawn_delay":
             amount = self.seconds("a delay")
             bound = self.seconds("the longest delay") if self.accept_word("to") else None
         elif word == "respawn_max_retries":
-            amount = self._whole("a number of restarts")
+            unlimited = self.accept_word("unlimited")
+            amount = None if unlimited else self._whole("a number of restarts, or `unlimited`")
             bound = self.seconds("a time") if self.accept_word("in") else None
         elif word == "respawn_fallback":
             component = self.name("a component name")
         keyword = syntax.Name(word, self.span(start))
-        statements.append(syntax.RespawnStatement(keyword, self.since(start), amount, bound, component))
+        statements.append(syntax.RespawnStatement(keyword, self.since(start), amount, bound, component, unlimited))
 
     def _attachment(self, attachments: list[syntax.Attachment]) -> bool:
         if self.kinds[self.i] != "name" or self.kinds[self.i + 1] not in {"<-", "->", "=", ":", "path", "<"}:

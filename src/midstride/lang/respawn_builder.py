@@ -10,6 +10,7 @@ from midstride.lang.syntax import Number, RespawnStatement
 from midstride.model.respawn import RespawnPolicy
 
 _DEFAULT = RespawnPolicy()
+_MOST = _DEFAULT.max_retries or 0
 
 
 def respawn_policy(statements: Sequence[RespawnStatement], reporter: Reporter) -> RespawnPolicy | None:
@@ -30,7 +31,7 @@ def respawn_policy(statements: Sequence[RespawnStatement], reporter: Reporter) -
     return RespawnPolicy(
         delay=_value(delay and delay.amount, _DEFAULT.delay),
         max_delay=None if delay is None or delay.bound is None else delay.bound.value,
-        max_retries=int(_value(retries and retries.amount, _DEFAULT.max_retries)),
+        max_retries=None if retries and retries.unlimited else int(_value(retries and retries.amount, _MOST)),
         window=_value(retries and retries.bound, _DEFAULT.window),
         fallback=None if fallback is None or fallback.component is None else fallback.component.text,
     )

@@ -242,14 +242,15 @@ class Attachment(NamedTuple):
 
 
 class RespawnStatement(NamedTuple):
-    """``respawn``, ``respawn_delay AMOUNT to BOUND``, ``respawn_max_retries AMOUNT in BOUND`` or
-    ``respawn_fallback COMPONENT``."""
+    """``respawn``, ``respawn_delay AMOUNT to BOUND``, ``respawn_max_retries AMOUNT in BOUND``,
+    ``respawn_max_retries unlimited`` or ``respawn_fallback COMPONENT``."""
 
     keyword: Name
     span: Span
     amount: Number | None = None
     bound: Number | None = None
     component: Name | None = None
+    unlimited: bool = False
 
 
 class NodeDeclaration(NamedTuple):

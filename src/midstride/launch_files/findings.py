@@ -24,7 +24,7 @@ KINDS: Final = {
     "name": "a node has no name, or one that another node or the language uses; it gets another name",
     "once": "a program ends when it has done its work, and launch lets it: it is `once`, and not run again",
     "program": "the launch file does not say that a program is a node",
-    "restart": "a process is restarted in another way",
+    "restart": "a process is restarted in another way, or without end, as launch does",
     "unsupported": "an element or an attribute has no counterpart and is left out",
 }
 

@@ -175,7 +175,7 @@ class SpecificationDraft:
 
     def _respawn(self, node: LaunchedNode) -> Iterator[str]:
         """The statements on restarts, of which `respawn` is the first."""
-        if (respawn := node.respawn) is None:
+        if (respawn := node.respawn) is None or respawn.retries == 0:  # launch does not restart it either
             return
         yield "respawn"
         if respawn.delay >= 1:  # launch waits as long each time
@@ -184,13 +184,14 @@ class SpecificationDraft:
             yield f"respawn_delay {respawn.delay:g} s"
         if respawn.retries > 0:  # launch counts all of them
             yield f"respawn_max_retries {respawn.retries} in 1000000000 s"
-        differences = []
-        if respawn.delay < 1:
-            differences.append(f"launch waits {respawn.delay:g} s each time, here the delay grows up to 30 s")
+        notes = []
         if respawn.retries < 0:
-            differences.append("launch restarts it without end, here at most 5 times in 60 s")
-        if differences:
-            message = f"`{node.role}` is restarted in another way: {'; '.join(differences)}"
+            yield "respawn_max_retries unlimited"
+            notes.append("without end, as launch does unless a number is stated; `respawn_max_retries 5` would give up")
+        if respawn.delay < 1:
+            notes.append(f"launch waits {respawn.delay:g} s each time, here the delay grows up to 30 s")
+        if notes:
+            message = f"`{node.role}` is restarted: {'; '.join(notes)}"
             self._findings.add("restart", message, node.span, left_out=False)
 
     def _order(self, nodes: Sequence[LaunchedNode]) -> Iterator[str]:

@@ -18,13 +18,14 @@ class RespawnPolicy:
     """When a node that has crashed is started again, in the words of ROS launch files.
 
     The first restart comes after ``delay`` (s). Each further one waits twice as long as the one before, at least
-    1 s and at most ``max_delay`` (None: 30 s, or ``delay`` where that is longer). After ``max_retries`` restarts within
-    ``window`` (s) of the time that the node ran, it is replaced by the component ``fallback``, or left.
+    1 s and at most ``max_delay`` (None: 30 s, or ``delay`` where that is longer). After ``max_retries`` restarts (None:
+    there is no limit) within ``window`` (s) of the time that the node ran, it is replaced by the component
+    ``fallback``, or left.
     """
 
     delay: float = 0.0
     max_delay: float | None = None
-    max_retries: int = 5
+    max_retries: int | None = 5
     window: float = 60.0
     fallback: str | None = None
 
@@ -43,10 +44,16 @@ class RespawnPolicy:
 
     @property
     def limit(self) -> str:
-        """``5 in 60 s``"""
+        """``5 in 60 s``, or ``unlimited``"""
+        if self.max_retries is None:
+            return "unlimited"
         return f"{self.max_retries} in {format_number(self.window)} s"
+
+    def numbered(self, restart: int) -> str:
+        """``2 of 5 in 60 s``, or ``restart 2, without a limit``"""
+        return f"restart {restart}, without a limit" if self.max_retries is None else f"{restart} of {self.limit}"
 
     def __str__(self) -> str:
         then = "" if self.fallback is None else f", then {self.fallback}"
         delays = " to ".join(f"{format_number(seconds)} s" for seconds in (self.delay, self.longest_delay))
-        return f"after {delays}, at most {self.limit}{then}"
+        return f"after {delays}, {'at most ' if self.max_retries is not None else ''}{self.limit}{then}"

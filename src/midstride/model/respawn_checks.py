@@ -32,6 +32,9 @@ def respawn_problems(specification: Specification, node: Node, path: SubjectPath
     if component is not None and component.run is None:
         message = f"{node.role} cannot be restarted: component {component.name} has no `run` command"
         yield Problem("E026", path, message, "remove `respawn`; what has started the node has to restart it")
+    if policy.fallback is not None and policy.max_retries is None:
+        message = f"{node.role} never falls back to {policy.fallback}: its restarts are unlimited"
+        yield Problem("E026", (*path, "fallback"), message, "state how many, or omit `respawn_fallback`")
     fallback = None if policy.fallback is None else specification.components.get(policy.fallback)
     if fallback is None:
         return

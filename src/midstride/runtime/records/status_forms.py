@@ -173,7 +173,7 @@ class RespawnStatus(Report, frozen=True, kw_only=True):
     restarting: Annotated[bool, Meta(description="false: its restarts are used up")]
     seconds: Annotated[float | None, Meta(description="until the next restart; null: it has begun, or there is none")]
     restarts: int
-    max_retries: int
+    max_retries: Annotated[int | None, Meta(description="in the window; null: no limit")]
     window: Annotated[float, Meta(description="the time in which restarts count, in seconds")]
     words: str
 

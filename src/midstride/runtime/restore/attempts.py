@@ -28,7 +28,7 @@ class Attempts:
     def next(self, policy: RespawnPolicy) -> int | None:
         """The number of the next attempt in the window, which counts from now on; None if there is to be no other."""
         self.made = [at for at in self.made if self.ran - at < policy.window]
-        if len(self.made) >= policy.max_retries:
+        if policy.max_retries is not None and len(self.made) >= policy.max_retries:
             return None
         self.made.append(self.ran)
         return len(self.made)

@@ -97,7 +97,7 @@ class Respawner(ReconciliationObserver):
             seconds = max(0.0, round(record.due - self.clock.steady(), 3))
             words += f" in {seconds:.1f} s" if seconds else " after the current command"
         if record.left is None:
-            words += f" ({number} of {policy.limit})"
+            words += f" ({policy.numbered(number)})"
         return RespawnStatus(
             restarting=record.left is None,
             seconds=seconds,
@@ -125,10 +125,10 @@ class Respawner(ReconciliationObserver):
         if (number := record.attempts.next(policy)) is not None:
             delay = policy.delay_before(number)
             when = f"in {delay:.1f} s" if delay else "now"
-            self.events.add("respawn", f"{why}; restarting {role} {when} ({number} of {policy.limit})")
+            self.events.add("respawn", f"{why}; restarting {role} {when} ({policy.numbered(number)})")
             self._schedule(role, record, PlanRequest(restart=(role,)), f"respawn {role}", delay)
             return
-        used_up = f"{counted(policy.max_retries, 'restart')} within {policy.window:g} s did not help"
+        used_up = f"{counted(policy.max_retries or 0, 'restart')} within {policy.window:g} s did not help"
         fallback = policy.fallback
         if fallback is None or self.system.specification.nodes[role].component == fallback:
             self._leave(role, record, used_up, f"{why}; ")

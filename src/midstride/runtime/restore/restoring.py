@@ -164,7 +164,7 @@ class Restorer(ReconciliationObserver):
         if number is not None:
             record.number = number
             return
-        record.left = f"{counted(POLICY.max_retries, 'attempt')} within {POLICY.window:g} s did not last{failed}"
+        record.left = f"{counted(POLICY.max_retries or 0, 'attempt')} within {POLICY.window:g} s did not last{failed}"
         self.events.add("restore_ended", f"{ref} will not be restored again: {record.left}; {_REMEDY}")
 
     def _due(self, by: float) -> list[FunctionalityRef]:
