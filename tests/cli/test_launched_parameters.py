@@ -42,7 +42,7 @@ def node(name, **options):
     executor.add_node(made)
 
 node("talk")
-if sys.argv[1] == "two":
+if sys.argv[1] in ("two", "pair"):
     node("local_costmap", cli_args=["--ros-args", "-r", "__node:=local_costmap", "-r", "__ns:=/local_costmap"])
 try:
     executor.spin()
@@ -53,6 +53,9 @@ except BaseException:
 FILES = {
     "r0.yaml": "driver: {ros__parameters: {rate: 20.0}}\n",
     "r2.yaml": "two:\n  ros__parameters: {rate: 20.0}\n"
+    "local_costmap:\n  local_costmap:\n    ros__parameters: {rate: 5.0}\n",
+    "r1.yaml": "talk: {ros__parameters: {rate: 40.0}}\n/**: {ros__parameters: {all: 1}}\n",
+    "r2_unnamed.yaml": "talk:\n  ros__parameters: {rate: 20.0}\n"
     "local_costmap:\n  local_costmap:\n    ros__parameters: {rate: 5.0}\n",
     "twice.yaml": "/**: {ros__parameters: {rate: 10.0}}\n/**: {ros__parameters: {text: second}}\n"
     "twice: {ros__parameters: {rate: 40.0}}\n",
@@ -68,6 +71,8 @@ FILES = {
 NAMED: dict[str, tuple[str, ...]] = {
     name: (f"{name}.yaml",) for name in ("twice", "nan", "tuple", "list", "names", "after")
 }
+# As launch starts nodes without a name.
+UNNAMED = {"alone": "r1.yaml", "pair": "r2_unnamed.yaml"}
 NAMED |= {"two": ("r2.yaml",), "several": ("first.yaml", "second.yaml")}
 
 
@@ -113,7 +118,8 @@ def test_nodes_get_the_parameters_that_ros_gives_them(midstride: Midstride, tmp_
     for name, files in NAMED.items():
         arguments = [word for file in files for word in ("--params-file", file)]
         started.append([name, "--ros-args", "-r", f"__node:={name}", *arguments])
-    wanted = by_hand(tmp_path, started, len(started) + 1)
+    started += [[name, "--ros-args", "--params-file", file] for name, file in UNNAMED.items()]
+    wanted = by_hand(tmp_path, started, len(started) + 2)
 
     params = {name: "".join(f'<param from="$(dirname)/{file}"/>' for file in files) for name, files in NAMED.items()}
     params["driver"] = '<param from="$(dirname)/r0.yaml"/><param name="rate" value="40.0"/>'
@@ -121,6 +127,14 @@ def test_nodes_get_the_parameters_that_ros_gives_them(midstride: Midstride, tmp_
         f'<node pkg="" exec="{sys.executable}" name="{name}" args="program.py {name}">{each}</node>\n'
         for name, each in params.items()
     )
+    nodes += "".join(
+        f'<node pkg="" exec="./{name}" args="{name}"><param from="$(dirname)/{file}"/></node>\n'
+        for name, file in UNNAMED.items()
+    )
+    for name in UNNAMED:
+        script = tmp_path / name
+        script.write_text(f"#!{sys.executable}\n{PROGRAM}")
+        script.chmod(0o755)
     (tmp_path / "robot.launch.xml").write_text(f"<launch>\n{nodes}</launch>\n")
     out = tmp_path / "started"
     out.mkdir()
@@ -133,14 +147,16 @@ def test_nodes_get_the_parameters_that_ros_gives_them(midstride: Midstride, tmp_
     assert wanted["two.local_costmap.local_costmap"] == {"use_sim_time": False, "rate": 5.0}
     assert wanted["driver.driver"]["rate"] == 40.0
     kept = sorted((midstride.runtime / "midstride" / "robot").rglob("parameters/*.yaml"))
-    assert [path.stem for path in kept] == sorted(params)
+    assert [path.stem for path in kept] == sorted([*params, *UNNAMED])
+    assert wanted["alone.talk"]["rate"] == 40.0 and wanted["pair.talk"]["rate"] == 20.0
+    assert wanted["pair.local_costmap.local_costmap"]["rate"] == 5.0
     assert all(path.stat().st_mode & 0o077 == 0 for path in kept)
 
     # Nothing has changed, whatever is not finite.
     assert "Nothing to do" in midstride("apply", str(tmp_path / "robot.stride"), "--yes").out
-    done = midstride("restart", "two", "nan", "--yes")
+    done = midstride("restart", "two", "nan", "alone", "--yes")
     assert done.status == 0, done.err
-    again = {"two.two_2": wanted["two.two"], "nan.nan_2": wanted["nan.nan"]}
+    again = {"two.two_2": wanted["two.two"], "nan.nan_2": wanted["nan.nan"], "alone.talk_2": wanted["alone.talk"]}
     until(lambda: said(out).keys() >= again.keys(), "the new instances have not said their parameters")
     assert {name: said(out)[name] for name in again} == again
     assert said(out)["two.local_costmap.local_costmap"] == wanted["two.local_costmap.local_costmap"]

@@ -13,8 +13,10 @@ import pytest
 from immutables import Map
 
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
+from midstride.backends.ros2.manager.own_names import OwnNames, StartName
 from midstride.backends.ros2.manager.parameter_file import parameter_file, write_parameters
 from midstride.codec.specification_form import decode_specification, encode_specification
+from midstride.errors import StartFailed
 from midstride.lang.load import load
 from midstride.lang.parameter_files import SectionInFile
 from midstride.lang.source import Source, Span
@@ -145,7 +147,7 @@ def test_the_file_is_written_for_a_start_and_deleted_with_the_process(tmp_path: 
     nodes = ForeignNodes(tmp_path / "gates", SocketFolder(tmp_path), lambda node: None)
     given: dict[str, object] = {"rate": 9.0}  # set while its predecessor ran
     launch = Launch("talker_2", "", (), "t", tmp_path, dict(instance.parameters), given, sections=instance.sections)
-    arguments = nodes.arguments(launch, component, "/talker_2")
+    arguments = nodes.arguments(launch, component, StartName("/talker_2"))
     path = parameter_file(tmp_path / "gates", "talker_2")
     assert arguments == ["--ros-args", "-r", "__node:=talker_2", "--params-file", str(path)]
     assert path.read_text().splitlines() == [
@@ -155,7 +157,7 @@ def test_the_file_is_written_for_a_start_and_deleted_with_the_process(tmp_path: 
     nodes.gone("talker_2")
     assert not path.exists()
     plain = Launch("talker", "", (), "t", tmp_path)
-    assert nodes.arguments(plain, component, "/talker") == ["--ros-args", "-r", "__node:=talker"]
+    assert nodes.arguments(plain, component, StartName("/talker")) == ["--ros-args", "-r", "__node:=talker"]
 
 
 @pytest.mark.parametrize(
@@ -230,3 +232,69 @@ def test_each_of_two_nodes_of_a_program_gets_its_own_section(tmp_path: Path) -> 
     assert loaded(tmp_path, misspelt, {}) is None
     (fault,) = load(tmp_path / "s.stride").diagnostics
     assert (fault.code, fault.message, fault.help) == ("E008", "C has no parameter `raet`", "did you mean `rate`?")
+
+
+UNNAMED = (COMPONENT % "%s").replace("gate preload", "gate preload unnamed")
+
+
+def unnamed_launch(specification: Specification, instance: str, folder: Path) -> Launch:
+    found = specification.instance("n", instance)
+    return Launch(instance, "", (), "t", folder, dict(found.parameters), {}, sections=found.sections, role="n")
+
+
+@needs_rcl
+@pytest.mark.parametrize(
+    ("statements", "launch"),
+    [
+        ('parameters "p.yaml"  parameters { rate = 40.0 }', "p.yaml inline.yaml"),
+        ('parameters { rate = 40.0 }  parameters "p.yaml"', "inline.yaml p.yaml"),
+        ('parameters { rate = 40.0 }  parameters "q.yaml"', "inline.yaml q.yaml"),
+        ('parameters "q.yaml"  parameters { rate = 40.0 }  parameters "p.yaml"', "q.yaml inline.yaml p.yaml"),
+    ],
+)
+def test_a_node_that_its_program_names_gets_what_launch_gives_it(statements: str, launch: str, tmp_path: Path) -> None:
+    files = {
+        "p.yaml": "talk: {ros__parameters: {rate: 20.0}}\n",
+        "q.yaml": "/**: {ros__parameters: {rate: 30.0, all: 1}}\ntalk: {ros__parameters: {own: 2}}\n",
+        "inline.yaml": "/**: {ros__parameters: {rate: 40.0}}\n",  # as launch writes values for such a node
+    }
+    specification = loaded(tmp_path, UNNAMED % statements + "node n : C\n", files)
+    assert specification is not None
+    original = rcls(tmp_path, launch.split())
+    assert original is not None
+    component = specification.components["C"]
+    assert component.unnamed and decode_specification(encode_specification(specification)) == specification
+    nodes = ForeignNodes(tmp_path / "gates", SocketFolder(tmp_path), lambda node: None)
+
+    def started(instance: str, running: str = "") -> tuple[list[str], list[tuple[str, dict[str, Any]]]]:
+        given = unnamed_launch(specification, instance, tmp_path)
+        name = nodes.start_name(given, component, lambda node: node == running)
+        arguments = nodes.arguments(given, component, name)
+        found = rcl_sections([parameter_file(tmp_path / "gates", instance)])
+        assert found is not None and "--enclave" in arguments
+        return arguments, found
+
+    # At first its name is not known.
+    arguments, found = started("n")
+    assert not any("__node" in word for word in arguments)
+    assert effective(found, "talk") == effective(original, "talk")
+    assert effective(found, "other") == effective(original, "other")
+    # Then it is, also to the next manager: it keeps the name where that is free, and is renamed alone beside another.
+    OwnNames(tmp_path / "gates").note("n", "/talk")
+    nodes = ForeignNodes(tmp_path / "gates", SocketFolder(tmp_path), lambda node: None)
+    arguments, found = started("n_2")
+    assert not any("__node" in word for word in arguments)
+    assert effective(found, "talk") == effective(original, "talk")
+    arguments, found = started("n_2", running="/talk")
+    assert arguments[:3] == ["--ros-args", "-r", "talk:__node:=talk_2"]
+    assert effective(found, "talk_2") == effective(original, "talk")
+    with pytest.raises(StartFailed, match="a node /talk is running already"):
+        started("n", running="/talk")
+
+
+@pytest.mark.parametrize("gate", ["gate relay unnamed", "unnamed"])
+def test_only_some_gates_have_a_node_without_a_name(gate: str, tmp_path: Path) -> None:
+    text = (COMPONENT % "").replace("gate preload", gate) + "node n : C\n"
+    assert loaded(tmp_path, text, {}) is None
+    fault = load(tmp_path / "s.stride").diagnostics[0]
+    assert (fault.code, "`unnamed`" in fault.message) == ("E027", True)

@@ -12,6 +12,7 @@ import pytest
 from immutables import Map
 
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes, ros_arguments
+from midstride.backends.ros2.manager.own_names import StartName
 from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import PlanRefused, StepFailed
 from midstride.foreign.page import Page
@@ -130,12 +131,12 @@ def test_what_the_program_is_started_with(tmp_path: Path) -> None:
     component = specification.components["Talker"]
     node = full_name(launch.instance, launch.namespace)
     name = ["-r", "__node:=talker"]
-    assert ros_arguments(launch, component, node, Path("/run/p.yaml")) == [
+    assert ros_arguments(launch, component, StartName(node), Path("/run/p.yaml")) == [
         "--ros-args",
         *(*name, "-r", "__ns:=/robot1", "-r", "chatter:=/chat", "--params-file", "/run/p.yaml"),
     ]
     # Without a namespace, none is stated: a further node in the process may have one of its own.
-    assert ros_arguments(replace(launch, topics={}), component, "/talker") == ["--ros-args", *name]
+    assert ros_arguments(replace(launch, topics={}), component, StartName("/talker")) == ["--ros-args", *name]
 
 
 def test_a_relayed_program_gets_private_topics_for_its_outputs(tmp_path: Path) -> None:

@@ -68,7 +68,12 @@ def _process(system: Specification, name: str, environment: Mapping[str, str]) -
         }
     if remaps := [[*rule.partition(":=")[::2]] for option, rule in rules if option == "-r"]:
         found["remaps"] = remaps
-    if parameters := dict(system.instance(name).parameters):
+    parameters = dict(system.instance(name).parameters)
+    if component.unnamed:  # what is stated is in its sections, for whatever name its program gives it
+        parameters = {}
+        for section in (each for each in node.sections if each.matches(node.role)):
+            parameters |= section.parameters
+    if parameters:
         found["parameters"] = {key: plain(parameters[key]) for key in sorted(parameters)}
     if others := [[option, value] for option, value in rules if option not in {"-r", "-p", "--params-file"}]:
         found["ros_arguments"] = others

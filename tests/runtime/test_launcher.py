@@ -65,7 +65,8 @@ def test_a_process_is_started_as_its_command_says_and_welcomed(tmp_path: Path) -
         assert await b.launcher.start(tuned)
         assert not await b.launcher.start(tuned), "it is coming up already"
         arguments = ("python3", "my camera.py", "--fast")
-        launch = Launch("front/camera", "front", arguments, TOKEN, tmp_path, {"gain": 3}, node="front/camera")
+        name = "front/camera"
+        launch = Launch(name, "front", arguments, TOKEN, tmp_path, {"gain": 3}, node=name, role=name)
         assert b.backend.launches == [launch]
         registering = asyncio.ensure_future(b.launcher.registered(tuned))
         await asyncio.sleep(1)

@@ -197,6 +197,8 @@ declare namespace Api {
     gate?: "lifecycle" | "lifecycle preload" | "none" | "preload" | "relay";
     /** its program ends when it has done its work */
     once?: boolean;
+    /** whether its program gives its node its name itself */
+    unnamed?: boolean;
     /** what its program calls the topics of its ports */
     topics?: Record<string, string>;
     /** the outputs that exist only while something subscribes to them */
@@ -649,6 +651,8 @@ declare namespace Api {
     gate?: "lifecycle" | "lifecycle preload" | "none" | "preload" | "relay";
     /** its program ends when it has done its work */
     once?: boolean;
+    /** whether its program gives its node its name itself */
+    unnamed?: boolean;
     /** what its program calls the topics of its ports */
     topics?: Record<string, string>;
     /** the outputs that exist only while something subscribes to them */

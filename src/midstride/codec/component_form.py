@@ -231,6 +231,7 @@ class ComponentForm(Form, frozen=True):
     ] = {}
     gate: Annotated[Gate, field("a gate", "what holds it back; none: it uses Midstride's API")] | UnsetType = UNSET
     once: Annotated[bool, field("true or false", "its program ends when it has done its work")] = False
+    unnamed: Annotated[bool, field("true or false", "whether its program gives its node its name itself")] = False
     topics: Annotated[
         dict[str, Annotated[str, field("the name of a topic", min_length=1)]],
         field("an object of names of topics", "what its program calls the topics of its ports"),
@@ -265,6 +266,7 @@ class ComponentForm(Form, frozen=True):
             functionalities={form.name: FunctionalityForm.of(form) for form in component},
             gate=UNSET if component.once and component.gate == "none" else component.gate or UNSET,
             once=component.once,
+            unnamed=component.unnamed,
             topics=dict(sorted(component.topics.items())),
             lazy=sorted(component.lazy),
         )
@@ -288,6 +290,7 @@ class ComponentForm(Form, frozen=True):
             conditions=[port for port, form in self.inputs.items() if form.condition],
             gate=given(self.gate) or ("none" if self.once else None),
             once=self.once,
+            unnamed=self.unnamed,
             topics=self.topics,
             activate_seconds=given(self.activate_seconds),
             stop=None if self.stop_seconds is UNSET else self.stop_seconds.times(),

@@ -2,6 +2,6 @@
 
 PUBLIC = (
     "ForeignAgent ForeignRecord GATES_FOLDER Gates GraphEndpoint KILLED LifecyclePeers NoAnswer NodeServices OUTPUT "
-    "PAGE Page PagePort PortFlag RelayOrder RelayPlatform ReportedStates Served build differing order_file "
-    "private_topics run_relay typed"
+    "PAGE Page PagePort PortFlag RelayOrder RelayPlatform ReportedStates Served build differing endpoints_seconds "
+    "order_file private_topics run_relay typed"
 )

@@ -24,7 +24,8 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     first, once known, except what is only taken over.
     ``predecessor``: the full name of the node that it replaces, where that runs until this one is up.
     ``was_active``: it is a lifecycle node that another program manages, and it or its predecessor has been active.
-    ``revision`` counts its changes.
+    ``role``: what it is an instance of. ``unnamed``: its program gives the node its name itself, and it was not passed
+    one; ``node`` is empty until it is found. ``revision`` counts its changes.
     """
 
     instance: str
@@ -46,6 +47,8 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     welcomed: bool = False
     predecessor: str | None = None
     was_active: bool = False
+    role: str = ""
+    unnamed: bool = False
     revision: int = 0
 
     @property

@@ -203,6 +203,7 @@ class ComponentBuilder:
                 "none" if run is not None and run.once is not None else None,
             ),
             once=run is not None and run.once is not None,
+            unnamed=run is not None and run.unnamed,
             topics={own.name.text: own.topic.text for own in declaration.topics},
             activate_seconds=None if run is None or run.activate is None else run.activate.value,
             stop=None if run is None or run.stop is None else _stop_times(run.stop),

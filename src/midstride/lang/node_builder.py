@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Final
 
 from immutables import Map
 
@@ -21,6 +22,9 @@ from midstride.model.component import ROS_PARAMETERS, ComponentSpec, ParameterSe
 from midstride.model.near_miss import did_you_mean
 from midstride.model.specification import Node
 
+# The section of all nodes.
+_ALL: Final = "/**"
+
 
 @dataclass(slots=True)
 class _Stated:
@@ -35,6 +39,7 @@ class _Stated:
     values: dict[str, ParameterValueAt] = field(default_factory=dict)
     of_files: dict[str, ParameterValueAt] = field(default_factory=dict)
     sections: dict[str, dict[str, ParameterValue]] = field(default_factory=dict)
+    unnamed: bool = False
     _run: tuple[str, ...] = ()
 
     def file(self, key: str) -> None:
@@ -48,10 +53,16 @@ class _Stated:
         if value is not None:
             self.values[name] = value
 
+    def value_for_all(self, name: str, value: ParameterValueAt) -> None:
+        """A value of a node whose name is not known: as in launch, it is for all nodes of the process."""
+        self.end()
+        self.values[name] = value
+        self.sections.setdefault(_ALL, {})[name] = value.value
+
     def end(self) -> None:
         """No file follows at once."""
         for section in self.sections_of_files(self._run) if self._run else ():
-            if section.matches(self.role):
+            if section.matches(self.role) and not self.unnamed:
                 self.values |= section.values
                 self.of_files |= section.values
             values = {name: each.value for name, each in section.values.items()}
@@ -138,36 +149,53 @@ class NodeBuilder:
 
         What a component states before its first file is a default, and comes before all files.
         """
-        found = _Stated(entry.role, self._sections_of_run)
+        name = "" if entry.declaration.component is None else entry.declaration.component.text
+        unnamed = name in self.components and self.components[name].unnamed
+        found = _Stated(entry.role, self._sections_of_run, unnamed=unnamed)
+        declaration = entry.declaration
+        component = self.merged.get(name)
+        for parameter in component.parameters if unnamed and component is not None else ():
+            if not parameter.after:
+                found.value_for_all(parameter.name.text, self._at(parameter))
         for namespace, path in self.declarations.parameter_files:
             if not namespace or entry.role.startswith(f"{namespace}/"):
                 self._add_file(found, path)
-        declaration = entry.declaration
-        component = None if declaration.component is None else self.merged.get(declaration.component.text)
         if component is not None:
-            self._add(found, component.files, [(each, None) for each in component.parameters if each.after])
+            entries = [(each, self._at(each)) for each in component.parameters if each.after]
+            self._add(found, component.files, entries, defaults=True)
         own: dict[str, tuple[ParameterEntry, ParameterValueAt]] = {}
         for parameter in declaration.parameters:
-            at = ParameterValueAt(parameter.value.value, parameter.name.span)
-            own.setdefault(parameter.name.text, (parameter, at))
-        self._add(found, declaration.files, list(own.values()), named=True)
+            own.setdefault(parameter.name.text, (parameter, self._at(parameter)))
+        self._add(found, declaration.files, list(own.values()), named=not unnamed)
         found.end()
+        for text, value in found.sections.get(_ALL, {}).items() if unnamed else ():
+            if text in found.values:  # a later file may have another one
+                found.values[text] = found.values[text]._replace(value=value)
         return found
+
+    def _at(self, entry: ParameterEntry) -> ParameterValueAt:
+        return ParameterValueAt(entry.value.value, entry.name.span)
 
     def _add(
         self,
         found: _Stated,
         files: Sequence[Name],
-        entries: Sequence[tuple[ParameterEntry, ParameterValueAt | None]],
+        entries: Sequence[tuple[ParameterEntry, ParameterValueAt]],
         named: bool = False,
+        defaults: bool = False,
     ) -> None:
-        """The files and values of one declaration, in their order. ``named``: each file is for this node."""
+        """The files and values of one declaration, in their order.
+
+        ``named``: each file is for this node; ``defaults``: the values are those of the component anyway.
+        """
         for index in range(len(files) + 1):
             if index:
                 self._add_file(found, files[index - 1], named)
             for parameter, value in entries:
-                if parameter.after == index:
-                    found.value(parameter.name.text, value)
+                if parameter.after == index and found.unnamed:
+                    found.value_for_all(parameter.name.text, value)
+                elif parameter.after == index:
+                    found.value(parameter.name.text, None if defaults else value)
 
     def _add_file(self, found: _Stated, path: Name, named: bool = False) -> None:
         try:

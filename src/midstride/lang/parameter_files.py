@@ -6,15 +6,14 @@ or with wildcards (``/**``, ``/*/camera``), and contains ``ros__parameters``.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 from midstride.lang.diagnostic_text import Reporter
 from midstride.lang.rcl_parameters import ParameterValueAt, RclParameters
 from midstride.lang.source import Source, Span
 from midstride.lang.yaml_events import InvalidYaml
+from midstride.model.component import ParameterSection
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +26,7 @@ class SectionInFile:
 
     def matches(self, role: str) -> bool:
         """Whether the section applies to the node ``role``, as in ROS."""
-        return _regex(self.pattern).fullmatch("/" + role.strip("/")) is not None
+        return ParameterSection(self.pattern).matches(role)
 
 
 def read_sections(source: Source, reporter: Reporter) -> list[SectionInFile] | None:
@@ -45,10 +44,3 @@ def sections_of(sources: Sequence[Source]) -> list[SectionInFile]:
     for source in sources:
         parameters.read(source)
     return [SectionInFile(pattern, span, values) for pattern, span, values in parameters.sections()]
-
-
-@lru_cache(maxsize=4096)
-def _regex(pattern: str) -> re.Pattern[str]:
-    # As in rclcpp and rclpy, where `/**` is a repetition because its first two characters alone are replaced.
-    full = pattern if pattern.startswith("/") else f"/{pattern}"
-    return re.compile(full.replace("/*", r"(/\w+)"), re.ASCII)

@@ -78,7 +78,8 @@ class ComponentParser(ContractParser):
         word = self.span()
         once = word if self.accept_word("once") else None
         gate = self._gate() if self.accept_word("gate") else None
-        return syntax.Run(command, package, prefix, startup, activate, stop, gate, once, self.since(start))
+        unnamed = self.accept_word("unnamed")
+        return syntax.Run(command, package, prefix, startup, activate, stop, gate, once, unnamed, self.since(start))
 
     def _stop(self) -> syntax.StopClause:
         start = self.i - 1

@@ -110,6 +110,8 @@ def _component(declaration: syntax.ComponentDeclaration, rest: Subject) -> Span:
             return run.stop.span
         case ["lazy", name] if output := next((each for each in declaration.lazy if each.text == name), None):
             return output.span
+        case ["unnamed"] if run is not None:
+            return run.span
         case ["gate"] if run is not None and run.gate is not None:
             return run.gate.span
         case ["once", *_] if run is not None and run.once is not None:

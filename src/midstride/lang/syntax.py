@@ -112,6 +112,7 @@ class Run(NamedTuple):
     stop: StopClause | None
     gate: Name | None
     once: Span | None
+    unnamed: bool
     span: Span
 
 

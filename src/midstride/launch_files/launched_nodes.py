@@ -42,6 +42,7 @@ class LaunchedNode:
     package: str = ""
     prefix: tuple[str, ...] = ()
     gate: str = "preload"
+    unnamed: bool = False
     later: str = ""
     at: float = 0.0
 

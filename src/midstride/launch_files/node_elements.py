@@ -73,6 +73,7 @@ class NodeElements:
             ros_arguments=tuple(ros.others),
             package=package,
             gate="lifecycle" if entity.tag == "lifecycle_node" else "preload",
+            unnamed=(stated or ros.name) is None,
         )
         section = f"{namespace.rstrip('/')}/{stated}" if stated and namespace is not None else "/**"
         settings = [
@@ -174,6 +175,7 @@ class NodeElements:
             remaps=tuple(ros.remaps),
             settings=tuple(settings),
             ros_arguments=tuple(ros.others),
+            unnamed=ros.name is None,
             package=package,
             gate="lifecycle" if found["type"] == "LifecycleNode" else "preload",
         )
@@ -478,7 +480,7 @@ class NodeElements:
         name = _NOT_IN_NAMES.sub("_", text)
         name = name if name[:1].isalpha() or name[:1] == "_" else f"node_{name}"
         if stated is None:
-            message = f"the node has no name here, so its program gives it one; it is started as `{name}`"
+            message = f"the node has no name here, so its program gives it one; the specification calls it `{name}`"
             self.findings.add("name", message, span, left_out=False)
         elif name != text:
             self.findings.add("name", f"`{text}` is not the name of a node; it is named `{name}`", span, left_out=False)

@@ -116,9 +116,9 @@ class SpecificationDraft:
         if prefix is None:
             self._findings.add("unsupported", f"the prefix of `{node.role}` cannot be written", node.span)
         stop = f" stop {' '.join(node.stop)}" if node.stop else ""
-        gate = f"gate {node.gate}"
+        gate = f"gate {node.gate} unnamed" if node.unnamed else f"gate {node.gate}"
         if ends(node):
-            gate = "once"
+            gate = "once unnamed" if node.unnamed else "once"
             message = f"`{node.program}` is known to end when it has done its work, so `{node.role}` is `once`"
             self._findings.add("once", message, node.span, left_out=False)
         lines = [f"run {command or quoted('false')}{of_package}{after}{stop} {gate}"]

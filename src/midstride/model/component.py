@@ -11,8 +11,10 @@ nothing, so a functionality that loses its inputs can always degrade to it inste
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, Final, Literal, NamedTuple, TypeAlias, get_args
 
 from immutables import Map
@@ -95,6 +97,17 @@ class ParameterSection:
 
     pattern: str
     parameters: Map[str, ParameterValue] = field(default_factory=Map)
+
+    def matches(self, node: str) -> bool:
+        """Whether it applies to the node of this full name, as in rclcpp and rclpy."""
+        return _section_regex(self.pattern).fullmatch("/" + node.strip("/")) is not None
+
+
+@lru_cache(maxsize=4096)
+def _section_regex(pattern: str) -> re.Pattern[str]:
+    # `/**` is a repetition because its first two characters alone are replaced.
+    full = pattern if pattern.startswith("/") else f"/{pattern}"
+    return re.compile(full.replace("/*", r"(/\w+)"), re.ASCII)
 
 
 class PortRef(NamedTuple):
@@ -233,7 +246,8 @@ class ComponentSpec:
     variables that its process has besides, None for one that it does not inherit. ``startup_seconds``: how long the
     start takes (s), where known. ``tolerates``: how many missed messages in succession an input tolerates, where
     stated; ``conditions``: the inputs whose last message decides whether what they assume holds.
-    ``gate``: what holds back the outputs of a program that does not use Midstride's API (None: it does use it), and
+    ``gate``: what holds back the outputs of a program that does not use Midstride's API (None: it does use it);
+    ``unnamed``: such a program gives its node its name itself, and is not passed one; and
     ``topics`` the names that such a program has for its ports, where they are not the ports' own. Of such a program,
     ``stop`` is how it is ended, ``activate_seconds`` how long a lifecycle node may take to become active (s), where
     stated, and ``lazy`` are the outputs that exist only while something subscribes to them.
@@ -254,6 +268,7 @@ class ComponentSpec:
     tolerates: Map[str, int] = field(default_factory=Map)
     conditions: frozenset[str] = frozenset()
     gate: Gate | None = None
+    unnamed: bool = False
     topics: Map[str, str] = field(default_factory=Map)
     package: str | None = None
     prefix: str | None = None
@@ -294,6 +309,7 @@ class ComponentSpec:
         tolerates: Mapping[str, int] | None = None,
         conditions: Iterable[str] = (),
         gate: Gate | None = None,
+        unnamed: bool = False,
         topics: Mapping[str, str] | None = None,
         package: str | None = None,
         prefix: str | None = None,
@@ -320,6 +336,7 @@ class ComponentSpec:
             tolerates=Map(tolerates or {}),
             conditions=frozenset(conditions),
             gate=gate,
+            unnamed=unnamed,
             topics=Map(topics or {}),
             package=package,
             prefix=prefix,
@@ -422,6 +439,7 @@ class ComponentSpec:
             self.environment,
             self.gate,
             self.once,
+            self.unnamed,
             self.topics,
             self.lazy,
         )

@@ -43,6 +43,10 @@ def gate_problems(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
     yield from _of_a_program(component, path)
     if component.once:
         yield from _once(component, path)
+    if component.unnamed and component.gate in (None, "relay"):
+        message = f"{name} is `unnamed`, and has no gate but one that knows its program by the name of its node"
+        help = "name the node, or write `gate preload unnamed`: a program gives its node its name itself only there"
+        yield Problem(_CODE, (*path, "unnamed"), message, help)
     if component.gate is None:
         return
     if component.run is None and not component.once:

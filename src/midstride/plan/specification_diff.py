@@ -142,6 +142,7 @@ def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterat
         ("package", before.package, after.package),
         ("prefix", before.prefix, after.prefix),
         ("gate", before.gate, after.gate),
+        ("unnamed", before.unnamed, after.unnamed),
         ("activate", before.activate_seconds, after.activate_seconds),
         ("stop", _stop(before), _stop(after)),
         ("once", before.once or None, after.once or None),

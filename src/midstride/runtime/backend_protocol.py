@@ -34,8 +34,9 @@ class Launch:
     ``package``: the program is an executable of that package, where the platform has such.
     ``prefix``: words before the program; ``environment``: variables that its process has besides, None for one that it
     does not inherit.
-    ``sections``: parameters of further nodes in the process, where its program does not use Midstride's API.
-    ``foreign``: the component, where its program does not use Midstride's API; ``topics`` then has those of its ports.
+    ``role``: what it is an instance of. ``sections``: parameters of further nodes in the process, where its program
+    does not use Midstride's API. ``foreign``: the component, where its program does not use Midstride's API;
+    ``topics`` then has those of its ports.
     """
 
     instance: str
@@ -54,6 +55,7 @@ class Launch:
     environment: dict[str, str | None] = field(default_factory=dict)
     sections: tuple[ParameterSection, ...] = ()
     predecessor: str = ""
+    role: str = ""
 
 
 @dataclass(frozen=True, slots=True)

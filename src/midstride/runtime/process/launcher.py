@@ -198,6 +198,7 @@ class Launcher:
                 dict(instance.component.environment),
                 sections,
                 predecessor,
+                instance.role,
             )
             self._life.started(name, await self._backend.start(launch))
         except ValueError as error:

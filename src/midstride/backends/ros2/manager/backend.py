@@ -17,6 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
 import rclpy
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.context import Context
@@ -33,6 +34,7 @@ from midstride.backends.ros2.manager import launching
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.ros2.manager.graph import Graph
 from midstride.backends.ros2.manager.node_services import RosNodeServices
+from midstride.backends.ros2.manager.own_names import StartName
 from midstride.errors import BackendError, NodeError, StartFailed, Unreachable
 from midstride.foreign.graph_check import GraphEndpoint, Served
 from midstride.foreign.page import GATES_FOLDER
@@ -78,7 +80,12 @@ class Ros2Backend(ProcessBackend, Backend):
         self._probes = 0
         self._probe_stuck = False
         self._foreign_nodes = ForeignNodes(
-            control / GATES_FOLDER, self.transport, self._services_of, self._graph_of, self._served_by
+            control / GATES_FOLDER,
+            self.transport,
+            self._services_of,
+            self._graph_of,
+            self._served_by,
+            self._nodes_in,
         )
 
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
@@ -145,13 +152,19 @@ class Ros2Backend(ProcessBackend, Backend):
             return await self._spawn(launch, own_name, command, environment)
         if launch.foreign.once:
             if launch.package is not None or launch.parameters or launch.sections:  # a ROS node, as in a launch file
-                command = (*command, *self._foreign_nodes.arguments(launch, launch.foreign, own_name))
+                name = StartName("", passed=False) if launch.foreign.unnamed else StartName(own_name)
+                command = (*command, *self._foreign_nodes.arguments(launch, launch.foreign, name))
             return await self._spawn(launch, own_name, command, environment)
         if launch.foreign.gate == "relay":
             return await self._start_relay(launch, launch.foreign, own_name, command, environment)
-        environment, record = await self._foreign_nodes.prepare(launch, launch.foreign, own_name, environment)
+        start_name = self._foreign_nodes.start_name(launch, launch.foreign, graph.has)
+        environment, record = await self._foreign_nodes.prepare(
+            launch, launch.foreign, start_name.full or own_name, environment
+        )
+        record = msgspec.structs.replace(record, unnamed=not start_name.passed)
         try:
-            command = (*command, *self._foreign_nodes.arguments(launch, launch.foreign, own_name))
+            graph.starts(start_name.full or own_name)
+            command = (*command, *self._foreign_nodes.arguments(launch, launch.foreign, start_name))
             handle = await self._spawn(launch, own_name, command, environment)
             await self._foreign_nodes.started(record, handle)
         except BaseException as error:  # a process without an agent must not keep running
@@ -199,6 +212,9 @@ class Ros2Backend(ProcessBackend, Backend):
     def _served_by(self, node: str) -> Served:
         return Served() if self._context is None else self._graph.served_by(node)
 
+    def _nodes_in(self, enclave: str) -> list[str]:
+        return [] if self._context is None else self._graph.of_enclave(enclave)
+
     def _python(self) -> str:
         return sys.executable
 
@@ -225,9 +241,11 @@ class Ros2Backend(ProcessBackend, Backend):
         self._gone(instance)
 
     def _gone(self, instance: str) -> None:
+        node = self._foreign_nodes.node_of(instance) or full_name(instance)
         self._foreign_nodes.gone(instance)
         if self._context is not None:
-            self._graph.died(full_name(instance))
+            for name in {node, full_name(instance)}:
+                self._graph.died(name)
 
     def disconnected(self, instance: str) -> None:
         if self._context is not None:

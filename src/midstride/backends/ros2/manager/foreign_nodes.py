@@ -18,14 +18,16 @@ from msgspec.structs import replace
 
 from midstride.backends.common import in_background
 from midstride.backends.naming import topics_of
-from midstride.backends.ros2.manager.parameter_file import parameter_file, write_parameters
+from midstride.backends.ros2.manager.own_names import OwnNames, StartName, enclave_of
+from midstride.backends.ros2.manager.parameter_file import ALL, parameter_file, write_parameters
+from midstride.backends.ros2.names import system_tag
 from midstride.codec.component_form import NamedComponentForm
 from midstride.codec.parameter import json_values
 from midstride.errors import BackendError, CommandRefused
 from midstride.foreign import build
 from midstride.foreign.gated_agent import ForeignAgent
 from midstride.foreign.gates import Gates
-from midstride.foreign.graph_check import GraphEndpoint, Served
+from midstride.foreign.graph_check import GraphEndpoint, Served, endpoints_seconds
 from midstride.foreign.lifecycle_outputs import LifecyclePeers
 from midstride.foreign.mode_parameters import typed
 from midstride.foreign.page import PAGE, Page
@@ -41,6 +43,8 @@ from midstride.wire.transport import Transport
 
 ENV_PAGE: Final = "MIDSTRIDE_GATE_PAGE"
 ENV_NODE: Final = "MIDSTRIDE_GATE_NODE"
+# How often the graph is looked at for the node of a process that has just been started (s).
+_LOOK: Final = 0.05
 
 log = logging.getLogger(__name__)
 
@@ -49,7 +53,7 @@ class ForeignNodes:
     """Those of one system. Their page and records are in ``folder``; their agents listen on ``transport``.
 
     ``services(node)``: what a node, by its full name, can be asked; ``graph(node)``: what the graph shows of it;
-    ``served(node)``: what the node serves.
+    ``served(node)``: what the node serves; ``nodes_in(enclave)``: the full names of the nodes in it.
     """
 
     def __init__(
@@ -59,6 +63,7 @@ class ForeignNodes:
         services: Callable[[str], NodeServices | None],
         graph: Callable[[str], Sequence[GraphEndpoint]] | None = None,
         served: Callable[[str], Served] | None = None,
+        nodes_in: Callable[[str], Sequence[str]] = lambda enclave: (),
     ) -> None:
         self._folder = folder
         self._transport = transport
@@ -72,6 +77,13 @@ class ForeignNodes:
         self._relayed: dict[str, str] = {}  # by instance that has a relay, the full name of its program's node
         self.names: set[str] = set()  # the full names of their ROS nodes, also of those that have ended
         self._closing: set[asyncio.Task[None]] = set()
+        self._own_names = OwnNames(folder)
+        self._finding: dict[str, asyncio.Task[None]] = {}
+        self._nodes_in = nodes_in
+
+    def start_name(self, launch: Launch, component: ComponentSpec, runs: Callable[[str], bool]) -> StartName:
+        """What the node of the instance is called. Raises StartFailed."""
+        return self._own_names.start_name(launch, component.unnamed, runs)
 
     async def prepare(
         self, launch: Launch, component: ComponentSpec, node: str, environment: Mapping[str, str]
@@ -106,6 +118,7 @@ class ForeignNodes:
             taken_over=json_values(launch.set_parameters),
             predecessor=full_name(launch.predecessor, launch.namespace) if launch.predecessor else None,
             was_active=(old := self._agents.get(launch.predecessor)) is not None and old.node.record.was_active,
+            role=launch.role,
         )
         return variables, record
 
@@ -120,7 +133,7 @@ class ForeignNodes:
         """The file of the order of a relay; the arguments are those of :class:`RelayOrder`. Raises BackendError."""
         topics = topics_of(component, node, launch.topics) | private_topics(component, launch.instance)
         order = RelayOrder(
-            command=[*command, *self.arguments(replaced(launch, topics=topics), component, node)],
+            command=[*command, *self.arguments(replaced(launch, topics=topics), component, StartName(node))],
             node=node,
             declaration=NamedComponentForm.of(component),
             topics=topics,
@@ -133,15 +146,20 @@ class ForeignNodes:
         self._relays(launch.instance, node)
         return path
 
-    def arguments(self, launch: Launch, component: ComponentSpec, node: str) -> list[str]:
+    def arguments(self, launch: Launch, component: ComponentSpec, name: StartName) -> list[str]:
         """What follows the command; the parameters are in a file, which is deleted with the process.
 
         Raises BackendError.
         """
-        values = typed(component, {**launch.parameters, **launch.set_parameters}, {})
+        given = {**launch.parameters, **launch.set_parameters}
+        if name.full and component.unnamed:  # what the sections have for all nodes is among these
+            own = name.original or name.full
+            matching = [section.parameters for section in launch.sections if section.matches(own)]
+            given = {key: value for values in (*matching, launch.set_parameters) for key, value in values.items()}
         path = parameter_file(self._folder.absolute(), launch.instance)
-        written = write_parameters(path, launch.sections, node, values)
-        return ros_arguments(launch, component, node, path if written else None)
+        written = write_parameters(path, launch.sections, name.full or ALL, typed(component, given, {}))
+        enclave = enclave_of(system_tag(launch.token), launch.instance) if component.unnamed else ""
+        return ros_arguments(launch, component, name, path if written else None, enclave)
 
     def _relays(self, instance: str, node: str) -> None:
         self._relayed[instance] = node
@@ -176,10 +194,40 @@ class ForeignNodes:
             self._page.free(record.index)
 
     async def started(self, record: ForeignRecord, handle: Handle) -> None:
-        """Have an agent answer for the process. Raises BackendError, NodeError."""
+        """Have an agent answer for the process, once its node is known. Raises BackendError, NodeError."""
         record = replace(record, pid=handle.pid or 0)
         record.write(self._folder)
-        await self._answer(record)
+        await self._answer_once_known(record)
+
+    async def _answer_once_known(self, record: ForeignRecord) -> None:
+        if not record.declaration.declared().unnamed or (record.node and record.welcomed):
+            await self._answer(record)
+            return
+        task = asyncio.get_running_loop().create_task(self._find(record))
+        self._finding[record.instance] = task
+        task.add_done_callback(lambda _: self._finding.pop(record.instance, None))
+
+    async def _find(self, record: ForeignRecord) -> None:
+        """Wait until the graph shows the node, and answer for it; one without a node is answered for all the same."""
+        enclave, found = enclave_of(system_tag(record.token), record.instance), list[str]()
+        deadline = time.monotonic() + endpoints_seconds(record.declaration.declared())
+        while not found and time.monotonic() < deadline:
+            await asyncio.sleep(_LOOK)
+            found = [name for name in self._nodes_in(enclave) if "/_" not in name]
+        try:
+            if found:  # of several, a further one is often in a namespace of the first
+                node = min(found, key=lambda name: (name.count("/"), len(name), name))
+                if record.unnamed:
+                    self._own_names.note(record.role, node)
+                record = replace(record, node=node)
+                record.write(self._folder)
+            await self._answer(record)
+        except BackendError as error:
+            log.error("%s cannot be answered for: %s", record.instance, error)
+
+    def node_of(self, instance: str) -> str | None:
+        """The full name of the node of an instance, once it is known."""
+        return None if (agent := self._agents.get(instance)) is None else agent.node.record.node
 
     async def adopt(self, instance: str) -> None:
         """The process of an earlier manager runs: answer for it, if it has no agent inside it. Raises BackendError."""
@@ -190,7 +238,7 @@ class ForeignNodes:
                     await self._opened(os.environ)
                 except BackendError as error:
                     raise BackendError(f"{instance} cannot be answered for: {error}") from None
-            await self._answer(record)
+            await self._answer_once_known(record)
         with suppress(BackendError):
             self._relays(instance, RelayOrder.read(order_file(self._folder, instance)).node)
 
@@ -229,6 +277,8 @@ class ForeignNodes:
     def gone(self, instance: str) -> None:
         """Its process has ended."""
         parameter_file(self._folder, instance).unlink(missing_ok=True)
+        if (task := self._finding.pop(instance, None)) is not None:
+            task.cancel()
         self._peers.nodes.pop(instance, None)
         if self._relayed.pop(instance, None) is not None:
             order_file(self._folder, instance).unlink(missing_ok=True)
@@ -246,13 +296,20 @@ class ForeignNodes:
     async def close(self) -> None:
         """The nodes go on without their agents."""
         agents, self._agents = list(self._agents.values()), {}
+        for task in list(self._finding.values()):
+            task.cancel()
         await asyncio.gather(*(agent.close() for agent in agents), *self._closing)
 
 
-def ros_arguments(launch: Launch, component: ComponentSpec, node: str, parameters: Path | None = None) -> list[str]:
+def ros_arguments(
+    launch: Launch, component: ComponentSpec, name: StartName, parameters: Path | None = None, enclave: str = ""
+) -> list[str]:
     """What follows the command: the node's name, the topics of its ports, and its file of parameters."""
-    name, namespace = split_name(node)
-    remaps = [f"__node:={name}"]
+    own, namespace = split_name(name.full) if name.full else ("", f"/{launch.namespace}")
+    of_one = f"{split_name(name.original)[0]}:" if name.original else ""  # further nodes keep their names
+    remaps = [f"{of_one}__node:={own}"] if name.passed else []
+    if component.unnamed:
+        namespace = f"/{launch.namespace}"
     remaps += [f"__ns:={namespace}"] if namespace != "/" else []  # else a further node may have one of its own
     remaps += [
         f"{component.topic_of(port)}:={topic}"
@@ -260,4 +317,6 @@ def ros_arguments(launch: Launch, component: ComponentSpec, node: str, parameter
         if component.topic_of(port) != topic
     ]
     arguments = [part for remap in remaps for part in ("-r", remap)]
-    return ["--ros-args", *arguments, *([] if parameters is None else ["--params-file", str(parameters)])]
+    arguments += ["--enclave", enclave] if enclave else []
+    arguments += [] if parameters is None else ["--params-file", str(parameters)]
+    return ["--ros-args", *arguments] if arguments else []

@@ -100,6 +100,11 @@ class Graph:
                 subscribers += [(name, topic) for name in readers]
         return Endpoints(frozenset(nodes), tuple(sorted(publishers)), tuple(sorted(subscribers)))
 
+    def of_enclave(self, enclave: str) -> list[str]:
+        """The full names of the nodes in it."""
+        listed = self._node.get_node_names_and_namespaces_with_enclaves()
+        return [full_name(name, inside) for name, inside, found in listed if found == enclave]
+
     def of_process(self, node: str) -> list[GraphEndpoint]:
         """The endpoints of a node that no component has, by its full name."""
         instances = self._instances()

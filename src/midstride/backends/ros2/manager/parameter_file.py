@@ -18,6 +18,8 @@ from midstride.errors import BackendError
 from midstride.model.component import ParameterSection
 
 FOLDER: Final = "parameters"
+# The section of all nodes.
+ALL: Final = "/**"
 # libyaml takes a longer key only after a question mark.
 _SIMPLE_KEY: Final = 200
 # Of a smaller number, rcl reads only the hexadecimal form as one.
@@ -50,7 +52,8 @@ def write_parameters(path: Path, sections: Iterable[ParameterSection], node: str
 
 def _lines(sections: Iterable[ParameterSection], node: str, values: Mapping[str, object]) -> Iterator[str]:
     for section in (*sections, ParameterSection(node, values)):  # type: ignore[arg-type]
-        if section.parameters and (section.pattern.strip("/") != node.strip("/") or section.parameters is values):
+        replaced = section.pattern.strip("/") == node.strip("/") and node != ALL and section.parameters is not values
+        if section.parameters and not replaced:
             yield f"{_in_yaml(section.pattern)}:\n  ros__parameters:\n"
             for name, value in sorted(section.parameters.items()):
                 key = _in_yaml(name)

@@ -1,0 +1,82 @@
+"""The names of nodes whose programs name them, as launch leaves it to them where it states none.
+
+A node is found in the graph by the enclave that its process is started with: rcl announces it with each node, and it
+has no other meaning as long as ROS's security is off. The name is found at the first start and kept, so that the
+sections of parameter files that are for it are known when another instance is started, which has to have another name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from midstride.errors import BackendError, StartFailed
+from midstride.model.instance_names import full_name, split_name
+from midstride.runtime.backend_protocol import Launch
+
+FILE: Final = "own-names"
+
+
+def enclave_of(tag: str, instance: str) -> str:
+    """The enclave of the process of an instance; ``tag`` distinguishes its system from others."""
+    return f"/midstride/s{tag}/{instance.strip('/')}"
+
+
+@dataclass(frozen=True, slots=True)
+class StartName:
+    """The name that a node is started with: its ``full`` name, empty where that is not known yet.
+
+    ``passed``: whether it is passed to the process; ``original``: the full name of the one node of the process that it
+    is for, where that is known.
+    """
+
+    full: str
+    passed: bool = True
+    original: str = ""
+
+
+class OwnNames:
+    """By role, the full name that its program gives its node; kept in ``folder``."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / FILE
+        self._names: dict[str, str] | None = None
+
+    def _read(self) -> dict[str, str]:
+        if self._names is None:
+            try:
+                self._names = msgspec.json.decode(self._path.read_bytes(), type=dict[str, str])
+            except (OSError, msgspec.DecodeError):
+                self._names = {}
+        return self._names
+
+    def note(self, role: str, name: str) -> None:
+        """Raises BackendError."""
+        if (names := self._read()).get(role) == name:
+            return
+        names[role] = name
+        try:
+            self._path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            self._path.write_bytes(msgspec.json.encode(names))
+        except OSError as error:
+            raise BackendError(f"{self._path} cannot be written: {error.strerror or error}") from None
+
+    def start_name(self, launch: Launch, unnamed: bool, runs: Callable[[str], bool]) -> StartName:
+        """What the node of an instance is called. ``runs``: whether a node of that full name is in the graph.
+
+        Raises StartFailed.
+        """
+        if not unnamed:
+            return StartName(full_name(launch.instance, launch.namespace))
+        own = self._read().get(launch.role, "")
+        if not own or not runs(own):
+            return StartName(own, passed=False)
+        number = launch.instance.removeprefix(launch.role)
+        if not number:
+            raise StartFailed(f"{launch.instance}: a node {own} is running already; end it, or name the node")
+        name, namespace = split_name(own)
+        return StartName(full_name(name + number, namespace), original=own)
