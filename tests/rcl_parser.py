@@ -84,6 +84,8 @@ def rcl_parser() -> Any | None:
         library.rcl_yaml_node_struct_fini.argtypes = [ctypes.POINTER(_Parameters)]
         library.rcl_parse_yaml_file.restype = ctypes.c_bool
         library.rcl_parse_yaml_file.argtypes = [ctypes.c_char_p, ctypes.POINTER(_Parameters)]
+        library.rcl_parse_yaml_value.restype = ctypes.c_bool
+        library.rcl_parse_yaml_value.argtypes = [*[ctypes.c_char_p] * 3, ctypes.POINTER(_Parameters)]
         library.allocator = utilities.rcutils_get_default_allocator()
         library.reset_error = utilities.rcutils_reset_error
         return library
@@ -103,12 +105,13 @@ def rcl_sections(files: Sequence[Path]) -> list[tuple[str, dict[str, Any]]] | No
             if not library.rcl_parse_yaml_file(os.fsencode(path), into):
                 library.reset_error()
                 return None
-        return list(_sections(into.contents))
+        return list(sections_of_rcl(into.contents))
     finally:
         library.rcl_yaml_node_struct_fini(into)
 
 
-def _sections(found: _Parameters) -> Iterator[tuple[str, dict[str, Any]]]:
+def sections_of_rcl(found: Any) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The sections of what the library has read."""
     for index in range(found.count):
         of_node = found.parameters[index]
         values = ((of_node.names[place].decode(), _value(of_node.values[place])) for place in range(of_node.count))

@@ -99,6 +99,8 @@ def differences(launched: Mapping[str, Any], imported: Mapping[str, Any]) -> lis
         del launched["name"], imported["name"]
     if "respawn" in launched:
         launched["respawn"] = True
+    if "shell" not in launched:
+        imported.pop("shell", None)
     if launched.pop("shell", False) and imported.pop("shell", False):  # one word for the shell, instead of several
         for each in (launched, imported):
             del each["program"], each["arguments"]

@@ -13,6 +13,7 @@ import importlib.metadata
 import json
 import logging
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -207,7 +208,7 @@ def answer(path: Path, arguments: dict[str, str], prefix: Path) -> dict[str, Any
         errors = (
             [each for each in recorder.log_errors if "Caught exception" in each] or recorder.log_errors or ["failed"]
         )
-        found["error"] = shortened(errors[0], prefix)[:300]
+        found["error"] = shortened(re.sub(r" at 0x\w+", "", errors[0]).replace(_CAUGHT, ""), prefix)[:300]
     return found
 
 

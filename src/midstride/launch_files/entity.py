@@ -139,7 +139,10 @@ def _entity(tag: str, tree: Tree, span: Span) -> Entity:
                 entity.attributes[name] = list(plain)
             elif isinstance(content, dict):
                 raise NotALaunchFile(f"line {place.source.position(place.start)[0]} is not an element")
-            elif content is not None:
+            elif content is None:
+                line = place.source.position(place.start)[0]
+                raise NotALaunchFile(f"line {line} has a key without a value, which launch does not take")
+            else:
                 entity.attributes[name] = content
     return entity
 

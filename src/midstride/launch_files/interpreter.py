@@ -264,9 +264,9 @@ class Interpreter(NodeElements):
     # -- scopes ----------------------------------------------------------------------------------------------
 
     def _group(self, entity: Entity, context: Context) -> None:
-        scoped = self.boolean(entity, "scoped", context, True)
+        scoped = self.flag(entity, "scoped", True)
         kept = self._kept(entity, context)
-        inner = context.scoped(self.boolean(entity, "forwarding", context, True)) if scoped else context
+        inner = context.scoped(self.flag(entity, "forwarding", True)) if scoped else context
         inner.variables.update(kept)
         self._children([child for child in entity.children if child.tag != "keep"], inner)
 

@@ -200,7 +200,7 @@ class NodeElements:
     def _note(self, entity: Entity, context: Context, node: LaunchedNode) -> None:
         """Add the node, with what every process may have."""
         folder = self.text(entity, "cwd", context) if "cwd" in entity.attributes else None
-        shell = self.boolean(entity, "shell", context, False)
+        shell = self.flag(entity, "shell", False)
         if "on_exit" in entity.attributes:
             self.findings.add("unsupported", f"the attribute `on_exit` of `{entity.tag}` is left out", entity.span)
         variables = dict(context.variables_set)
@@ -434,6 +434,18 @@ class NodeElements:
         """Raises UnknownValue."""
         value = entity.attributes.get(attribute, otherwise)
         return value if isinstance(value, bool) else typed_truth(substituted(plain(value), context))
+
+    def flag(self, entity: Entity, attribute: str, otherwise: bool) -> bool:
+        """Whether an attribute is set in which launch carries out no substitution: any text there sets it."""
+        value = entity.attributes.get(attribute, otherwise)
+        try:
+            return value if isinstance(value, bool) else typed_truth(plain(value))
+        except UnknownValue:
+            message = (
+                f"launch takes any text for true in `{attribute}` of `{entity.tag}`, `{shortened(plain(value))}` too"
+            )
+            self.findings.add("unsupported", message, entity.span, left_out=False)
+            return True
 
     def path(self, entity: Entity, attribute: str, context: Context) -> str:
         """An absolute path; a relative one is looked for beside the launch file. Raises UnknownValue."""

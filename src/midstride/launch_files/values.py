@@ -28,6 +28,10 @@ _TYPES: Final[dict[str, tuple[type, bool] | None]] = {
 }
 
 
+class _NotYaml(UnknownValue):
+    """A value is not valid YAML."""
+
+
 def plain(value: EntityValue) -> str:
     """The value of an attribute as text, as it would be in XML."""
     return str(value).lower() if isinstance(value, bool) else str(value)
@@ -94,7 +98,12 @@ def _performed(value: Plain | Template, wanted: tuple[type, bool] | None, perfor
 def _coerced(text: str, wanted: tuple[type, bool] | None, *, or_text: bool) -> LaunchValue:
     """``text`` as a value of the wanted type, or of that which it has in YAML. ``or_text``: else it stays text."""
     if wanted is None:
-        return _allowed(_yaml(text) if text else "", or_text)
+        try:
+            return _allowed(_yaml(text) if text else "", or_text)
+        except _NotYaml:
+            if or_text:
+                return text
+            raise
     kind, is_list = wanted
     valid = (str, kind) if or_text else (kind,)
     if is_list:
@@ -172,4 +181,4 @@ def _yaml(text: str) -> Any:
     try:
         return yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError, UnicodeError):
-        raise UnknownValue("the value is not valid YAML", "parameters") from None
+        raise _NotYaml("the value is not valid YAML", "parameters") from None

@@ -1,0 +1,23 @@
+from launch import LaunchDescription
+from launch.actions import GroupAction, SetLaunchConfiguration
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+
+def generate_launch_description():
+    return LaunchDescription(
+        [
+            SetLaunchConfiguration("a", "1"),
+            GroupAction(
+                [
+                    Node(
+                        package="made_up_pkg",
+                        executable="worker",
+                        name="n",
+                        arguments=[LaunchConfiguration("a", default="none")],
+                    )
+                ],
+                forwarding=False,
+            ),
+        ]
+    )

@@ -1,0 +1,7 @@
+from launch import LaunchDescription
+from launch_ros.actions import Node
+
+
+def generate_launch_description():
+    n = Node(package="made_up_pkg", executable="worker", name="n")
+    return LaunchDescription([n, n])

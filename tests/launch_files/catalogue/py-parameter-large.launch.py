@@ -1,0 +1,8 @@
+from launch import LaunchDescription
+from launch_ros.actions import Node
+
+
+def generate_launch_description():
+    return LaunchDescription(
+        [Node(package="made_up_pkg", executable="worker", name="n", parameters=[{"a": 2**63 - 1, "b": -(2**63)}])]
+    )
