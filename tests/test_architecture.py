@@ -45,7 +45,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "backends": frozenset({"model", "codec", "wire", "node", "foreign", "runtime", "capture", "ament_index"}),
     "foreign": frozenset({"model", "codec", "wire", "node"}),
     "server": EVERY - {"node", "cli", "simulation", "launch_files", "capture"} | {""},
-    "cli": EVERY | {""},
+    "cli": EVERY | {"", "ament_index"},
     "simulation": EVERY - {"server", "cli"},
     "": EVERY - {"server", "cli", "simulation"},
     "launch": frozenset({"backends"}),

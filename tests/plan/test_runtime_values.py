@@ -9,7 +9,7 @@ import pytest
 from immutables import Map
 
 from midstride.errors import PlanRefused
-from midstride.model.component import ComponentSpec, ParameterSpec, ParameterValue
+from midstride.model.component import ComponentSpec, Gate, ParameterSpec, ParameterValue
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.runtime_values import Values, decide, of_change
@@ -125,3 +125,19 @@ def test_only_what_a_change_concerns_is_listed() -> None:
         ("gain", "file_wins"),
         ("label", "kept"),
     ]
+
+
+def test_a_program_without_the_api_starts_without_what_was_set_on_its_predecessor() -> None:
+    """But for a lifecycle node, on which it is set before it is configured."""
+    lost = "lost: New does not use Midstride's API, and starts with"
+    gates: tuple[tuple[Gate, str], ...] = (("preload", "lost"), ("none", "lost"), ("lifecycle", "kept"))
+    for gate, fate in gates:
+        target = system("New", replace(component("New", gain=1.0), gate=gate))
+        found = {each.parameter: each for each in decide(RUNNING, target, "talker", {"gain": 1.7, "own": 3})}
+        assert {name: each.fate for name, each in found.items()} == {"gain": fate, "own": fate}
+        if gate == "preload":
+            assert found["gain"].words == f"talker: gain = 1.7, set at run time: {lost} 1.0"
+            assert found["own"].words == f"talker: own = 3, set at run time: {lost} its own value"
+    # Where the file has that value, nothing is lost.
+    target = system("New", replace(component("New", gain=1.7), gate="preload"))
+    assert fates(RUNNING, target, gain=1.7) == {}

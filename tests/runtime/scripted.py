@@ -332,6 +332,9 @@ class ScriptedBackend:
     def is_stopped(self, instance: str) -> bool:
         return False
 
+    def executable(self, package: str, name: str) -> str | None:
+        return None
+
     @contextlib.asynccontextmanager
     async def probe(self) -> AsyncIterator[str | None]:
         yield None

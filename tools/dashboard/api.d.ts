@@ -545,6 +545,8 @@ declare namespace Api {
     changed_files?: string[];
     /** what is not known of its program's files */
     unknown_files?: string | null;
+    /** the file of the package's executable that its `run` names */
+    executable?: string | null;
   }
 
   /** A process that had not ended in the time that it had, and was killed: what it does at its end is lost. */
@@ -997,6 +999,8 @@ declare namespace Api {
     unknown: string | null;
     /** whether the manager can start it: its component has a `run` command */
     startable: boolean;
+    /** the file of the package's executable that its `run` names, as the manager finds it */
+    executable: string | null;
   }
 
   /** A QoS profile; what is not stated is ROS 2's default. */
@@ -1095,13 +1099,13 @@ declare namespace Api {
     seconds?: number;
   }
 
-  /** A parameter value that was set while the node ran, and what becomes of it in a change. `kept`: the node keeps it. `file_wins`: the specification changed the value as well. `left_behind`: the new component does not declare the parameter. `not_kept`: the request says to start from the file. `late`: it was set on the old instance when the new one had taken over, and the new one refused it. */
+  /** A parameter value that was set while the node ran, and what becomes of it in a change. `kept`: the node keeps it. `lost`: the new program does not use Midstride's API, and starts without it. `file_wins`: the specification changed the value as well. `left_behind`: the new component does not declare the parameter. `not_kept`: the request says to start from the file. `late`: it was set on the old instance when the new one had taken over, and the new one refused it. */
   interface RuntimeValue {
     node: string;
     parameter: string;
     /** the value of a parameter; a list is of one kind */
     value: boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[];
-    fate: "file_wins" | "kept" | "late" | "left_behind" | "not_kept";
+    fate: "file_wins" | "kept" | "late" | "left_behind" | "lost" | "not_kept";
     /** the same for people */
     words: string;
   }

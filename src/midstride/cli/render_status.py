@@ -8,7 +8,7 @@ from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.text import Text
 
-from midstride.cli.changed_programs import code_words
+from midstride.cli.changed_programs import code_words, other_overlay
 from midstride.cli.input_files import as_typed_here
 from midstride.cli.render import UNKNOWN, hertz, seconds, table
 from midstride.codec.parameter import from_json
@@ -133,6 +133,7 @@ def _programs(status: Status) -> Iterable[Text]:
             yield Text(f"{component.name}: {code_words(component.changed_files)}{remedy}", style="yellow")
         if unknown and component.reachable:
             not_known.setdefault(unknown, []).append(component.name)
+    yield from (Text(line, style="yellow") for line in other_overlay(status.instances))
     for reason, names in not_known.items():
         each = ", ".join(names) + (" (each)" if len(names) > 1 else "")
         yield Text(f"{each}: whether its code has changed is not fully known: {reason}", style="dim")

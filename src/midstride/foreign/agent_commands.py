@@ -44,7 +44,9 @@ class ForeignCommands:
             case commands.ModesCommand():
                 return await self.modes(command)
             case commands.ObserveCommand():
-                if self._parameters is not None and (node := self._lifecycle) is not None and node.lifecycle.responsive:
+                node = self._lifecycle
+                answers = self._node.record.welcomed if node is None else node.lifecycle.responsive
+                if self._parameters is not None and answers:
                     await self._parameters.read()
                 return self._node.state()
             case commands.SetParametersCommand() if self._parameters is not None and self._lifecycle is not None:

@@ -24,16 +24,24 @@ class ForeignParameters:
         self._services = services
 
     async def read(self) -> None:
-        """Have the state show them. Does nothing where the node does not answer."""
+        """Have the state show them, or that the node does not answer."""
         try:
             found = await self._services.parameters(READ_TIMEOUT)
         except NoAnswer:
+            self._node.unread_parameters = True
             return
+        self._node.unread_parameters = False
         values = {name: value for name, value in found.items() if not name.startswith(_OF_ROS)}
         record = self._node.record
-        if record.started_with is None:  # what the program itself has chosen is not known before
-            own = {name: value for name, value in values.items() if name not in record.taken_over}
-            self._node.change_record(started_with={**own, **record.stated})
+        # What the program itself has chosen is not known before; and one that is no lifecycle node, which has answered
+        # before it was complete, may declare more.
+        late = {} if self._node.component.has_lifecycle else values
+        own = {name: value for name, value in values.items() if name not in record.taken_over}
+        if record.started_with is None:
+            first = {**own, **record.stated} if self._node.component.has_lifecycle else {**record.stated, **own}
+            self._node.change_record(started_with=first)
+        elif new := {name: own[name] for name in own if name in late and name not in record.started_with}:
+            self._node.change_record(started_with={**record.started_with, **new})
         started_with = self._node.record.started_with or {}
         of_modes = {name for functionality in self._node.component for name in functionality.parameters()}
         self._node.parameters = values

@@ -40,6 +40,8 @@ from midstride.wire.transport import Transport
 HEARTBEAT: Final = 0.5
 # How often it asks a lifecycle node for its state and its parameters (s).
 LOOK: Final = 1.0
+# How often it asks any other node for its parameters (s).
+PARAMETERS_LOOK: Final = 2.0
 # How long the graph may take to show a new node's endpoints (s), and how often it is compared later (s).
 GRAPH_TIMEOUT: Final = 5.0
 GRAPH_LOOK: Final = 2.0
@@ -111,6 +113,7 @@ class ForeignAgent:
                 self._register(),
                 self._heartbeat(),
                 self._watch_lifecycle(),
+                self._watch_parameters(),
                 self._watch_graph(),
                 self._watch_inputs(),
             )
@@ -277,6 +280,16 @@ class ForeignAgent:
                     await self._parameters.read()
                 if left:
                     self._changed()
+
+    async def _watch_parameters(self) -> None:
+        """Look now and then which parameters a node has that is no lifecycle node: any ROS tool may set some."""
+        await self._registered.wait()
+        while self.lifecycle is None and self._parameters is not None and self._failed is None:
+            before = self.node.parameters, self.node.declared, self.node.unread_parameters
+            await self._parameters.read()
+            if before != (self.node.parameters, self.node.declared, self.node.unread_parameters):
+                self._report()
+            await asyncio.sleep(PARAMETERS_LOOK)
 
     async def _watch_inputs(self) -> None:
         """Degrade what relies on a publisher that has fallen silent; the manager restores it once that is back."""

@@ -50,6 +50,7 @@ class ForeignNode:
         # As of the last time that the node was asked: its parameters, and those set while it ran with what they were.
         self.parameters: dict[str, Any] = {}
         self.declared: dict[str, Any] = {}
+        self.unread_parameters = False  # it has not answered when it was last asked for them
         self.differences: list[str] = []  # in which way the graph shows another node than the declared one
         self.undeclared: list[str] = []  # its topics that are no ports
         self.serves: list[str] = []  # its services and ROS actions that others may rely on
@@ -163,6 +164,7 @@ class ForeignNode:
             node=record.node,
             imported=1,
             host=THIS_HOST,
+            unread_parameters=self.unread_parameters,
             simulated_time=record.simulated_time,
             clock_speed=self.others.speed if record.simulated_time else 1.0,
         )

@@ -24,15 +24,16 @@ from midstride.model.specification import Specification
 from midstride.plan.change import Change
 
 Values: TypeAlias = Mapping[str, ParameterValue]
-Fate: TypeAlias = Literal["kept", "file_wins", "left_behind", "not_kept", "late"]
+Fate: TypeAlias = Literal["kept", "file_wins", "left_behind", "not_kept", "late", "lost"]
 
 
 class RuntimeValue(Form, frozen=True, kw_only=True, omit_defaults=False, forbid_unknown_fields=False):
     """A parameter value that was set while the node ran, and what becomes of it in a change.
 
-    `kept`: the node keeps it. `file_wins`: the specification changed the value as well. `left_behind`: the new
-    component does not declare the parameter. `not_kept`: the request says to start from the file. `late`: it was set on
-    the old instance when the new one had taken over, and the new one refused it.
+    `kept`: the node keeps it. `lost`: the new program does not use Midstride's API, and starts without it. `file_wins`:
+    the specification changed the value as well. `left_behind`: the new component does not declare the parameter.
+    `not_kept`: the request says to start from the file. `late`: it was set on the old instance when the new one had
+    taken over, and the new one refused it.
     """
 
     what: ClassVar[str] = "a parameter value"
@@ -66,6 +67,8 @@ def _decisions(
                 yield runtime_value(role, name, value, "not_kept", "not kept, as requested")
             elif name in was:
                 yield left_behind(role, name, value, will.name)
+            elif not will.takes_values_over:
+                yield _lost(role, name, value, will.name, "its own value")
             elif name in ROS_PARAMETERS:
                 yield runtime_value(role, name, value, "kept", "kept")
             else:
@@ -76,6 +79,8 @@ def _decisions(
             yield runtime_value(role, name, value, "not_kept", f"not kept, as requested; it becomes {declares[name]!r}")
         elif _file_changed(before, after, role, name):
             yield runtime_value(role, name, value, "file_wins", f"the file wins and changes it to {declares[name]!r}")
+        elif not will.takes_values_over:
+            yield _lost(role, name, value, will.name, repr(declares[name]))
         elif not value_fits(value, default := _default(will, name, declares[name])):
             raise PlanRefused(
                 f"{role} has {name} = {value!r}, set at run time, and {will.name} takes {value_kind(default)}: set "
@@ -119,6 +124,11 @@ def of_change(change: Change, values: Mapping[str, Values], *, keep: bool = True
 def left_behind(role: str, name: str, value: ParameterValue, component: str) -> RuntimeValue:
     """The parameter is not declared by the component that replaces the role's."""
     return runtime_value(role, name, value, "left_behind", f"not declared by {component}, left behind")
+
+
+def _lost(role: str, name: str, value: ParameterValue, component: str, instead: str) -> RuntimeValue:
+    words = f"lost: {component} does not use Midstride's API, and starts with {instead}"
+    return runtime_value(role, name, value, "lost", words)
 
 
 def runtime_value(role: str, name: str, value: ParameterValue, fate: Fate, fate_words: str) -> RuntimeValue:

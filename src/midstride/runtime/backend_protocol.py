@@ -174,6 +174,10 @@ class Backend(Protocol):
         """Why what the next manager needs to know of the components could not be written to disk."""
         return None
 
+    def executable(self, package: str, name: str) -> str | None:
+        """The file of an executable of a package, where the platform has packages, and this one is installed."""
+        return None
+
     def middleware(self) -> Middleware:
         """The middleware, and what is set for it. To be asked after ``open``."""
 

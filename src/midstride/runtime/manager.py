@@ -96,7 +96,7 @@ class Manager:
         self.system = system = RunningSystem(specification, nothing, client.life, named)
         self._launcher = launcher = Launcher(backend, client, directory, options)
         # What is known of components.
-        self._programs = Programs(client, directory)
+        self._programs = Programs(client, directory, backend.executable)
         self._watch = DiscoveryWatch(backend, client, events, system, commands)
         self._monitor = monitor = SilenceMonitor(client.life, clock, events, self._watch.stopped, backend.is_stopped)
         # What changes the system, each part by the one before it.

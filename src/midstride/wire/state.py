@@ -119,7 +119,8 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     ``ports`` maps port -> topic -> attachment. ``imported`` counts the modules that its process has imported: where it
     has grown, so may have the files of its program. ``declared`` has the parameters that were set while it ran, each
     with the value that it was started with. ``keeps_state``: it exports state for its replacement. ``host``: the name
-    of the computer or container that its process runs on, empty where that is not known.
+    of the computer or container that its process runs on, empty where that is not known. ``unread_parameters``: whether
+    any were set while it ran is not known, as its parameter services do not answer.
     """
 
     instance: str
@@ -143,6 +144,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     serves: list[str] = []
     unanswered: float | None = None
     host: str = ""
+    unread_parameters: bool = False
 
     def set_values(self) -> dict[str, Any]:
         """The values of the parameters that were set while it ran."""

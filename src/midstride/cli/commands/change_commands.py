@@ -170,7 +170,7 @@ def apply_command(
     options: RequestOptions,
 ) -> int:
     """Change the running system to the specification NEW, and to the code that its programs have now."""
-    from midstride.cli.changed_programs import changed_code, code_words
+    from midstride.cli.changed_programs import changed_code, code_words, other_overlay
     from midstride.cli.input_files import load
     from midstride.codec.specification_form import encode_specification
     from midstride.plan.specification_diff import renamed_components
@@ -178,7 +178,8 @@ def apply_command(
     target = load(new)
 
     def request(client: Client) -> Document:
-        changed = {} if keep_code else changed_code(client, target.nodes)
+        programs = client.programs()
+        changed = {} if keep_code else changed_code(programs, target.nodes)
         running = client.specification()
         if target.name != running.name:
             raise PlanRefused(
@@ -190,6 +191,8 @@ def apply_command(
             out.print(f"component {before} is renamed {after}, and its nodes go on", markup=False)
         for node, files in sorted(changed.items()):
             out.print(f"{node}: {code_words(files)}", markup=False)
+        for line in other_overlay(programs):
+            out.print(line, markup=False)
         return {
             "to": encode_specification(target),
             "restart": sorted(changed),

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from midstride.cli import graphviz, shell_completion
-from midstride.cli.changed_programs import changed_code, code_words
+from midstride.cli.changed_programs import changed_code, code_words, other_overlay
 from midstride.cli.input_files import load, read
 from midstride.cli.output import json_option, print_json, show, wants_json
 from midstride.cli.running_systems import find, system_option
@@ -90,7 +90,10 @@ def diff_command(old: Path, new: Path | None, keep_code: bool, system: str | Non
         found = differences(load(old), load(new))
     else:
         target, (client, _) = load(old), find(system)
-        changed = {} if keep_code else changed_code(client, target.nodes)
+        programs = client.programs()
+        changed = {} if keep_code else changed_code(programs, target.nodes)
+        for line in other_overlay(programs):
+            click.echo(line, err=True)
         renewed = {role: code_words(files) for role, files in changed.items()}
         found = differences(client.specification(), target, renewed)
     show({"same": not found, "differences": found}, found or ["No differences."])

@@ -10,6 +10,7 @@ import click
 from rich.console import Console
 from rich.text import Text
 
+from midstride.cli.changed_programs import other_overlay
 from midstride.cli.client import Client
 from midstride.cli.commands.up import backend_option, bring_up, manager_arguments, missing_lines, platform_options
 from midstride.cli.dev.contents import saves
@@ -58,6 +59,8 @@ def dev_command(
     try:
         session = DevSession(specification, client, Changes(client, str(file.resolve())).carry_out, screen)
         session.look()
+        for line in other_overlay(client.programs()):
+            screen.say(line, "yellow")
         ends = "stops the system" if started else "leaves it running"
         screen.say(f"{workspace.name} is {'up' if started else 'attached'}. Swapping on save; Ctrl-C {ends}.", "green")
         for _ in saves(session.folders):

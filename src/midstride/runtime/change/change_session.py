@@ -40,7 +40,7 @@ from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.crash_during_change import CrashResponse
 from midstride.runtime.change.executor import Executor
 from midstride.runtime.change.foreign_losses import foreign_losses
-from midstride.runtime.change.parameter_transfer import ParameterTransfer
+from midstride.runtime.change.parameter_transfer import ParameterTransfer, unread_parameters
 from midstride.runtime.change.reconciler import Reconciler
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.change.runtime_verification import StepVerifier, Verifier
@@ -113,8 +113,11 @@ class ChangeSession:
         )
         require_arbiters(plan)
         left = (f"{role} does not run, and stays so: {system.remedy(role)}" for role in away)
+        asked = ((old, system.life.latest(old)) for old in plan.change.replaced)
+        unread = [unread_parameters(plan.change.instance(old), latest and latest.state) for old, latest in asked]
+        unknown = filter(None, unread)
         besides = tuple(foreign_losses(plan, system.life.latest_states))
-        return replace(plan, remarks=(*remarks, *left, *plan.remarks), besides=besides), target
+        return replace(plan, remarks=(*remarks, *left, *unknown, *plan.remarks), besides=besides), target
 
     async def change(
         self,
@@ -285,7 +288,9 @@ class ChangeSession:
             swaps=swaps,
             late=driver.late,
             own_state={
-                name: words for name, words in driver.own_state.items() if name in system.configuration.instances
+                name: words
+                for name, words in {**driver.own_state, **change.parameters.unknown}.items()
+                if name in system.configuration.instances
             },
             fenced=[fenced[name] for name in sorted(fenced)],
             killed=killed_processes(self.events.since(events_before)),

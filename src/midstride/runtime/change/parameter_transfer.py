@@ -19,6 +19,20 @@ from midstride.plan.runtime_values import RuntimeValue, Values, decide, left_beh
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.watch.reported_values import ReportedValues
 from midstride.wire.commands import SetParametersCommand
+from midstride.wire.state import ComponentState
+
+
+def unread_parameters(instance: Instance, state: ComponentState | None) -> str | None:
+    """That it is not known what was set on ``instance`` while it ran; None where that is known, or does not matter."""
+    if instance.component.gate == "relay":
+        why = "it is behind a relay"
+    elif state is not None and state.unread_parameters:
+        why = "its parameter services do not answer"
+    else:
+        return None
+    return (
+        f"whether parameters of {instance.name} were set while it ran is not known, since {why}; what was set is lost"
+    )
 
 
 @dataclass
@@ -30,6 +44,8 @@ class ParameterTransfer:
     change: Change
     planned: tuple[RuntimeValue, ...]
     keep: bool
+    # By new instance, that it is not known what was set on the one that it replaces.
+    unknown: dict[str, str] = field(init=False)
     _found: dict[tuple[str, str], RuntimeValue] = field(default_factory=dict)
     # By instance: the values when they were last carried over, and those that it was started with.
     _carried: dict[str, Values] = field(default_factory=dict)
@@ -42,6 +58,11 @@ class ParameterTransfer:
             if name in replaced:
                 self._predecessors[replaced[name]] = self._predecessors[name]
         self._record(*self.planned)
+        self.unknown = {}
+        for old, new in replaced.items():
+            latest = self.client.life.latest(old)
+            if (words := unread_parameters(self.change.instance(old), latest and latest.state)) is not None:
+                self.unknown[new] = words
 
     def report(self, done: bool) -> list[RuntimeValue]:
         """What became of each value. Unless the change is ``done``, only of those that are lost nevertheless."""

@@ -115,6 +115,10 @@ class ProgramStatus(Report, frozen=True, kw_only=True):
     changed: Annotated[list[str], Meta(description="those that have changed on disk since it started")]
     unknown: Annotated[str | None, Meta(description="what is not known of it")]
     startable: Annotated[bool, Meta(description="whether the manager can start it: its component has a `run` command")]
+    executable: Annotated[
+        str | None,
+        Meta(description="the file of the package's executable that its `run` names, as the manager finds it"),
+    ] = None
 
 
 class ParameterStatus(Report, frozen=True):
@@ -165,6 +169,9 @@ class InstanceStatus(Report, frozen=True, kw_only=True):
     unknown_files: Annotated[str | UnsetType | None, Meta(description="what is not known of its program's files")] = (
         UNSET
     )
+    executable: Annotated[
+        str | UnsetType | None, Meta(description="the file of the package's executable that its `run` names")
+    ] = UNSET
 
 
 class RespawnStatus(Report, frozen=True, kw_only=True):

@@ -1,21 +1,27 @@
 """Which files the programs of components consist of, and which of them have changed on disk since they started.
 
 Each component lists its files itself, since it alone knows what it has imported; so the next manager can ask again.
-The files that ``run`` names are added here: a component does not know of the script that has started it.
+The files that ``run`` names are added here, and of a program without Midstride's API what these lead to
+(:mod:`.followed_programs`): a component does not know of the script that has started it.
 """
 
 from __future__ import annotations
 
 import asyncio
+import itertools
+import os
 import shlex
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
 from midstride.errors import BackendError
+from midstride.model.component import ComponentSpec
 from midstride.model.configuration import Configuration, Instance
 from midstride.runtime.process.component_client import ComponentClient, ComponentEvent, Disconnected
 from midstride.runtime.records.status_forms import ProgramStatus
+from midstride.runtime.view.followed_programs import followed, followed_module, module_folders
 from midstride.wire.commands import ProgramCommand
 from midstride.wire.program import FileFingerprint, Program, files_named
 
@@ -47,11 +53,12 @@ class _Known:
 class Programs:
     """Asks each component for its files when it appears, and again when it has imported more modules.
 
-    ``directory`` is that of the system's processes.
+    ``directory`` is that of the system's processes; ``executable``: the file of an executable of a package.
     """
 
     client: ComponentClient
     directory: Path
+    executable: Callable[[str, str], str | None] = lambda package, name: None
     _known: dict[str, _Known] = field(default_factory=dict)
     _asking: dict[str, asyncio.Task[None]] = field(default_factory=dict)
 
@@ -103,16 +110,32 @@ class Programs:
             changed=changed,
             unknown=_unknown(instance, program),
             startable=instance.component.run is not None,
+            executable=self._executable(instance.component),
         )
 
     def _named(self, instance: Instance, program: Program) -> list[FileFingerprint]:
-        try:
-            words = shlex.split(instance.component.run or "")
-        except ValueError:
-            words = []
-        listed = {file.path for file in program.files}
-        paths = dict.fromkeys(path for path in files_named(words, str(self.directory)) if path not in listed)
+        component, directory = instance.component, str(self.directory)
+        words, listed = _words(component), {file.path for file in program.files}
+        named = list(files_named(words, directory))
+        found = self._executable(component)
+        if found is not None:
+            named.insert(0, found)
+        if component.gate is not None:  # its process does not say what it has imported
+            environment = {**os.environ, **component.environment}
+            # PREFIX/lib/PACKAGE/NAME
+            prefix = None if found is None else os.path.dirname(os.path.dirname(os.path.dirname(found)))
+            folders = module_folders(environment, prefix)
+            behind = [each for path in named for each in followed(path, folders)]
+            if (module := _module_of(words)) is not None:
+                behind += followed_module(module, [directory, *folders])
+            named = behind
+        paths = dict.fromkeys(path for path in named if path not in listed)
         return [file for path in paths if (file := FileFingerprint.read(path, program.started)) is not None]
+
+    def _executable(self, component: ComponentSpec) -> str | None:
+        """The file of the package's executable that it names, if it names one."""
+        words = _words(component)
+        return None if component.package is None or not words else self.executable(component.package, words[0])
 
     async def close(self) -> None:
         for asking in self._asking.values():
@@ -120,11 +143,29 @@ class Programs:
         await asyncio.gather(*self._asking.values(), return_exceptions=True)
 
 
+def _words(component: ComponentSpec) -> list[str]:
+    try:
+        return shlex.split(component.run or "")
+    except ValueError:
+        return []
+
+
+def _module_of(words: Sequence[str]) -> str | None:
+    """The module of `python3 -m MODULE`."""
+    for before, after in itertools.pairwise(words):
+        if before == "-m" and "python" in os.path.basename(words[0]):
+            return after
+    return None
+
+
 def _unknown(instance: Instance, program: Program | None) -> str | None:
     if program is None:
         return "it has not said which files its program has"
     if instance.component.gate is not None:
-        return "it does not use Midstride's API: only the files that its `run` command names are compared"
+        return (
+            "it does not use Midstride's API: only the files that its `run` command names are compared, and the "
+            "modules that these import from beside them or from their own package"
+        )
     if not program.complete:
         return f"it has more modules than the {len(program.files)} that are compared"
     if instance.component.run is None:

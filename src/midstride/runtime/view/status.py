@@ -108,5 +108,8 @@ def _instance(watched: WatchedSystem, name: str, program: ProgramStatus | None) 
     shape = EntryShape.of(configuration, configuration.instances[name])
     ports = port_statuses(shape, watched.system.life.responsive(name), exact=True)
     found = instance_status(watched, shape, time.time(), None, ports, exact=True)
-    changed, unknown = ([], None) if program is None else (program.changed, program.unknown)
-    return structs.replace(found, changed_files=changed, unknown_files=unknown)
+    if program is None:
+        return structs.replace(found, changed_files=[], unknown_files=None, executable=None)
+    return structs.replace(
+        found, changed_files=program.changed, unknown_files=program.unknown, executable=program.executable
+    )

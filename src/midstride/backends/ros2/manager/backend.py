@@ -203,6 +203,12 @@ class Ros2Backend(ProcessBackend, Backend):
             await self._foreign_nodes.finish(instance)
         return await super().end(instance, stop)
 
+    def executable(self, package: str, name: str) -> str | None:
+        try:
+            return executable(package, name, os.environ)
+        except StartFailed:
+            return None
+
     def _services_of(self, node: str) -> RosNodeServices:
         return RosNodeServices(self._node, node)
 
