@@ -247,6 +247,24 @@ def test_nodes_that_share_a_component_state_the_rate_of_the_slowest(
     assert (guarantee.rate, topics) == (stated, {stated})
 
 
+def test_an_output_that_has_gone_with_its_last_subscription_is_lazy(tmp_path: Path) -> None:
+    """Also where only one of the nodes of a component has shown it."""
+    graph = SimulatedGraph()
+    for side in ("left", "right"):
+        graph.publisher(f"/{side}/camera", f"/{side}/image", STRING)
+        graph.publisher(f"/{side}/camera", f"/{side}/info", STRING)
+    observed = graph.observed()
+    observed.lazy.add(("/left/camera", "/left/image"))
+    text = 'system cameras\n\ncomponent Camera {\n  run "camera" gate preload\n}\n\n'
+    text += "\n".join(f"namespace {side} {{\n  node camera : Camera\n}}\n" for side in ("left", "right"))
+    found = insert(text, "cameras.stride", observed).text
+    assert "output image lazy" in found and "output info\n" in found
+    assert checked(found, tmp_path).components["Camera"].lazy == {"image"}
+    # A draft does not know what starts a node: the user adds it with the gate.
+    drafted = draft("cameras", observed, rates=True)
+    assert "# with a gate: `output image lazy`" in drafted and "output image\n" in drafted
+
+
 def test_an_input_is_assumed_where_every_node_of_the_component_has_a_publisher(tmp_path: Path) -> None:
     graph = SimulatedGraph()
     graph.publisher("/left/lidar", "/left/scan", STRING)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -103,12 +105,26 @@ node.create_timer(0.05, look)
 rclpy.spin(node)
 """
 
+# Subscribes for 4 s.
+HEAR = """
+import sys, time
+import rclpy
+from std_msgs.msg import String
+
+rclpy.init()
+node = rclpy.create_node("hear")
+node.create_subscription(String, sys.argv[1], lambda message: None, 10)
+end = time.monotonic() + 4.0
+while time.monotonic() < end:
+    rclpy.spin_once(node, timeout_sec=0.05)
+"""
+
 LATE = """
 system late
 topic /model : std_msgs/msg/String
 topic /lazy : std_msgs/msg/String
 component Model {
-  run "python3 model.py 25" takes 10 s gate preload
+  run "python3 model.py 22" takes 10 s gate preload
   output out
   functionality talk { produces out  mode normal { guarantee out : std_msgs/msg/String }  mode degraded { } }
 }
@@ -151,13 +167,26 @@ def test_nodes_end_as_launch_ends_them_and_what_had_to_be_killed_is_said(midstri
 
 
 def test_a_slow_start_and_a_lazy_output_are_waited_for_as_stated(midstride: Midstride, tmp_path: Path) -> None:
-    """Its endpoints come 25 s after its start, 20 s are given to any node, and it states 10 s more."""
-    files(tmp_path, talk=TALKER, model=MODEL, lazy=LAZY)
+    """Its endpoints come 22 s after its start, 20 s are given to any node, and it states 10 s more.
+
+    Meanwhile, capture proposes that an output is lazy which it has seen to go with its last subscription.
+    """
+    files(tmp_path, talk=TALKER, model=MODEL, lazy=LAZY, hear=HEAR)
     file = tmp_path / "late.stride"
     file.write_text(LATE, encoding="utf-8")
     begun = time.monotonic()
-    up = midstride("up", str(file), "-d", "--backend", "ros2", timeout=120)
-    assert up.status == 0, up.err
-    assert time.monotonic() - begun > 25.0
+    up = midstride.start("up", str(file), "-d", "--backend", "ros2")
+    by_hand = ["lazy.py", "--ros-args", "-r", "__node:=by_hand", "-r", "out:=/by_hand"]
+    others = [subprocess.Popen([sys.executable, *words], cwd=tmp_path) for words in (by_hand, ["hear.py", "/by_hand"])]
+    try:
+        captured = midstride.process("capture", "--seconds", "6", timeout=60)
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
+    assert captured.status == 0 and "output by_hand lazy" in captured.out, captured.out + captured.err
+    out, _ = up.communicate(timeout=120)
+    assert up.returncode == 0, out
+    assert time.monotonic() - begun > 22.0
     assert midstride("status").status == 0
     assert midstride("down", timeout=60).status == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 from msgspec import structs
 
 from midstride.backends.simulator import Simulator
+from midstride.model.component import PortRef
 from midstride.runtime.manager import Manager
 from midstride.runtime.watch.silence import PORT_SILENCE, SILENT_PERIODS, SilenceMonitor
 from midstride.wire.state import LinkState
@@ -111,13 +113,18 @@ def test_an_output_that_publishes_nothing_although_its_mode_guarantees_a_rate_is
     reporting(tmp_path, body)
 
 
-@pytest.mark.parametrize("why", ["gate", "simulated_time", "mode"])
+@pytest.mark.parametrize("why", ["gate", "simulated_time", "mode", "lazy"])
 def test_an_output_that_need_not_publish_is_no_fault(why: str, tmp_path: Path) -> None:
     async def body(r: Reports) -> None:
         if why == "gate":
             r.gate = "closed"
         elif why == "simulated_time":
             r.changed |= {"simulated_time": True, "clock_speed": 0.0}  # it stands still
+        elif why == "lazy":  # and nothing subscribes to it
+            talker = r.b.configuration.instances["talker"]
+            lazy = changed(talker, component=changed(talker.component, lazy=frozenset({"out"})))
+            r.b.configuration = r.b.configuration.without_attachment(PortRef("listener", "in"), "/chatter")
+            r.b.configuration = changed(r.b.configuration, instances=r.b.configuration.instances.set("talker", lazy))
         else:
             r.b.configuration = r.b.configuration.with_modes({work("talker"): 1})
         await r.half_seconds(30, talker=0, listener=0)

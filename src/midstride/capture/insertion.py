@@ -144,7 +144,8 @@ class _Inserter:
         """
         variants: dict[tuple[str, ...], list[tuple[NodeDeclaration, list[ProposedPort]]]] = {}
         for node, ports in nodes:
-            variants.setdefault(tuple(each.declaration + each.contract for each in ports), []).append((node, ports))
+            declared = tuple(replace(each, lazy=False).declaration() + each.contract for each in ports)
+            variants.setdefault(declared, []).append((node, ports))
         close = self._end_of_block(component.name.span.start)
         if close is None:
             return []

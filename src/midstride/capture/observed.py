@@ -32,11 +32,15 @@ class ObservedEndpoint:
 
 @dataclass(slots=True)
 class ObservedGraph:
-    """What has been seen so far. ``seconds``: for how long; ``unreadable``: the types that could not be imported."""
+    """What has been seen so far. ``seconds``: for how long; ``unreadable``: the types that could not be imported.
+
+    ``lazy``: the nodes and topics of publishers that have gone when nothing subscribed to them any more.
+    """
 
     seconds: float = 0.0
     endpoints: dict[tuple[str, str, bool], ObservedEndpoint] = field(default_factory=dict)
     unreadable: set[str] = field(default_factory=set)
+    lazy: set[tuple[str, str]] = field(default_factory=set)
     _times: dict[tuple[str, str], list[float]] = field(default_factory=dict)
 
     def saw(self, endpoints: Iterable[ObservedEndpoint]) -> None:
@@ -61,6 +65,10 @@ class ObservedGraph:
         if len(self.publishers(endpoint.topic)) > 1:
             return None if (endpoint.topic, "") in self._times else []
         return self._times.get((endpoint.topic, ""), [])
+
+    def topics(self) -> set[str]:
+        """The full names of the topics with a publisher."""
+        return {each.topic for each in self.endpoints.values() if each.output}
 
     def nodes(self) -> list[str]:
         """The full names of the nodes with endpoints."""

@@ -35,6 +35,7 @@ class ProposedPort:
     rate: MeasuredRate | None = None
     note: str = ""
     probed: Mapping[str, Dependence] = field(default_factory=dict)
+    lazy: bool = False
 
     @property
     def contract(self) -> str:
@@ -47,11 +48,12 @@ class ProposedPort:
             return self.own_topic
         return f"{self.endpoint.node.rpartition('/')[0]}/{self.own_topic}"
 
-    @property
-    def declaration(self) -> str:
-        """How a component states the port."""
-        own = f" as {self.stated_topic}" if self.stated_topic != self.name else ""
-        return f"output {self.name}{own}" if self.endpoint.output else f"input {self.name} : {self.contract}{own}"
+    def declaration(self, *, of_program: bool = True) -> str:
+        """How a component states the port; ``of_program``: one whose program does not use Midstride's API."""
+        own = f" as {self.stated_topic}" if of_program and self.stated_topic != self.name else ""
+        if self.endpoint.output:
+            return f"output {self.name}{own}{' lazy' if of_program and self.lazy else ''}"
+        return f"input {self.name} : {self.contract}{own}"
 
     @property
     def other_name(self) -> str | None:
@@ -93,7 +95,8 @@ def ports_of(
         used.add(name)
         own = remaps.get(endpoint.topic) or _relative(endpoint.topic, node)
         rate, note = _measured(graph, endpoint) if endpoint.output else (None, "")
-        ports.append(ProposedPort(name, endpoint, own, rate, note))
+        lazy = endpoint.output and (node, endpoint.topic) in graph.lazy
+        ports.append(ProposedPort(name, endpoint, own, rate, note, lazy=lazy))
     return [
         port if port.endpoint.output else replace(port, probed=_probed(port, ports, findings or {})) for port in ports
     ]
@@ -117,7 +120,8 @@ def merged(variants: Iterable[list[ProposedPort]]) -> list[ProposedPort]:
             name: max((port.probed[name] for port in same if name in port.probed), key=_weight)
             for name in dict.fromkeys(name for port in same for name in port.probed)
         }
-        found.append(replace(same[0], probed=probed, rate=slowest.rate, note=slowest.note))
+        lazy = any(port.lazy for port in same)
+        found.append(replace(same[0], probed=probed, rate=slowest.rate, note=slowest.note, lazy=lazy))
     return found
 
 
@@ -182,7 +186,9 @@ def component_text(ports: Iterable[ProposedPort], heard: set[str], rates: bool, 
     for port in [*inputs, *outputs]:
         if own_topics and port.other_name is not None:
             lines.append(f"# `{port.stated_topic}`, or `{port.other_name}`: see what the program calls it")
-        lines.append(port.declaration if own_topics else port.declaration.partition(" as ")[0])
+        if port.lazy and not own_topics:
+            lines.append(f"# with a gate: `{port.declaration()}`, as it had gone when nothing subscribed to it")
+        lines.append(port.declaration(of_program=own_topics))
     groups: dict[frozenset[str], list[ProposedPort]] = {}
     for port in outputs:
         groups.setdefault(frozenset(each.name for each in inputs if _needs(port, each)), []).append(port)

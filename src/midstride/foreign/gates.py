@@ -65,8 +65,8 @@ class Gates:
                 entry.gate = OPEN
 
     def rate(self, port: str) -> float | None:
-        """Return the rate that an output guarantees in its normal mode (Hz); None if none."""
-        owner = self.component.find_owner(port)
+        """Return the rate that an output guarantees in its normal mode (Hz); None if none, or if it is lazy."""
+        owner = None if port in self.component.lazy else self.component.find_owner(port)
         return None if owner is None else self.component.stated_rate(port, {owner.name: owner.modes[0].name})
 
     def missing(self) -> list[str]:

@@ -105,6 +105,8 @@ class NewPublishers:
         arbiter = choose_arbiter(self.configuration.component, swap.old.instance, swap.new.instance)
         if not arbiter.needs_probation or swap in self._proved:
             return  # it writes nothing until it takes over; or the old side has exited since
+        if swap.new.port in component.lazy and not self.configuration.subscribers_on(swap.connector):
+            return  # it need not exist, and the old publisher neither
         rate = self.configuration.rate(swap.new)
         duration = stretch_of(self.client, swap.old.instance)  # of a second of its clock (s)
         timeout = PROBATION + (10 / rate * duration if rate else 0.0)

@@ -157,6 +157,9 @@ class SilenceMonitor:
             if link is None:
                 continue
             if link.state.gate == "open":
+                lazy = port.port in configuration.component(instance).lazy
+                if lazy and not configuration.subscribers_on(connector):
+                    continue  # it need not exist
                 yield from self._not_publishing(configuration, state, port, topic, link.since)
             elif link.unreceived >= UNRECEIVED and self.clock.steady() - link.unreceived_since > PORT_SILENCE:
                 yield not_receiving(port, topic, self.clock.steady() - link.unreceived_since)

@@ -24,6 +24,8 @@ from midstride.model.instance_names import full_name
 EVERY: Final = 0.5
 # How long nodes that are expected may take to appear (s).
 PATIENCE: Final = 10.0
+# How long a publisher that exists only while something subscribes may take to go (s).
+LEAVES: Final = 1.5
 _DEPTH: Final = 1000
 _NODE: Final = "_midstride_capture"
 
@@ -58,6 +60,7 @@ def observe(
             executor.spin_once(timeout_sec=0.05)
         _look(node, graph, subscribed)
         graph.seconds = time.monotonic() - start
+        _find_lazy(node, graph)
         return graph
     finally:
         executor.shutdown()
@@ -74,6 +77,24 @@ def _look(node: Any, graph: ObservedGraph, subscribed: set[str]) -> None:
         if wanted and topic not in subscribed:
             subscribed.add(topic)
             _subscribe(node, graph, wanted)
+
+
+def _find_lazy(node: Any, graph: ObservedGraph) -> None:
+    """Note the publishers that go when the last subscription to their topic does, which may be that of this node."""
+    there = {(each.node, each.topic) for topic in graph.topics() for each in _published(node, topic)}
+    for subscription in list(node.subscriptions):
+        node.destroy_subscription(subscription)
+    time.sleep(LEAVES if there else 0.0)
+    running = {full_name(name, namespace) for name, namespace in node.get_node_names_and_namespaces()}
+    for owner, topic in there:
+        gone = not any(each.node == owner for each in _published(node, topic))
+        if gone and owner in running and node.count_subscribers(topic) == 0:
+            graph.lazy.add((owner, topic))
+
+
+def _published(node: Any, topic: str) -> list[ObservedEndpoint]:
+    found = (_endpoint(info, topic, True) for info in node.get_publishers_info_by_topic(topic))
+    return [each for each in found if not each.is_infrastructure]
 
 
 def _subscribe(node: Any, graph: ObservedGraph, publishers: list[ObservedEndpoint]) -> None:
