@@ -61,6 +61,7 @@ def test_another_program_is_found_on_the_path_or_in_the_folder(tmp_path: Path) -
 
 def test_a_component_is_given_its_identity() -> None:
     given = environment(launch(parameters={"gain": 2.0}), sys.executable, DEFAULTS, {"HOME": "/home/me"})
+    start = given.pop("MIDSTRIDE_START")
     assert given == {
         "HOME": "/home/me",
         "MIDSTRIDE_BACKEND": "ros2",
@@ -75,6 +76,7 @@ def test_a_component_is_given_its_identity() -> None:
     }
     values = launch(parameters={"gain": 2.0}, set_parameters={"gain": 3.0})
     found = environment(values, sys.executable, DEFAULTS, {"HOME": "/home/me"})
+    assert found.pop("MIDSTRIDE_START") != start, "another for each start"
     assert found == {**given, "MIDSTRIDE_SET_PARAMETERS": json.dumps({"gain": 3.0})}
 
 

@@ -23,9 +23,8 @@ from midstride.runtime.process import child_process as process_module
 from midstride.runtime.process import family as families
 from midstride.runtime.process import reaper
 from midstride.runtime.process.child_process import Process, end_orphans, find, shorten, spawn, tail
-from midstride.runtime.process.family import ProcessMark
 from midstride.runtime.process.reaper import Reaper, group_members, process_info
-from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
+from midstride.wire.environment import ENV_INSTANCE, ENV_START, ENV_TOKEN
 
 VARIABLE = "MIDSTRIDE_TOKEN"
 
@@ -278,9 +277,14 @@ time.sleep(600)
 
 async def wide(tmp_path: Path, token: str, *arguments: str, instance: str = "wide") -> tuple[Process, list[int]]:
     """A process, and the numbers of two that it has started in other sessions."""
-    environment = {"PATH": os.environ["PATH"], ENV_TOKEN: token, ENV_INSTANCE: instance}
+    environment = {
+        "PATH": os.environ["PATH"],
+        ENV_TOKEN: token,
+        ENV_INSTANCE: instance,
+        ENV_START: f"{token} {instance}",
+    }
     process = spawn([sys.executable, "-S", "-c", WIDE, *arguments], tmp_path, environment, tmp_path / "log.txt")
-    process.mark = ProcessMark(token, instance)
+    process.mark = families.mark_of(process.pid)
     while len(left := [line.split()[1] for line in tail(process.log).splitlines() if line.startswith("left")]) < 2:
         await asyncio.sleep(0.005)
     return process, [int(pid) for pid in left]
@@ -290,7 +294,7 @@ async def wide(tmp_path: Path, token: str, *arguments: str, instance: str = "wid
 def test_what_it_has_started_in_other_sessions_is_ended_as_well(
     tmp_path: Path, token: str, arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(process_module, "LEFT_GRACE", 0.2)
+    monkeypatch.setattr(process_module, "LEFT_GRACE", 0.2 if "stubborn" in arguments else 30.0)
 
     async def main() -> None:
         process, left = await wide(tmp_path, token, *arguments)
@@ -316,19 +320,19 @@ def test_what_a_process_has_started_does_not_outlive_its_crash(tmp_path: Path, t
 
 
 def test_nothing_else_belongs_to_a_process(tmp_path: Path, token: str) -> None:
-    """Not another instance of the system, nor the same one of another system, nor a process that has its number."""
+    """Not another instance, nor the same one that was started again, nor a process that has its number."""
 
     async def main() -> None:
         first, own = await wide(tmp_path / "first", token)
         others = [await wide(tmp_path / "second", token, instance="other"), await wide(tmp_path / "third", another)]
         info = process_info(first.pid)
         assert info is not None
-        found = families.members(info, ProcessMark(token, "wide"), {})
+        found = families.members(info, first.mark, {})
         assert len(found) == 4 and {first.pid, *own} < found.keys()  # and the parent of one of them
         for other, left in others:
             assert not {other.pid, *left} & found.keys()
         later = info._replace(started=info.started + 1.0)
-        assert families.members(later, ProcessMark(token, "narrow"), {}) == {}
+        assert families.members(later, "another start", {}) == {}
         for process in (first, *(each for each, _ in others)):
             await process.end(KILL_AT_ONCE)
             process.close()

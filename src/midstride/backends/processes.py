@@ -9,6 +9,7 @@ import logging
 import os
 import shutil
 import tempfile
+import uuid
 from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Final
@@ -24,8 +25,8 @@ from midstride.model.instance_names import log_file_name
 from midstride.runtime.backend_protocol import Handle, Launch, RemainingProcess
 from midstride.runtime.manager_clock import Clock, SystemClock
 from midstride.runtime.process.child_process import Process, end_orphans, find, spawn
-from midstride.runtime.process.family import ProcessMark
-from midstride.runtime.process.reaper import Reaper, environment_value, process_info
+from midstride.runtime.process.family import mark_of
+from midstride.runtime.process.reaper import Reaper, process_info
 from midstride.wire import environment as variables
 from midstride.wire.sockets import SocketFolder
 from midstride.wire.transport import Transport
@@ -89,6 +90,7 @@ def identity(launch: Launch, backend: str, control: Path) -> dict[str, str]:
         **set_values,
         variables.ENV_BACKEND: backend,
         variables.ENV_INSTANCE: launch.instance,
+        variables.ENV_START: uuid.uuid4().hex,
         variables.ENV_NODE: launch.node,
         variables.ENV_STANDBY: "1" if launch.standby else "",
         variables.ENV_NAMESPACE: launch.namespace,
@@ -147,7 +149,9 @@ class ProcessBackend(abc.ABC):
                 self._spares = Spares(
                     f"{__package__}.{self.name}", self._python(), self._log_folder(token) / "spares.log"
                 )
-            self._spares.keep(number, self._environment_of_spares(token))
+            # Each is given the word of its start with its program: else all would seem to be of one start.
+            shared = self._environment_of_spares(token)
+            self._spares.keep(number, {name: each for name, each in shared.items() if name != variables.ENV_START})
         except BackendError as error:
             log.warning("no spare process can be started: %s", error)
 
@@ -173,6 +177,7 @@ class ProcessBackend(abc.ABC):
         process = None if spares is None else await spares.run(command, launch.directory, environment, log)
         if process is None:
             process = spawn(command, launch.directory, environment, log)
+        process.mark = environment.get(variables.ENV_START)
         self._watch(launch.instance, process)
         return Handle(launch.instance, process.pid, process.started, str(log))
 
@@ -195,6 +200,7 @@ class ProcessBackend(abc.ABC):
         process = find(handle.pid, handle.started, variables.ENV_INSTANCE, instance, log)
         if process is None:
             return False
+        process.mark = mark_of(process.pid)
         self._watch(instance, process)
         return process.running
 
@@ -219,8 +225,6 @@ class ProcessBackend(abc.ABC):
 
     def _watch(self, instance: str, process: Process) -> None:
         self._processes[instance] = process
-        token = environment_value(process.pid, variables.ENV_TOKEN)
-        process.mark = None if token is None else ProcessMark(token, instance)
         if self._guardian is not None:
             self._guardian.watch(process.pid, process.started)
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 ENV_INSTANCE: Final = "MIDSTRIDE_INSTANCE"
+# Another for each start, by which the processes are found that this one has started.
+ENV_START: Final = "MIDSTRIDE_START"
 # The name of its ROS node, which all instances of a role share on ROS 2; and whether another of them answers requests.
 ENV_NODE: Final = "MIDSTRIDE_NODE"
 ENV_STANDBY: Final = "MIDSTRIDE_STANDBY"

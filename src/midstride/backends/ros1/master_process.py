@@ -37,7 +37,7 @@ _WORKERS: Final = "16"
 
 
 def hold(uri: str) -> socket.socket:
-    """ProcessMark the master at ``uri`` as needed by this manager, until the socket is closed or this process ends.
+    """Mark the master at ``uri`` as needed by this manager, until the socket is closed or this process ends.
 
     The mark is an abstract Unix socket: it belongs to the network namespace, as a local master's port does.
     """

@@ -114,7 +114,10 @@ class ChangeSession:
         require_arbiters(plan)
         left = (f"{role} does not run, and stays so: {system.remedy(role)}" for role in away)
         asked = ((old, system.life.latest(old)) for old in plan.change.replaced)
-        unread = [unread_parameters(plan.change.instance(old), latest and latest.state) for old, latest in asked]
+        unread = [
+            unread_parameters(plan.change.instance(old), None if latest is None else latest.state)
+            for old, latest in asked
+        ]
         unknown = filter(None, unread)
         besides = tuple(foreign_losses(plan, system.life.latest_states))
         return replace(plan, remarks=(*remarks, *left, *unknown, *plan.remarks), besides=besides), target

@@ -61,7 +61,9 @@ class ParameterTransfer:
         self.unknown = {}
         for old, new in replaced.items():
             latest = self.client.life.latest(old)
-            if (words := unread_parameters(self.change.instance(old), latest and latest.state)) is not None:
+            if (
+                words := unread_parameters(self.change.instance(old), None if latest is None else latest.state)
+            ) is not None:
                 self.unknown[new] = words
 
     def report(self, done: bool) -> list[RuntimeValue]:

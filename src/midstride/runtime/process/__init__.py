@@ -1,7 +1,7 @@
 """The processes of components: started, registered, reached by commands, and ended."""
 
 PUBLIC = (
-    "ComponentClient ComponentEvent Disconnected Launcher Process ProcessMark REPORTED Reaper adopting_orphans "
-    "end_orphans environment_value find have_answer killed_in_words process_info raise_limit reaper room_for_a_start "
+    "ComponentClient ComponentEvent Disconnected Launcher Process REPORTED Reaper adopting_orphans end_orphans "
+    "environment_value find have_answer killed_in_words mark_of process_info raise_limit reaper room_for_a_start "
     "shorten spawn stop_times tail"
 )

@@ -28,7 +28,7 @@ from midstride.model.component import StopTimes
 from midstride.runtime.backend_protocol import RemainingProcess
 from midstride.runtime.process import family, reaper
 from midstride.runtime.process.descriptors import restore_limit
-from midstride.runtime.process.family import ProcessMark
+from midstride.runtime.process.family import mark_of
 from midstride.runtime.timeouts import within
 from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
@@ -57,7 +57,7 @@ class Process:
         self.log = log
         self.status: int | None = None  # negative for a signal, None while it runs and if unknown
         self.on_exit: Callable[[int | None], object] | None = None  # called with the status if it exits unexpectedly
-        self.mark: ProcessMark | None = None  # by which its orphans are found; None: no component's yet
+        self.mark: str | None = None  # by which its orphans are found; None: not known
         self._log_begins = log_begins
         self._child = child
         self._exited = asyncio.Event()
@@ -342,7 +342,7 @@ async def _end(orphan: reaper.ProcessInfo, token: str, stop: StopTimes) -> None:
     process = find(orphan.pid, orphan.started, ENV_TOKEN, token)
     if process is not None:
         with closing(process):
-            process.mark = ProcessMark.of(orphan.pid)
+            process.mark = mark_of(orphan.pid)
             await process.end(stop)
 
 

@@ -1,49 +1,41 @@
 """Which processes belong to a component: those of its group, what they have started, and orphans that bear its mark.
 
 A program may start others in sessions of their own, as `setsid` and daemons do, which no signal to its process group
-reaches. Two things show that such a process belongs to it: a chain of parents, and the names of the system and of the
-instance in its environment, which also an orphan has, and which a later manager can read.
+reaches. Two things show that such a process belongs to it: a chain of parents, and a word in its environment that is
+another for each start, which also an orphan has, and which a later manager can read.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final, NamedTuple
+from typing import Final
 
 from midstride.runtime.process import reaper
 from midstride.runtime.process.reaper import ProcessInfo
-from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
+from midstride.wire.environment import ENV_START
 
 
-class ProcessMark(NamedTuple):
-    """What the environment of a component's processes says: the token of its system, and its instance."""
-
-    token: str
-    instance: str
-
-    @classmethod
-    def of(cls, pid: int) -> ProcessMark | None:
-        """None where the process has none, or its environment cannot be read."""
-        token, instance = (reaper.environment_value(pid, name) for name in (ENV_TOKEN, ENV_INSTANCE))
-        # A spare process has blanks in place of a name until it is given one.
-        return None if not token or instance is None or not instance.strip() else cls(token, instance.strip())
+def mark_of(pid: int) -> str | None:
+    """What the environment of a process says of the start that it belongs to; None where that is not known."""
+    return reaper.environment_value(pid, ENV_START) or None
 
 
 # The marks that have been read: an environment is that with which a process has started.
-_marks: Final[dict[tuple[int, float], ProcessMark | None]] = {}
+_marks: Final[dict[tuple[int, float], str | None]] = {}
 
 
-def _mark(process: ProcessInfo) -> ProcessMark | None:
+def _mark(process: ProcessInfo) -> str | None:
     key = process.pid, process.started
     if key not in _marks:
-        _marks[key] = ProcessMark.of(process.pid)
+        _marks[key] = mark_of(process.pid)
     return _marks[key]
 
 
-def members(leader: ProcessInfo, mark: ProcessMark | None, known: Mapping[int, float]) -> dict[int, ProcessInfo]:
+def members(leader: ProcessInfo, mark: str | None, known: Mapping[int, float]) -> dict[int, ProcessInfo]:
     """The living processes that belong to ``leader``, itself included, by number.
 
-    ``known``: those that belonged to it before, number and start; a chain of parents breaks when one of them exits.
+    ``mark``: that of its start (:func:`mark_of`). ``known``: those that belonged to it before, number and start, as a
+    chain of parents breaks when one of them exits.
     """
     found = {process.pid: process for process in reaper.processes()}
     for key in [key for key in _marks if (seen := found.get(key[0])) is None or seen.started != key[1]]:

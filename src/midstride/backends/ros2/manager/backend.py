@@ -46,7 +46,7 @@ from midstride.runtime.process.child_process import Process
 from midstride.runtime.process.reaper import Reaper
 from midstride.runtime.records.status_forms import Middleware
 from midstride.runtime.timeouts import within
-from midstride.wire.environment import ENV_SHARED_NAME
+from midstride.wire.environment import ENV_SHARED_NAME, ENV_START
 from midstride.wire.state import ComponentState
 
 # A manager that has just joined knows no other node yet: that long it listens before it says that a name is free (s).
@@ -182,6 +182,7 @@ class Ros2Backend(ProcessBackend, Backend):
         simulated = {name: value for name, value in launch.parameters.items() if name == "use_sim_time"}
         own = replace(launch, parameters=simulated, set_parameters={})  # the others are the program's
         environment = launching.environment(own, self._control, sys.executable, self.settings, os.environ)
+        environment[ENV_START] = program[ENV_START]  # what either of them starts belongs to the instance
         different = differing(program, environment)
         order = self._foreign_nodes.prepare_relay(launch, component, node, command, different)
         try:
