@@ -211,7 +211,7 @@ def unmeasured_others(roles: Sequence[str], because: str) -> Assessment:
 
 def ends_with(instance: str, served: Sequence[str], *, planned: bool) -> Assessment:
     """The services and ROS actions of a node without Midstride's API end with its instance."""
-    verb = "end" if planned else "ended"
+    verb = "ended" if not planned else "ends" if len(served) == 1 else "end"
     words = (
         f"requests and goals of others: {listed(served)} {verb} with {instance}, and what is under way is not answered"
     )
@@ -222,7 +222,7 @@ def two_writers(role: str, topics: Sequence[str], seconds: float | None = None) 
     """Both instances of a role write to topics that no port states, while both run (``seconds``, once measured)."""
     time = "while both instances run" if seconds is None else f"for up to {seconds_in_words(seconds)}"
     verb = "write" if seconds is None else "could write"
-    words = f"who writes on {listed(topics)}: no port of {role} states it, so both instances {verb} there {time}"
+    words = f"which instance writes on {listed(topics)}: no port of {role} states it, so both {verb} there {time}"
     return Assessment(role, "not_measurable", words)
 
 

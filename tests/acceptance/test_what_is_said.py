@@ -247,15 +247,16 @@ def test_a_node_without_ports_is_never_down_unless_the_report_says_so(tmp_path: 
             await recorder.bare.until(lambda: has_looked(manager), 20)  # at the graph, which it does now and then
             plan = PlanPreview.of(await manager.plan(restart)).continuity
             assert plan and plan.verdict == "not_measurable"
-            assert "it has no ports" in plan.headline and "both instances write there" in plan.headline
-            assert "service /save ends" in plan.headline or "service /save end with driver" in plan.headline
+            assert "it has no ports" in plan.headline and "so both write there" in plan.headline
+            assert "service /save ends with driver" in plan.headline
             outcome, silence = await recorder.meanwhile(manager.change(restart))
             assert outcome.outcome == "done", outcome.because
             found = said(outcome)
             assert found.verdict == "not_measurable", found
             assert silence < 0.5, "the new one is up before the old one ends"
             writers = {name for _, name in recorder.heard}
-            assert writers == {"driver", "driver_2"} and "could write there" in found.headline
+            assert writers == {"driver", "driver_2"} and "so both could write there" in found.headline
+            assert "service /save ended with driver" in found.headline
             (tmp_path / "broken").write_text("broken", encoding="utf-8")
             await recorder.hears()
             outcome, silence = await recorder.meanwhile(manager.change(restart))

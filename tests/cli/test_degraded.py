@@ -56,6 +56,32 @@ def test_a_node_that_raises_right_after_up_is_named_with_exit_status_3(midstride
     assert f"specification: {tmp_path / 'programs' / 'talker.stride'}" in status.out.splitlines()
 
 
+SLOW = """calls = []
+
+
+def normal() -> None:
+    calls.append(1)
+    if len(calls) % 3:
+        return
+"""
+
+
+def test_an_output_that_does_not_keep_its_rate_is_named_by_up_and_status_with_exit_status_3(
+    midstride: Midstride, tmp_path: Path
+) -> None:
+    written = rewritten(
+        "talker",
+        tmp_path / "programs",
+        lambda name, text: text.replace("def normal() -> None:\n", SLOW) if name == "talker.py" else text,
+    )
+    up = midstride("up", str(written / "talker.stride"), "--backend", "sim", "-d")
+    said = up.out.splitlines()[-1]
+    assert (up.status, said[:47]) == (3, "Degraded, all 2 nodes run: talker.out writes 3."), up.out
+    assert said.endswith(" Hz, and guarantees 10 Hz.")
+    status = midstride("status", "--json")
+    assert (status.status, status.json["condition"]["state"], status.json["valid"]) == (3, "degraded", True)
+
+
 def test_a_node_that_raises_right_after_a_change_is_named_with_exit_status_1(
     midstride: Midstride, tmp_path: Path
 ) -> None:

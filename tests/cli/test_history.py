@@ -54,7 +54,7 @@ def test_a_change_is_shown_and_rolled_back(midstride: Midstride) -> None:
     replaced = next(line for line in shown.out.splitlines() if "replace talker with NewTalker" in line)
     total = changes[1]["total"]
     cells = replaced.split("NewTalker")[1].split()
-    assert cells[:4] == ["done", "v2", f"{total}/{total}", "0"] and replaced.startswith("2  20")
+    assert cells[:5] == ["done", "kept", "v2", f"{total}/{total}", "0"] and replaced.startswith("2  20")
     unknown = midstride("rollback", "9", "--yes")
     assert unknown.status == 1 and "the history has no version 9 of the specification" in unknown.err
 

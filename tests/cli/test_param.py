@@ -228,5 +228,5 @@ def test_a_node_that_has_crashed_is_not_said_to_be_unknown() -> None:
     remedy = "`midstride restart talker` restores it"
     crashed = status(component("listener"), crashed=[crash("talker_2", role="talker", remedy=remedy)])
     for node in ("talker", "talker_2"):
-        assert str(not_running(crashed, node)) == f"talker_2 exited unexpectedly; {remedy}"
+        assert str(not_running(crashed, node)) == f"talker_2 exited unexpectedly (status -9); {remedy}"
     assert str(not_running(crashed, "talkr")) == "no node talkr is running; did you mean `talker`?"
