@@ -122,3 +122,11 @@ def test_the_condition_of_a_system_is_about_its_nodes() -> None:
     assert (none.headline, verdicts.EXIT_STATUS[none.state]) == ("down: none of its 1 node runs", 1)
     unknown = verdicts.system_condition(1, 1, [], ["what driver does (it has no ports)"])
     assert unknown.headline == "up, its node runs; not measurable here: what driver does (it has no ports)"
+
+
+def test_a_rate_that_is_somewhat_too_low_is_named_and_no_fault() -> None:
+    slow = verdicts.writes_less("source.out", 175.0, 200.0)
+    found = verdicts.system_condition(3, 3, [], slow=[slow])
+    assert found.headline == "up, all 3 nodes run; below its rate: source.out writes 175 Hz, and guarantees 200 Hz"
+    assert (found.state, verdicts.is_far_below(175.0, 200.0)) == ("up", False)
+    assert verdicts.is_far_below(66.0, 200.0) and verdicts.is_far_below(None, 200.0)

@@ -29,6 +29,9 @@ SILENT_PERIODS: Final = 2.0
 # tolerance of a rate, and what is uncertain at both ends of the count.
 MISSING_PART: Final = 0.1
 MISSING_LEAST: Final = 3
+# An output that writes less than this part of the rate that it guarantees is a fault. One that writes more is named,
+# and no fault in itself: a busy machine may be the reason.
+FAULTY_PART: Final = 0.5
 # How many names a headline has.
 _NAMED: Final = 4
 
@@ -93,6 +96,7 @@ class SystemCondition(Form, frozen=True, omit_defaults=False, forbid_unknown_fie
     headline: str
     faults: Annotated[list[str], Meta(description="what is missing or worse than it should be")] = []
     unknown: Annotated[list[str], Meta(description="what is not measurable here")] = []
+    slow: Annotated[list[str], Meta(description="outputs somewhat below the rates that they guarantee: no faults")] = []
 
 
 def seconds_in_words(value: float) -> str:
@@ -282,7 +286,13 @@ def expected(found: Iterable[Assessment | None]) -> Assessments:
 
 
 def system_condition(
-    nodes: int, running: int, faults: Sequence[str], unknown: Sequence[str] = (), *, answering: int | None = None
+    nodes: int,
+    running: int,
+    faults: Sequence[str],
+    unknown: Sequence[str] = (),
+    *,
+    answering: int | None = None,
+    slow: Sequence[str] = (),
 ) -> SystemCondition:
     """What may be said of a system of so many ``nodes``, of which ``running`` have an instance that runs.
 
@@ -297,8 +307,9 @@ def system_condition(
         run += f", {running - answering} of them without an answer"
     reasons = f": {_some(faults)}" if faults else ""
     besides = f"; not measurable here: {'; '.join(unknown)}" if unknown else ""
+    rates = f"; below its rate: {_some(slow)}" if slow else ""
     state: ConditionState = "degraded" if faults or running < nodes else "up"
-    return SystemCondition(state, f"{state}, {run}{reasons}{besides}", [*faults], [*unknown])
+    return SystemCondition(state, f"{state}, {run}{reasons}{rates}{besides}", [*faults], [*unknown], [*slow])
 
 
 def has_exited(instance: str) -> str:
@@ -325,6 +336,11 @@ def writes_less(port: str, rate: float | None, declared: float | None) -> str:
     """An output does not keep the rate (Hz) that it guarantees, as measured over a whole window."""
     found = "nothing" if not rate else f"{rate:.3g} Hz"
     return f"{port} writes {found}, and guarantees {declared or 0.0:.3g} Hz"
+
+
+def is_far_below(rate: float | None, declared: float | None) -> bool:
+    """Whether an output writes so little of the rate (Hz) that it guarantees that this is a fault."""
+    return (rate or 0.0) < FAULTY_PART * (declared or 0.0)
 
 
 def not_yet_judged(ports: Sequence[str]) -> str:

@@ -1266,6 +1266,8 @@ declare namespace Api {
     faults: string[];
     /** what is not measurable here */
     unknown: string[];
+    /** outputs somewhat below the rates that they guarantee: no faults */
+    slow: string[];
   }
 
   /** The running system, and the change in it. */

@@ -201,8 +201,9 @@ def _up(
     for line in missing_lines(answer):
         click.echo(line)
     said = answer.degraded or answer.missing  # why it is not up, line by line
-    if not said and (found.condition.state != "up" or found.condition.unknown):
-        click.echo(f"{found.condition.headline[0].upper()}{found.condition.headline[1:]}.")
+    condition = found.condition
+    if (not said and condition.state != "up") or condition.unknown or condition.slow:
+        click.echo(f"{condition.headline[0].upper()}{condition.headline[1:]}.")
     if pending:
         click.echo(f"{not_yet_judged(pending)}; `midstride status` shows it.")
     if http is not None:

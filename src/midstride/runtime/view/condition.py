@@ -44,6 +44,7 @@ def condition(
         [*faults, *violations],
         verdicts.unmeasured_in_words(unknown),
         answering=sum(best[role][0].reachable for role in components if role in best),
+        slow=[words for role in sorted(best) for words in _below_rate(best[role][0], far=False)],
     )
 
 
@@ -58,6 +59,12 @@ def _faults(watched: WatchedSystem, instance: InstanceStatus) -> Iterator[str]:
     for each in instance.functionalities:
         if each.mode not in each.modes or each.modes.index(each.mode) > baseline.level(instance.role, each.name):
             yield verdicts.is_in_mode(f"{instance.name}.{each.name}", each.mode)
-    for port in instance.ports:
-        if port.direction == "out" and port.gate != "closed" and port.met is False:
+    yield from _below_rate(instance, far=True)
+
+
+def _below_rate(instance: InstanceStatus, *, far: bool) -> Iterator[str]:
+    """The outputs that do not keep the rates that they guarantee: those ``far`` below, or the others."""
+    for port in instance.ports if instance.reachable else ():
+        below = port.direction == "out" and port.gate != "closed" and port.met is False
+        if below and verdicts.is_far_below(port.rate, port.declared) is far:
             yield verdicts.writes_less(f"{instance.name}.{port.name}", port.rate, port.declared)
