@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +62,16 @@ def test_what_a_bare_client_sets_before_and_after_a_replacement_is_kept(tmp_path
                 state = await manager.peek(new)
                 assert state.set_values() == {"gain": 1.9, "label": "left", "speed": 0.7}
                 assert state.declared["speed"] == 0.5
+
+                # Numbers that are not finite travel like any other, and do not count as changed for ever.
+                assert await set_by_a_client(bare, NODE, "speed", math.nan) == (True, "")
+                assert await set_by_a_client(bare, NODE, "label", "inf") == (True, "")
+                outcome = await manager.change(PlanRequest(restart=("talker",)))
+                assert outcome.outcome == "done", outcome.because
+                (new,) = (name for name, live in manager.configuration.instances.items() if live.role == "talker")
+                state = await manager.peek(new)
+                assert state.set_values() == {"gain": 1.9, "label": "inf", "speed": math.nan}
+                assert state.parameters["speed"] == {"float": "nan"} and state.declared["speed"] == 0.5
 
     run(scenario())
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -70,6 +71,28 @@ def tuned(folder: Path) -> Iterator[Midstride]:
         up = midstride("up", str(folder / "tuned.json"), "--backend", "sim", "--detach")
         assert up.status == 0, up.err
         yield midstride
+
+
+def test_values_that_are_not_finite_are_shown_set_and_kept(midstride: Midstride, folder: Path) -> None:
+    file = str(folder / "tuned.json")
+    up = midstride("up", file, "--backend", "sim", "--detach")
+    assert up.status == 0, up.err
+    for text, shown, form in ((".inf", "inf", "inf"), ("-5.0", "-5.0", None), (".nan", "nan", "nan")):
+        done = midstride("param", "set", "talker", "gain", text)
+        assert (done.status, done.out.partition(",")[0]) == (0, f"{done.out.partition(':')[0]}: gain = {shown}")
+        assert f"gain = {shown}, set at run time (started with 1.5)" in midstride("status").out
+        restarted = midstride("restart", "talker", "--yes", "--json")
+        assert restarted.status == 0, restarted.err
+        kept = [(each["parameter"], each["fate"]) for each in restarted.json["parameters"]]
+        assert kept == [("gain", "kept")]
+        value = midstride("param", "get", "talker", "gain", "--json").json["value"]
+        assert value == ({"float": form} if form else float(text))
+    # The same file changes nothing, and the next manager finds what was set.
+    assert "Nothing to do" in midstride("apply", file, "--yes").out
+    assert midstride.saved("tuned").values == {"talker": {"gain": math.nan}}
+    declared = midstride("restart", "talker", "--declared-parameters", "--yes")
+    assert declared.status == 0, declared.err
+    assert midstride("param", "get", "talker", "gain").out.startswith("gain = 1.5")
 
 
 def test_parameters_are_shown_set_and_kept(tuned: Midstride, folder: Path) -> None:

@@ -135,7 +135,8 @@ class CommandHandlers:
         """On the data thread, first of all: parameters and the author's set-up. If this raises, the start fails."""
         for parameter in self.parts.parameters.values():
             value = self.host.parameters.declare(parameter.name, parameter.value, parameter.change)
-            if parameter.fitted(value) != parameter.value:  # the platform has another one, of a launch file for example
+            # The platform has another one, of a launch file for example.
+            if not same_value(parameter.fitted(value), parameter.value):
                 parameter.begin_with(value)
         if self.parts.callbacks.setup is not None:
             self.parts.callbacks.setup(self.host.ros_node)
