@@ -51,7 +51,7 @@ def _process(system: Specification, name: str, environment: Mapping[str, str]) -
     own, rules = split(words)
     namespace, _, own_name = node.role.rpartition("/")
     found: dict[str, Any] = {
-        "program": own[0] if component.package is None else f"{component.package}/{own[0]}",
+        "program": shortened(own[0], prefix) if component.package is None else f"{component.package}/{own[0]}",
         "arguments": [shortened(word, prefix) for word in own[1:]],
         "name": own_name,
     }
