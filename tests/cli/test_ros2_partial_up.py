@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -60,6 +61,26 @@ def until(holds: Callable[[], bool], what: str) -> None:
         time.sleep(0.1)
 
 
+def compare_with_what_runs(described: list[dict[str, Any]], midstride: Midstride) -> None:
+    """The command, the environment and the files of the driver are those that were shown before its start."""
+    [driver, instant] = described
+    assert (driver["node"], instant["node"], instant["once"]) == ("driver", "instant", True)
+    [pid] = [each["pid"] for each in midstride("status", "--json").json["instances"] if each["name"] == "driver"]
+    command = Path(f"/proc/{pid}/cmdline").read_text().split("\0")[:-1]
+    # The program is a script: the kernel puts its interpreter first.
+    assert command[1:] == driver["command"]
+    pairs = (each.partition("=") for each in Path(f"/proc/{pid}/environ").read_text().split("\0")[:-1])
+    environment = {name: value for name, _, value in pairs}
+    shown = {name: value for name, value in driver["environment"].items() if value is not None}
+    given = {"MIDSTRIDE_TOKEN", "MIDSTRIDE_GATE_NODE"}
+    assert {name: environment.get(name) for name in shown if name not in given} == {
+        name: value for name, value in shown.items() if name not in given
+    }
+    assert not {name for name, value in driver["environment"].items() if value is None} & environment.keys()
+    for path, text in driver["files"].items():
+        assert Path(path).read_text() == text
+
+
 def test_a_launched_robot_comes_up_with_programs_that_end_fail_or_are_missing(
     midstride: Midstride, tmp_path: Path
 ) -> None:
@@ -70,13 +91,17 @@ def test_a_launched_robot_comes_up_with_programs_that_end_fail_or_are_missing(
     midstride.environment["AMENT_PREFIX_PATH"] = path
     launch = tmp_path / "r9.launch.xml"
     launch.write_text(
-        '<launch><node pkg="demo" exec="talk_exe" name="driver"><remap from="out" to="/r9"/></node>'
+        '<launch><node pkg="demo" exec="talk_exe" name="driver"><remap from="out" to="/r9"/>'
+        '<param name="rate" value="20.0"/></node>'
         '<executable cmd="true" name="instant"/></launch>'
     )
     file = tmp_path / "r9.stride"
     assert midstride("import", str(launch), "-o", str(file)).status == 0
+    shown = midstride.process("up", str(file), "--dry-run", "--json", timeout=60)
+    assert shown.status == 0 and not (midstride.runtime / "midstride").exists(), shown.out + shown.err
     # R6: three times 0, and both nodes are there.
     up = midstride("up", str(file), "-d", timeout=60)
+    compare_with_what_runs(shown.json["processes"], midstride)
     assert (up.status, up.out.splitlines()[-1]) == (0, "r9 is up (driver, instant)."), up.out + up.err
     status = midstride("status", "--json").json
     assert [(each["name"], each["done"]) for each in status["instances"]] == [("driver", False), ("instant", True)]

@@ -29,7 +29,7 @@ from midstride.plan.forms.step_forms import step_form
 from midstride.plan.overlap import Overlap
 from midstride.plan.plan import Plan
 from midstride.plan.step import Step
-from midstride.runtime.backend_protocol import Endpoints, Exited, Handle, Launch, RemainingProcess
+from midstride.runtime.backend_protocol import DescribedProcess, Endpoints, Exited, Handle, Launch, RemainingProcess
 from midstride.runtime.change.action_driver import ActionDriver
 from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.executor import Executor
@@ -306,6 +306,9 @@ class ScriptedBackend:
     async def open(self, on_exit: Callable[[Exited], None]) -> None: ...
 
     async def close(self) -> None: ...
+
+    def describe(self, launch: Launch) -> DescribedProcess:
+        return DescribedProcess(launch.arguments)
 
     async def start(self, launch: Launch) -> Handle:
         self.launches.append(launch)

@@ -81,6 +81,12 @@ def surroundings(launch: Launch, base: Mapping[str, str]) -> dict[str, str]:
     return {**without, **{name: value for name, value in launch.environment.items() if value is not None}}
 
 
+def differences(environment: Mapping[str, str], base: Mapping[str, str]) -> dict[str, str | None]:
+    """The variables of ``environment`` that differ from those of ``base``; None for one that it lacks."""
+    names = sorted({*environment, *base})
+    return {name: environment.get(name) for name in names if environment.get(name) != base.get(name)}
+
+
 def identity(launch: Launch, backend: str, control: Path) -> dict[str, str]:
     """The environment variables that make a process this component; ``control`` is the folder of the sockets."""
     set_values = (

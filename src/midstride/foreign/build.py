@@ -34,7 +34,7 @@ def library(environment: Mapping[str, str] = os.environ) -> Path:
 
     Its name has the hash of the sources. Of two processes that compile it at once, each puts a whole file in its place.
     """
-    path = _cache(environment) / f"gate-{_digest()}-{platform.machine()}.so"
+    path = library_path(environment)
     if path.exists():
         return path
     command = compiler(environment)
@@ -60,6 +60,11 @@ def library(environment: Mapping[str, str] = os.environ) -> Path:
     except (OSError, subprocess.TimeoutExpired) as error:
         raise StartFailed(f"the gate cannot be compiled: {error}; or write `gate relay`") from None
     return path
+
+
+def library_path(environment: Mapping[str, str]) -> Path:
+    """Where the compiled library is, or will be."""
+    return _cache(environment) / f"gate-{_digest()}-{platform.machine()}.so"
 
 
 def _cache(environment: Mapping[str, str]) -> Path:

@@ -69,6 +69,16 @@ class Handle:
 
 
 @dataclass(frozen=True, slots=True)
+class DescribedProcess:
+    """What a process would be started with: its command, the variables of its environment that differ from this
+    process's (None: not inherited), and the texts of the files that would be written for it."""
+
+    command: tuple[str, ...]
+    environment: dict[str, str | None] = field(default_factory=dict)
+    files: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
 class Exited:
     """A component's process exited. ``status`` is negative for a signal, None if unknown.
 
@@ -121,6 +131,9 @@ class Backend(Protocol):
 
     async def close(self) -> None:
         """Leave the platform; components keep running."""
+
+    def describe(self, launch: Launch) -> DescribedProcess:
+        """What :meth:`start` would start, also before ``open``; nothing is started or written. Raises StartFailed."""
 
     async def start(self, launch: Launch) -> Handle:
         """Start a component's process; it listens on its control address later. Raises StartFailed."""

@@ -25,7 +25,15 @@ from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.relayed_program import RelayOrder, order_file, private_topics
 from midstride.model.component import ComponentSpec
 from midstride.model.instance_names import full_name, split_name
-from midstride.runtime.backend_protocol import RELAY_SUFFIX, Backend, Endpoints, Exited, Handle, Launch
+from midstride.runtime.backend_protocol import (
+    RELAY_SUFFIX,
+    Backend,
+    DescribedProcess,
+    Endpoints,
+    Exited,
+    Handle,
+    Launch,
+)
 from midstride.runtime.process.child_process import Process
 from midstride.runtime.process.reaper import Reaper
 from midstride.runtime.records.status_forms import Middleware
@@ -79,11 +87,30 @@ class Ros1Backend(processes.ProcessBackend, Backend):
             with contextlib.suppress(BackendError):  # a master that does not answer is left alone
                 await master_process.release(self._master, self._guardian)
 
+    def _program(self, launch: Launch) -> tuple[str, ...]:
+        """The command with its program found. Raises StartFailed."""
+        command = processes.command(launch.arguments, launch.directory, os.environ, self._python)
+        return processes.prefixed(launch, command, os.environ)
+
+    def describe(self, launch: Launch) -> DescribedProcess:
+        """Parameters of a program without Midstride's API are on the master, and in no file."""
+        command, component = self._program(launch), launch.foreign
+        node = full_name(launch.instance, launch.namespace)
+        if component is not None and not component.once:
+            topics = naming.topics_of(component, node, launch.topics) | private_topics(component, launch.instance)
+            arguments = [f"{component.topic_of(port)}:={topic}" for port, topic in topics.items()]
+            command = (*command, *arguments, f"__name:={split_name(node)[0]}")
+        environment = {
+            **launching.environment(processes.surroundings(launch, os.environ), launching.master_uri(os.environ)),
+            **processes.identity(launch, self.name, self._control),
+            launching.NAMESPACE: split_name(launch.instance, launch.namespace)[1],
+        }
+        return DescribedProcess(command, processes.differences(environment, os.environ))
+
     async def start(self, launch: Launch) -> Handle:
         master = self._opened()
         node = full_name(launch.instance, launch.namespace)
-        command = processes.command(launch.arguments, launch.directory, os.environ, self._python)
-        command = processes.prefixed(launch, command, os.environ)
+        command = self._program(launch)
         if await master.is_running(node):
             raise StartFailed(
                 f"{launch.instance}: a node {node} is running already, and a second one of its name would end it; "

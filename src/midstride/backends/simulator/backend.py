@@ -16,13 +16,22 @@ from midstride.backends.simulator.host import SimulatedHost
 from midstride.backends.simulator.injected_faults import Faults
 from midstride.backends.simulator.network import Network
 from midstride.backends.simulator.simulated_process import SimulatedProcess
+from midstride.backends.simulator.simulated_program import ProcessOutput, SimulatedProgram
 from midstride.backends.simulator.virtual_clock import SimulatedClock
 from midstride.errors import BackendError, StartFailed
 from midstride.model.component import StopTimes
 from midstride.model.instance_names import full_name, log_file_name
 from midstride.node.component_host import Host
 from midstride.node.diagnostic_status import DiagnosticEntry
-from midstride.runtime.backend_protocol import Backend, Endpoints, Exited, Handle, Launch, RemainingProcess
+from midstride.runtime.backend_protocol import (
+    Backend,
+    DescribedProcess,
+    Endpoints,
+    Exited,
+    Handle,
+    Launch,
+    RemainingProcess,
+)
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.records.status_forms import Middleware
 from midstride.wire.state import ComponentState
@@ -107,6 +116,10 @@ class Simulator(Backend):
 
     async def close(self) -> None:
         self._on_exit = lambda exited: None
+
+    def describe(self, launch: Launch) -> DescribedProcess:
+        SimulatedProgram(launch, ProcessOutput())  # which refuses what it cannot run
+        return DescribedProcess(launch.arguments)
 
     async def start(self, launch: Launch) -> Handle:
         self._activate()

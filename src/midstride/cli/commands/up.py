@@ -19,7 +19,7 @@ from midstride.cli.first_rates import settled
 from midstride.cli.follow import FollowedRequest
 from midstride.cli.input_files import load
 from midstride.cli.live_view import watch
-from midstride.cli.output import console, json_option, print_json, wants_json
+from midstride.cli.output import console, json_option, print_json, show, wants_json
 from midstride.cli.progress import Progress
 from midstride.cli.render import degraded_line
 from midstride.cli.shutdown import wait_for_manager_exit
@@ -28,6 +28,7 @@ from midstride.codec.form import encode
 from midstride.codec.specification_form import encode_specification
 from midstride.errors import ManagerBusy, ManagerError
 from midstride.model.specification import Specification
+from midstride.runtime.options import SystemOptions
 from midstride.runtime.records.reports import UpReport
 from midstride.runtime.workspace import Workspace
 from midstride.verdicts import EXIT_STATUS, not_yet_judged
@@ -120,6 +121,11 @@ def manager_arguments(
     help="Start all nodes or none: if one of them cannot be started, stop the others.",
 )
 @click.option(
+    "--dry-run",
+    is_flag=True,
+    help="Show what would be started, with which arguments, files and environment, in which order; start nothing.",
+)
+@click.option(
     "--stop-on-exit",
     is_flag=True,
     help="Show no view, and stop the system when this command ends: for launch files and supervisors.",
@@ -137,6 +143,7 @@ def up_command(
     finish_interrupted: bool,
     keep_degraded: bool,
     strict: bool,
+    dry_run: bool,
     stop_on_exit: bool,
     spares: int,
 ) -> int:
@@ -153,6 +160,9 @@ def up_command(
         raise click.UsageError("--http-host needs --http PORT")
     arguments = manager_arguments(file, backend, use_sim_time, no_middleware_settings, no_diagnostics, spares)
     specification = load(file)
+    if dry_run:
+        options = SystemOptions(use_sim_time, not no_middleware_settings, spares, not no_diagnostics)
+        return _dry_run(specification, backend, file.resolve().parent, options)
     workspace = Workspace.of(specification.name)
     client = Client(workspace.socket)
     if (running := client.service()) is not None:
@@ -170,6 +180,18 @@ def up_command(
         if stop_on_exit:
             return stay(client, workspace.name)
     return status if detach or wants_json() else watch(client, workspace.name) or status
+
+
+def _dry_run(specification: Specification, backend: str, directory: Path, options: SystemOptions) -> int:
+    """Show what would be started; the exit status that `up` would have for what is known to be missing."""
+    from midstride.cli.dry_run import dry_run, lines
+
+    found = dry_run(specification, backend, directory, options)
+    show(found, list(lines(found)))
+    failed = [each for each in found.processes if each.because is not None]
+    if not failed:
+        return EXIT_STATUS["up"]
+    return EXIT_STATUS["degraded" if len(failed) < len(found.processes) + len(found.by_hand) else "down"]
 
 
 def _up(

@@ -25,26 +25,22 @@ from midstride.errors import (
 from midstride.model import wording
 from midstride.model.component import (
     DEFAULT_STOP,
-    GATES,
     KILL_AT_ONCE,
     ComponentSpec,
-    Gate,
-    ParameterSection,
     StopTimes,
 )
 from midstride.model.configuration import Instance
-from midstride.runtime.backend_protocol import RELAY_SUFFIX, Backend, Exited, Handle, Launch, RemainingProcess
+from midstride.runtime.backend_protocol import Backend, Exited, Handle, RemainingProcess
 from midstride.runtime.instance_life import STOPPED, ProcessEvent
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.process.component_client import ComponentClient, ComponentEvent
+from midstride.runtime.process.launches import launch_of
 from midstride.runtime.process.registration import mismatches, unexpected_endpoints
 from midstride.runtime.timeouts import within
 from midstride.wire.commands import ReleaseCommand, WelcomeCommand
 from midstride.wire.frames import Greeting, Registration
 from midstride.wire.state import ComponentState
 
-# The gates that each back end has.
-GATES_OF: Final[Mapping[str, tuple[Gate, ...]]] = {"ros2": GATES, "ros1": ("relay",)}
 # How long a process may take to register (s), including imports of large libraries, if no other registers meanwhile.
 REGISTRATION_TIMEOUT: Final = float(os.environ.get("MIDSTRIDE_REGISTRATION_TIMEOUT", "30"))
 # On a machine that is busy with the starts of others: how long it may take at most (s).
@@ -147,63 +143,23 @@ class Launcher:
         else:
             self._starting[name] = asyncio.ensure_future(self._client.registered(name))
             self._starting[name].add_done_callback(self._registration_done)
-        command, gate = instance.component.run, instance.component.gate
-        if command is None:
+        if instance.component.run is None:
             self._life.started(name, None)
             return True
         self._components[name] = instance.component
-        known = GATES_OF.get(self._backend.name, ())
-        if gate is not None and not instance.component.once and gate not in known:
-            self._forget_start(name)
-            instead = " or ".join(f"`gate {kind}` only" for kind in known) or "none"
-            raise StartFailed(f"{name} has a gate (`gate {gate}`), and the back end {self._backend.name} has {instead}")
-        package = instance.component.package
-        if package is not None and self._backend.name != "ros2":
-            self._forget_start(name)
-            raise StartFailed(f"{name} is in package {package}, which the back end {self._backend.name} cannot look up")
         try:
-            arguments = tuple(shlex.split(command))
-            if not arguments:
-                raise StartFailed(f"{name}: component {instance.component.name} has an empty `run` command")
-            namespace, component = instance.role.rpartition("/")[0], instance.component
-            parameters: dict[str, object] = {"use_sim_time": True} if self._options.use_sim_time else {}
-            # Of all nodes in a process, unless a file or the specification states another value.
-            sections: tuple[ParameterSection, ...] = ()
-            is_ros = component.package is not None or bool(instance.parameters or instance.sections)
-            if component.once and not is_ros:
-                parameters.clear()  # it takes no arguments of ROS
-            elif self._options.use_sim_time:
-                sections = (ParameterSection("/**", Map(use_sim_time=True)),)
-            sections += instance.sections
-            parameters.update(instance.parameters)
-            token, directory = self._client.token, self._directory
-            # A program without Midstride's API has the instance's name: nothing in it could answer for the role.
-            node, foreign = (instance.role, None) if gate is None else (name, instance.component)
-            if gate == "relay":  # whose process has a node as well, beside that of the program
-                node = f"{name}{RELAY_SUFFIX}"
-            launch = Launch(
-                name,
-                namespace,
-                arguments,
-                token,
-                directory,
-                parameters,
-                set_values,
-                node,
-                standby,
-                foreign,
-                {**topics},
-                package,
-                tuple(shlex.split(instance.component.prefix or "")),
-                dict(instance.component.environment),
-                sections,
-                predecessor,
-                instance.role,
+            launch = launch_of(
+                instance,
+                self._backend.name,
+                token=self._client.token,
+                directory=self._directory,
+                options=self._options,
+                set_values=set_values,
+                standby=standby,
+                topics=topics,
+                predecessor=predecessor,
             )
             self._life.started(name, await self._backend.start(launch))
-        except ValueError as error:
-            self._forget_start(name)
-            raise StartFailed(f"{name}: the `run` command {command!r} cannot be split: {error}") from None
         except BaseException:
             self._forget_start(name)
             raise

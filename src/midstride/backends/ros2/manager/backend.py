@@ -41,7 +41,15 @@ from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.relayed_program import differing
 from midstride.model.component import KILL_AT_ONCE, ComponentSpec, StopTimes
 from midstride.model.instance_names import full_name
-from midstride.runtime.backend_protocol import Backend, Endpoints, Exited, Handle, Launch, RemainingProcess
+from midstride.runtime.backend_protocol import (
+    Backend,
+    DescribedProcess,
+    Endpoints,
+    Exited,
+    Handle,
+    Launch,
+    RemainingProcess,
+)
 from midstride.runtime.process.child_process import Process
 from midstride.runtime.process.reaper import Reaper
 from midstride.runtime.records.status_forms import Middleware
@@ -125,14 +133,33 @@ class Ros2Backend(ProcessBackend, Backend):
         except asyncio.TimeoutError:
             log.error("ROS 2 has not let the manager's node go within %g s; it is left behind", _LEAVE)
 
-    async def start(self, launch: Launch) -> Handle:
-        own_name = full_name(launch.instance, launch.namespace)
-        node = full_name(launch.node or launch.instance, launch.namespace)
+    def _program(self, launch: Launch, settings: dds_profiles.DdsSettings) -> tuple[tuple[str, ...], dict[str, str]]:
+        """The command with its program found, and the environment that any program gets. Raises StartFailed."""
         program, *rest = launch.arguments
         if launch.package is None:
             command = processes.command(launch.arguments, launch.directory, os.environ, self._python)
         else:
             command = (executable(launch.package, program, os.environ), *rest)
+        base = processes.surroundings(launch, os.environ)
+        environment = launching.environment(launch, self._control, command[0], settings, base)
+        return processes.prefixed(launch, command, os.environ), environment
+
+    def describe(self, launch: Launch) -> DescribedProcess:
+        command, environment = self._program(launch, dds_profiles.of_this_process(enabled=self._set_middleware))
+        component = launch.foreign
+        files: dict[str, str] = {}
+        if component is not None and (not component.once or _is_ros_node(launch)):
+            name = _name_once(launch)
+            if not component.once:
+                name = self._foreign_nodes.start_name(launch, component, lambda _: False)
+            arguments, environment, files = self._foreign_nodes.describe(launch, component, name, environment)
+            command = (*command, *arguments)
+        return DescribedProcess(command, processes.differences(environment, os.environ), files)
+
+    async def start(self, launch: Launch) -> Handle:
+        own_name = full_name(launch.instance, launch.namespace)
+        node = full_name(launch.node or launch.instance, launch.namespace)
+        command, environment = self._program(launch, self.settings)
         graph = self._joined()
         await asyncio.sleep(max(0.0, self._opened + _LISTEN - time.monotonic()))
         if (
@@ -143,17 +170,13 @@ class Ros2Backend(ProcessBackend, Backend):
         ):
             raise StartFailed(f"{launch.instance}: a node {node} is running already; end it, or use another name")
         graph.starts(own_name)
-        base = processes.surroundings(launch, os.environ)
-        environment = launching.environment(launch, self._control, command[0], self.settings, base)
-        command = processes.prefixed(launch, command, os.environ)
         if launch.foreign is None:
             if node in self._foreign_nodes.names:
                 environment[ENV_SHARED_NAME] = "1"
             return await self._spawn(launch, own_name, command, environment)
         if launch.foreign.once:
-            if launch.package is not None or launch.parameters or launch.sections:  # a ROS node, as in a launch file
-                name = StartName("", passed=False) if launch.foreign.unnamed else StartName(own_name)
-                command = (*command, *self._foreign_nodes.arguments(launch, launch.foreign, name))
+            if _is_ros_node(launch):
+                command = (*command, *self._foreign_nodes.arguments(launch, launch.foreign, _name_once(launch)))
             return await self._spawn(launch, own_name, command, environment)
         if launch.foreign.gate == "relay":
             return await self._start_relay(launch, launch.foreign, own_name, command, environment)
@@ -303,3 +326,15 @@ class Ros2Backend(ProcessBackend, Backend):
         if self._context is None:
             raise Unreachable("the back end is not open")
         return self._graph
+
+
+def _is_ros_node(launch: Launch) -> bool:
+    """Whether a program that ends gets arguments for ROS, as a node in a launch file."""
+    return launch.package is not None or bool(launch.parameters or launch.sections)
+
+
+def _name_once(launch: Launch) -> StartName:
+    """The name that a program that ends is started with."""
+    if launch.foreign is not None and launch.foreign.unnamed:
+        return StartName("", passed=False)
+    return StartName(full_name(launch.instance, launch.namespace))

@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from midstride.backends.common import in_background
 from midstride.backends.naming import topics_of
 from midstride.backends.ros2.manager.own_names import OwnNames, StartName, enclave_of
-from midstride.backends.ros2.manager.parameter_file import ALL, parameter_file, write_parameters
+from midstride.backends.ros2.manager.parameter_file import ALL, parameter_file, parameters_text, write_parameters
 from midstride.backends.ros2.names import system_tag
 from midstride.codec.component_form import NamedComponentForm
 from midstride.codec.parameter import json_values
@@ -43,6 +43,8 @@ from midstride.wire.transport import Transport
 
 ENV_PAGE: Final = "MIDSTRIDE_GATE_PAGE"
 ENV_NODE: Final = "MIDSTRIDE_GATE_NODE"
+# Of what is only described, instead of a number or a name that is made when the process is started.
+GIVEN_AT_THE_START: Final = "(given at the start)"
 # How often the graph is looked at for the node of a process that has just been started (s).
 _LOOK: Final = 0.05
 
@@ -146,18 +148,41 @@ class ForeignNodes:
         self._relays(launch.instance, node)
         return path
 
-    def arguments(self, launch: Launch, component: ComponentSpec, name: StartName) -> list[str]:
-        """What follows the command; the parameters are in a file, which is deleted with the process.
+    def describe(
+        self, launch: Launch, component: ComponentSpec, name: StartName, environment: Mapping[str, str]
+    ) -> tuple[list[str], dict[str, str], dict[str, str]]:
+        """What follows the command, the environment, and the file of the parameters, of which nothing is written."""
+        node = name.full or full_name(launch.instance, launch.namespace)
+        if component.gate == "relay":
+            topics = topics_of(component, node, launch.topics) | private_topics(component, launch.instance)
+            launch = replaced(launch, topics=topics)
+        path, variables = parameter_file(self._folder.absolute(), launch.instance), dict(environment)
+        text = parameters_text(launch.sections, name.full or ALL, self._values(launch, component, name))
+        if component.preloads:
+            preloaded, library = environment.get("LD_PRELOAD", ""), build.library_path(environment)
+            variables["LD_PRELOAD"] = f"{library}:{preloaded}" if preloaded else str(library)
+            variables |= {ENV_PAGE: str((self._folder / PAGE).absolute()), ENV_NODE: GIVEN_AT_THE_START}
+        enclave = GIVEN_AT_THE_START if component.unnamed else ""
+        arguments = ros_arguments(launch, component, name, path if text else None, enclave)
+        return arguments, variables, {str(path): text} if text else {}
 
-        Raises BackendError.
-        """
+    def _values(self, launch: Launch, component: ComponentSpec, name: StartName) -> dict[str, object]:
+        """The values of the parameters of its node."""
         given = {**launch.parameters, **launch.set_parameters}
         if name.full and component.unnamed:  # what the sections have for all nodes is among these
             own = name.original or name.full
             matching = [section.parameters for section in launch.sections if section.matches(own)]
             given = {key: value for values in (*matching, launch.set_parameters) for key, value in values.items()}
+        return typed(component, given, {})
+
+    def arguments(self, launch: Launch, component: ComponentSpec, name: StartName) -> list[str]:
+        """What follows the command; the parameters are in a file, which is deleted with the process.
+
+        Raises BackendError.
+        """
         path = parameter_file(self._folder.absolute(), launch.instance)
-        written = write_parameters(path, launch.sections, name.full or ALL, typed(component, given, {}))
+        values = self._values(launch, component, name)
+        written = write_parameters(path, launch.sections, name.full or ALL, values)
         enclave = enclave_of(system_tag(launch.token), launch.instance) if component.unnamed else ""
         return ros_arguments(launch, component, name, path if written else None, enclave)
 

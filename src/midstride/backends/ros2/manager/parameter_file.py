@@ -37,7 +37,7 @@ def write_parameters(path: Path, sections: Iterable[ParameterSection], node: str
     ``values``: of the node with the full name ``node``; ``sections``: of further nodes in its process. Raises
     BackendError.
     """
-    text = "".join(_lines(sections, node, values))
+    text = parameters_text(sections, node, values)
     if not text:
         return False
     try:
@@ -48,6 +48,11 @@ def write_parameters(path: Path, sections: Iterable[ParameterSection], node: str
     except OSError as error:
         raise BackendError(f"{path} cannot be written: {error.strerror or error}") from None
     return True
+
+
+def parameters_text(sections: Iterable[ParameterSection], node: str, values: Mapping[str, object]) -> str:
+    """What :func:`write_parameters` writes; empty where there are none."""
+    return "".join(_lines(sections, node, values))
 
 
 def _lines(sections: Iterable[ParameterSection], node: str, values: Mapping[str, object]) -> Iterator[str]:
