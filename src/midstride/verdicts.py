@@ -354,8 +354,11 @@ def silence_in_words(words: str, seconds: float | None) -> str:
 
 
 def why_unmeasured(component: ComponentSpec) -> str | None:
-    """Why nothing measures what a node of ``component`` does; None where a gate, a page or its own agent does."""
-    if component.gate is None:
+    """Why nothing measures what a node of ``component`` does; None where a gate, a page or its own agent does.
+
+    Of a program that ends, its exit status says that its work is done.
+    """
+    if component.gate is None or component.once:
         return None
     if not component.ports():
         return "it has no ports"

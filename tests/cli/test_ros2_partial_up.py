@@ -76,7 +76,9 @@ def compare_with_what_runs(described: list[dict[str, Any]], midstride: Midstride
     assert {name: environment.get(name) for name in shown if name not in given} == {
         name: value for name, value in shown.items() if name not in given
     }
-    assert not {name for name, value in driver["environment"].items() if value is None} & environment.keys()
+    removed = {name for name, value in driver["environment"].items() if value is None}
+    # With the wheels of ROS 2, an interpreter starts itself anew with these.
+    assert not (removed & environment.keys()) - {"LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"}
     for path, text in driver["files"].items():
         assert Path(path).read_text() == text
 
@@ -102,7 +104,8 @@ def test_a_launched_robot_comes_up_with_programs_that_end_fail_or_are_missing(
     # R6: three times 0, and both nodes are there.
     up = midstride("up", str(file), "-d", timeout=60)
     compare_with_what_runs(shown.json["processes"], midstride)
-    assert (up.status, up.out.splitlines()[-1]) == (0, "r9 is up (driver, instant)."), up.out + up.err
+    assert (up.status, up.out.splitlines()[-2]) == (0, "r9 is up (driver, instant)."), up.out + up.err
+    assert up.out.splitlines()[-1].startswith("Up, all 2 nodes run; not measurable here: what driver does"), up.out
     status = midstride("status", "--json").json
     assert [(each["name"], each["done"]) for each in status["instances"]] == [("driver", False), ("instant", True)]
     assert status["crashed"] == []

@@ -195,7 +195,7 @@ def test_a_node_with_another_type_is_refused(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: SimulatedRelays) -> None:
         assert "listener" not in manager.configuration.instances
         [crashed] = (await manager.status()).crashed
-        assert "node /listener subscribes to /chat as std_msgs/msg/Int32" in crashed.words
+        assert "node /listener subscribes to /chat as std_msgs/msg/Int32" in crashed.log
 
     managed(tmp_path, TEXT, other, body)
 

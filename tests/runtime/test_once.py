@@ -98,6 +98,7 @@ def test_it_runs_after_all_others_and_is_done(tmp_path: Path, programs: Path) ->
         await asyncio.sleep(10)
         status = await manager.status()
         assert status.valid and status.crashed == [] and status.silences == []
+        assert (status.condition.state, status.condition.headline) == ("up", "up, all 3 nodes run")
         [found] = [each for each in status.instances if each.name == "setup"]
         assert (found.done, found.reachable, found.deviation, found.pid) == (True, False, None, None)
         assert [each.kind for each in manager.log() if each.kind in {"exited", "silence"}] == []

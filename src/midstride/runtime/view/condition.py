@@ -43,7 +43,7 @@ def condition(
         sum(role in best for role in components),
         [*faults, *violations],
         verdicts.unmeasured_in_words(unknown),
-        answering=sum(best[role][0].reachable for role in components if role in best),
+        answering=sum(best[role][0].reachable or best[role][0].done for role in components if role in best),
         slow=[words for role in sorted(best) for words in _below_rate(best[role][0], far=False)],
     )
 
