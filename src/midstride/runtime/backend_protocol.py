@@ -82,7 +82,7 @@ class DescribedProcess:
 class Exited:
     """A component's process exited. ``status`` is negative for a signal, None if unknown.
 
-    ``because``: why it could not be started, of one that has never run.
+    ``because``: why it is missing, where there is more to say: why it could not be started, or what to state.
     """
 
     instance: str

@@ -11,7 +11,7 @@ import asyncio
 import contextlib
 import logging
 from collections.abc import AsyncIterator, Coroutine, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from midstride.errors import CommandRefused, MidstrideError
@@ -22,7 +22,7 @@ from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.mode_changes import lower_modes
 from midstride.runtime.command_queue import CommandQueue
 from midstride.runtime.process.component_client import ComponentClient, ComponentEvent, Disconnected
-from midstride.runtime.process.launcher import Launcher
+from midstride.runtime.process.launcher import Launcher, maybe_done
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.state_store import StateStore
 from midstride.runtime.running_system import RunningSystem
@@ -139,9 +139,13 @@ class Reconciler:
             self.store.write_values(role, values)
 
     def _record_exit(self, event: Exited) -> None:
-        self.system.life.exited(event)
+        live = self.system.configuration.instances.get(event.instance)
+        hint = "" if live is None else maybe_done(live.component, event)
         status = "" if event.status is None else f" (status {event.status})"
-        self.events.add("exited", f"{event.words}{status}", log=event.log_tail)
+        if hint:
+            event = replace(event, because=f"{event.words}{status}{hint}")
+        self.system.life.exited(event)
+        self.events.add("exited", event.because or f"{event.words}{status}", log=event.log_tail)
         change = self.commands.change
         if event.instance in self.system.configuration.instances and change is not None:
             change.moved(self.system.configuration, (event.instance,))

@@ -47,8 +47,6 @@ REGISTRATION_TIMEOUT: Final = float(os.environ.get("MIDSTRIDE_REGISTRATION_TIMEO
 REGISTRATION_LIMIT: Final = 10 * REGISTRATION_TIMEOUT
 # How long a program that ends (`once`) may take, besides what its component states (s): a spawner waits for others.
 ONCE_TIMEOUT: Final = 60.0
-# What a program that has ended with status 0 may be.
-_IS_ONCE: Final = 'if it had done its work then, state it: `run "…" once`'
 # How often a process that starts is checked for having been stopped (s).
 CHECK_STOPPED: Final = 0.5
 # How long a component may take to end in order before it is killed (s), unless it asks for longer.
@@ -214,7 +212,9 @@ class Launcher:
         except (Exception, asyncio.CancelledError) as error:
             await self.abandon(name)
             if isinstance(error, MidstrideError) and not isinstance(error, StartFailed):
-                raise StartFailed(f"{name} registered but could not be accepted: {error}") from error
+                ended = self._life[name].exit if self._life.has_exited(name) else None
+                hint = "" if ended is None else maybe_done(instance.component, ended)
+                raise StartFailed(f"{name} registered but could not be accepted: {error}{hint}") from error
             raise
         finally:
             self._forget_start(name)
@@ -261,8 +261,7 @@ class Launcher:
             return registering.result()
         if exiting.done():
             ended = exiting.result()
-            hint = "" if ended.status or instance.component.gate is None else f"; {_IS_ONCE}"
-            raise StartFailed(_describe_exit(ended, f"before it registered{hint}"))
+            raise StartFailed(_describe_exit(ended, f"before it registered{maybe_done(instance.component, ended)}"))
         if stopped.done():
             raise StartFailed(f"{name} was stopped (SIGSTOP) before it registered, and not continued for {STOPPED:g} s")
         where = f"was started with `{run}`" if run else "is started elsewhere"
@@ -446,6 +445,13 @@ def killed_in_words(name: str, leader: int | None, process: RemainingProcess) ->
     else:
         what = f"`{process.program}` (process {process.pid}), which {name} had started,"
     return wording.killed(what, process.seconds)
+
+
+def maybe_done(component: ComponentSpec, ended: Exited) -> str:
+    """What to state if a program without Midstride's API has ended with status 0: it may have done its work."""
+    if ended.status != 0 or component.gate is None:
+        return ""
+    return '; if it had done its work then, state it: `run "…" once`'
 
 
 def _describe_exit(event: Exited, when: str = "before it registered") -> str:
