@@ -2,6 +2,6 @@
 
 PUBLIC = (
     "ComponentClient ComponentEvent Disconnected Launcher Process REPORTED Reaper adopting_orphans end_orphans "
-    "environment_value find have_answer killed_in_words launch_of mark_of process_info raise_limit reaper "
-    "room_for_a_start shorten spawn stop_times tail"
+    "environment_value find have_answer killed_in_words launch_of mark_of maybe_done process_info raise_limit "
+    "reaper room_for_a_start shorten spawn stop_times tail"
 )
