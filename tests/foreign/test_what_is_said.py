@@ -108,6 +108,8 @@ def test_what_a_node_without_ports_does_is_said_to_be_not_measurable(tmp_path: P
             f"Nothing is known to degrade. Not measurable here: {because}. "
             "The new instance has to be up before the old one is ended."
         )
+        (up,) = (await manager.history(1)).changes
+        assert said(up.continuity).verdict == "not_measurable", "that it is started is not that it works"
         report = await manager.change(RESTART)
         found = said(report.continuity)
         assert (report.outcome, found.verdict) == ("done", "not_measurable")

@@ -111,11 +111,11 @@ def _together(plan: Plan, outcome: Outcome) -> dict[str, float]:
 
 
 def _others(plan: Plan, now: Configuration) -> list[verdicts.Assessment]:
-    """The nodes that the change leaves alone, of which nothing measures whether they go on."""
-    touched = {role for step in plan.steps for role in step.roles}
+    """The nodes that run and were not exchanged, of which nothing measures whether they do their work."""
+    exchanged = {plan.change.role_of(old) for old in plan.change.replaced}
     reasons = {
         instance.role: because
         for instance in now.instances.values()
-        if instance.role not in touched and (because := verdicts.why_unmeasured(instance.component)) is not None
+        if instance.role not in exchanged and (because := verdicts.why_unmeasured(instance.component)) is not None
     }
     return verdicts.by_reason(reasons)
