@@ -21,6 +21,7 @@ from midstride.lang.load import load
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
+from midstride.runtime.options import SystemOptions
 from midstride.runtime.records.reports import Outcome
 from midstride.runtime.workspace import Workspace
 from tests.acceptance.support import ROOT
@@ -187,9 +188,13 @@ class Robot:
         return holes(self.heard)
 
 
+STRICT = SystemOptions(strict=True)
+
+
 def manager_of(specification: Specification, folder: Path) -> Manager:
+    """Its `up` raises if a single node cannot be started."""
     workspace = Workspace(folder / "system")
-    return Manager(specification, backends.make("ros2", workspace), workspace, folder)
+    return Manager(specification, backends.make("ros2", workspace), workspace, folder, options=STRICT)
 
 
 class Recorded:

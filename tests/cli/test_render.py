@@ -106,6 +106,8 @@ def test_how_far_apart_the_members_of_a_group_changed_their_modes_is_reported() 
 def test_what_stays_lower_is_reported() -> None:
     """`midstride remove` of what the brake relies on: it was meant to fall, and it has fallen."""
     assert shown(render.outcome(done())) == ["Done in 270 ms.", "Nothing fell below its level."]
+    in_part = render.outcome(done("incomplete", because="a is left out: no device"))
+    assert shown(in_part)[0] == "In part, in 270 ms: a is left out: no device"
     assert shown(render.outcome(done(remaining_degradations=[lowered()]))) == [
         "Done in 270 ms.",
         "Afterwards: brake.watch is in mode cautious instead of normal.",

@@ -253,6 +253,7 @@ def outcome(outcome: Outcome) -> RenderableType:
     headline = {
         "done": f"[green]Done[/green] in {seconds(outcome.seconds)}",
         "refused": "[red]Refused[/red], nothing was changed",
+        "incomplete": f"[yellow]In part[/yellow], in {seconds(outcome.seconds)}",
         "rolled_back": f"[red]Rolled back[/red] in {seconds(outcome.seconds)}, every step undone",
         "failed": f"[red bold]Failed[/red bold] in {seconds(outcome.seconds)}",
     }[kind]

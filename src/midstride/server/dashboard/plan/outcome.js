@@ -14,6 +14,7 @@ export function headline(outcome) {
   const words = {
     done: `Done in ${took}`,
     refused: "Refused, nothing was changed",
+    incomplete: `In part, in ${took}`,
     rolled_back: `Rolled back in ${took}, every step undone`,
     failed: `Failed in ${took}`,
   }[/** @type {"done"} */ (outcome.outcome)];
