@@ -72,7 +72,8 @@ def compare_with_what_runs(described: list[dict[str, Any]], midstride: Midstride
     pairs = (each.partition("=") for each in Path(f"/proc/{pid}/environ").read_text().split("\0")[:-1])
     environment = {name: value for name, _, value in pairs}
     shown = {name: value for name, value in driver["environment"].items() if value is not None}
-    given = {"MIDSTRIDE_TOKEN", "MIDSTRIDE_GATE_NODE"}
+    given = {"MIDSTRIDE_TOKEN", "MIDSTRIDE_START", "MIDSTRIDE_GATE_NODE"}
+    assert {shown[name].partition(" ")[2] for name in given} == {"at the start)"}
     assert {name: environment.get(name) for name in shown if name not in given} == {
         name: value for name, value in shown.items() if name not in given
     }

@@ -21,7 +21,7 @@ from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.options import SystemOptions
 from midstride.runtime.process.launches import launch_of
 from midstride.runtime.workspace import Workspace
-from midstride.wire.environment import ENV_TOKEN
+from midstride.wire.environment import ENV_START, ENV_TOKEN
 from midstride.wire.folders import workspace_root
 
 # What is known only when the system starts.
@@ -104,8 +104,7 @@ def _described(
         command, environment, files = list(found.command), found.environment, found.files
     except BackendError as error:
         because = str(error)
-    if ENV_TOKEN in environment:
-        environment[ENV_TOKEN] = _TOKEN
+    environment |= dict.fromkeys({ENV_TOKEN, ENV_START} & environment.keys(), _TOKEN)
     return DescribedStart(
         node=instance.name,
         component=instance.component.name,
