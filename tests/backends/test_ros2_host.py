@@ -371,7 +371,7 @@ def test_parameters_of_the_node_itself_are_in_the_state_and_a_replacement_starts
             r.client.listeners.append(states.append)
             await r.start("tuned", text, set_parameters={"speed": 0.7, "frames": [], "use_sim_time": False})
             state = await r.client.observe("tuned")
-            node = {"speed": 0.7, "frames": ["base"], "inner": 2}
+            node = {"speed": 0.7, "frames": ["base"], "inner": 2, "limit": {"float": "inf"}}
             assert (state.parameters, state.declared) == (declared | node, {"speed": 0.5})
             await r.client.change("tuned", SetParametersCommand(parameters={"frames": []}, declared={}))
             with Bare() as bare:

@@ -134,7 +134,7 @@ def test_what_a_component_says_is_printable(midstride: Midstride, tmp_path: Path
     (tmp_path / "listener.py").write_text(listener.replace(hears, f"    {failing}"))
     specification = str(tmp_path / "talker.stride")
     up = midstride("up", specification, "--backend", "sim", "-d")
-    assert up.status == 1 and "\\x1b[2J" in up.out  # it is up, and the listener has degraded
+    assert up.status == 3 and "\\x1b[2J" in up.out  # it is up, and the listener has degraded
     assert raw(up.out) == raw(up.err) == []
     shown: dict[str, Any] = {}
     for words in (["status"], ["why", "listener.listen"], ["log"]):
@@ -149,5 +149,5 @@ def test_what_a_component_says_is_printable(midstride: Midstride, tmp_path: Path
     assert midstride("down").status == 0
     (tmp_path / "talker.py").write_text(f"import sys\nsys.stderr.write({HOSTILE!r})\nraise RuntimeError({HOSTILE!r})\n")
     done = midstride("up", specification, "--backend", "sim", "-d")
-    assert done.status == 1 and "\\x1b[2J" in done.err
+    assert done.status == 3 and "\\x1b[2J" in done.out  # the listener is up, and the talker is not
     assert raw(done.out) == raw(done.err) == []

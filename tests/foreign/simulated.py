@@ -162,7 +162,9 @@ class SimulatedRos(Simulator):
             return await super().end(instance, stop)
         if stop.longest:
             await self._foreign.finish(instance)
-        node, ended = self.nodes[instance], False
+        if (node := self.nodes.get(instance)) is None:  # another manager's command has ended it meanwhile
+            return []
+        ended = False
         for name, patience in (("SIGINT", stop.sigterm), ("SIGTERM", stop.sigkill)):
             if patience and not ended:
                 ended = node.ends_on == name

@@ -251,8 +251,10 @@ def test_the_relay_ends_as_its_program_does(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_a_program_that_ignores_that_it_is_to_end_is_killed(tmp_path: Path) -> None:
-    order(tmp_path, "sh", "-c", "trap '' INT TERM; while true; do sleep 0.1; done")
-    with in_a_process(tmp_path, "sys.exit(program.end())") as relay:
+    ready = tmp_path / "ready"
+    order(tmp_path, "sh", "-c", f"trap '' INT TERM; touch '{ready}'; while true; do sleep 0.1; done")
+    body = f"while not Path({str(ready)!r}).exists():\n    threading.Event().wait(0.01)\nsys.exit(program.end())"
+    with in_a_process(tmp_path, body) as relay:
         assert relay.stdout is not None
         pid = int(relay.stdout.readline())
         assert relay.wait(60) == KILLED

@@ -21,6 +21,7 @@ NotFiniteForm: TypeAlias = Annotated[
     field('an object with `float`: "nan", "inf" or "-inf"', "a number that is not finite", min_length=1),
 ]
 _NUMBERS: Final[Mapping[str, float]] = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
+_NUMBER_FORMS: Final = [{"float": number} for number in _NUMBERS]
 
 _KINDS = {bool: "booleans", int: "integers", float: "reals", str: "texts", dict: "reals"}
 _OBJECT = {"type": "object"}
@@ -31,8 +32,12 @@ _LISTS = [
 _ONE_TYPE = {"allOf": [{"anyOf": [{"not": {"type": "array"}}, *_LISTS]}]}
 
 
-def _mixed(value: object) -> str | None:
-    kinds = sorted({_KINDS[type(member)] for member in value}) if isinstance(value, list) else []
+def _wrong(value: object) -> str | None:
+    """What is wrong with a value of the right JSON types: msgspec takes an object for one with ``float``."""
+    members = value if isinstance(value, list) else [value]
+    if any(isinstance(member, dict) and member not in _NUMBER_FORMS for member in members):
+        return 'an object is expected to have `float`: "nan", "inf" or "-inf"'
+    kinds = sorted({_KINDS[type(member)] for member in members})
     return f"the values of a list must be of one type, here are {' and '.join(kinds)}" if len(kinds) > 1 else None
 
 
@@ -49,7 +54,7 @@ ValueForm: TypeAlias = Annotated[
         "a text, a number or a boolean",
         "the value of a parameter; a list is of one kind",
         help="1.0 is a real",
-        check=_mixed,
+        check=_wrong,
         extra_json_schema=_ONE_TYPE,
     ),
 ]
@@ -79,13 +84,11 @@ def from_json(value: Any) -> Any:
 
 
 def value_of(value: PlainValue) -> ParameterValue:
-    """The value of a parameter. Raises ValueError for a list of mixed types and for a number no float can hold."""
-    for member in value if isinstance(value, list) else [value]:
-        if isinstance(member, dict) and member.get("float") not in _NUMBERS:
-            raise ValueError('an object is expected to have `float`: "nan", "inf" or "-inf"')
-        finite(member)
-    if (wrong := _mixed(value)) is not None:
+    """The value of a parameter. Raises ValueError where the form has none, as a number that no float can hold."""
+    if (wrong := _wrong(value)) is not None:
         raise ValueError(wrong)
+    for member in value if isinstance(value, list) else [value]:
+        finite(member)
     return cast("ParameterValue", from_json(value))
 
 
