@@ -149,7 +149,7 @@ def test_a_registered_component_is_checked_as_well() -> None:
 @pytest.mark.parametrize("value", [{"": "nan"}, {"float": "nan", "more": "nan"}, [1.0, {"": "inf"}]])
 def test_an_object_that_is_no_number_is_refused_as_the_value_of_a_parameter(value: Any) -> None:
     document = {"name": "A", "parameters": {"p": {"value": value}}}
-    with pytest.raises(SpecificationError, match="/parameters/p/value.*float"):
+    with pytest.raises(SpecificationError, match=r"/parameters/p/value.*float"):
         decode_component(document)
 
 
