@@ -32,7 +32,7 @@ def test_no_other_module_composes_what_is_said_of_the_work_of_a_system() -> None
 
 
 LOST = verdicts.below_level("talker.talk", 1.2)
-UNKNOWN = verdicts.unmeasured_exchange("driver", "it has no ports", together=0.4)
+UNKNOWN = verdicts.unmeasured_exchange("driver", "no ports are stated", together=0.4)
 
 
 def test_the_headline_is_the_weakest_of_what_is_known() -> None:
@@ -40,7 +40,7 @@ def test_the_headline_is_the_weakest_of_what_is_known() -> None:
     unknown = verdicts.assessed([UNKNOWN, None])
     assert (unknown.verdict, unknown.lines) == ("not_measurable", [unknown.headline])
     assert unknown.headline == (
-        "Nothing is known to have fallen below its level. Not measurable here: what driver does: it has no ports. "
+        "Nothing is known to have fallen below its level. Not measurable here: what driver does: no ports are stated. "
         "It was never down: both instances ran for 400 ms."
     )
     both = verdicts.assessed([UNKNOWN, LOST])
@@ -54,19 +54,19 @@ def test_the_headline_is_the_weakest_of_what_is_known() -> None:
 
 def test_a_plan_with_a_node_that_nothing_measures_does_not_say_that_nothing_degrades() -> None:
     assert verdicts.expected([]).headline.startswith("Nothing degrades: ")
-    side = verdicts.will_be_exchanged("driver", "it has no ports", side_by_side=True, seconds=2.0)
+    side = verdicts.will_be_exchanged("driver", "no ports are stated", side_by_side=True, seconds=2.0)
     assert verdicts.expected([side]).headline.startswith(
         "Nothing is known to degrade. Not measurable here: what driver"
     )
-    after = verdicts.will_be_exchanged("driver", "it has no ports", side_by_side=False, seconds=2.0)
+    after = verdicts.will_be_exchanged("driver", "no ports are stated", side_by_side=False, seconds=2.0)
     assert (after.verdict, "about 2.00 s" in after.words) == ("lost", True)
     assert verdicts.expected([side, after]).verdict == "lost"
 
 
 def test_a_node_without_ports_that_was_down_is_lost_for_as_long() -> None:
-    down = verdicts.unmeasured_exchange("driver", "it has no ports", down=1.1)
+    down = verdicts.unmeasured_exchange("driver", "no ports are stated", down=1.1)
     assert (down.verdict, down.seconds) == ("lost", 1.1) and down.words.startswith("driver was down for 1.10 s; ")
-    assert verdicts.unmeasured_exchange("driver", "it has no ports", done=False).verdict == "not_measurable"
+    assert verdicts.unmeasured_exchange("driver", "no ports are stated", done=False).verdict == "not_measurable"
 
 
 @pytest.mark.parametrize(("passed", "seconds"), [(100, None), (91, None), (60, 2.0), (0, 5.0)])
@@ -98,10 +98,10 @@ def gated(gate: str | None, *, ports: bool) -> ComponentSpec:
         ("relay", True, None),
         ("lifecycle", True, None),
         ("lifecycle preload", True, None),
-        ("none", True, "nothing counts its messages (`gate none`)"),
-        ("preload", False, "it has no ports"),
-        ("none", False, "it has no ports"),
-        ("lifecycle", False, "it has no ports"),
+        ("none", True, "nothing counts messages (`gate none`)"),
+        ("preload", False, "no ports are stated"),
+        ("none", False, "no ports are stated"),
+        ("lifecycle", False, "no ports are stated"),
     ],
 )
 def test_what_nothing_measures_is_known_for_every_kind_of_gate(
@@ -120,8 +120,8 @@ def test_the_condition_of_a_system_is_about_its_nodes() -> None:
     assert verdicts.EXIT_STATUS[dead.state] == 3
     none = verdicts.system_condition(1, 0, ["driver exited unexpectedly"])
     assert (none.headline, verdicts.EXIT_STATUS[none.state]) == ("down: none of its 1 node runs", 1)
-    unknown = verdicts.system_condition(1, 1, [], ["what driver does (it has no ports)"])
-    assert unknown.headline == "up, its node runs; not measurable here: what driver does (it has no ports)"
+    unknown = verdicts.system_condition(1, 1, [], ["what driver does (no ports are stated)"])
+    assert unknown.headline == "up, its node runs; not measurable here: what driver does (no ports are stated)"
 
 
 def test_a_rate_that_is_somewhat_too_low_is_named_and_no_fault() -> None:

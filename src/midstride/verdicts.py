@@ -361,9 +361,9 @@ def why_unmeasured(component: ComponentSpec) -> str | None:
     if component.gate is None or component.once:
         return None
     if not component.ports():
-        return "it has no ports"
+        return "no ports are stated"
     if not component.counts_messages and not component.has_lifecycle:
-        return f"nothing counts its messages (`gate {component.gate}`)"
+        return f"nothing counts messages (`gate {component.gate}`)"
     return None
 
 

@@ -247,7 +247,7 @@ def test_a_node_without_ports_is_never_down_unless_the_report_says_so(tmp_path: 
             await recorder.bare.until(lambda: has_looked(manager), 20)  # at the graph, which it does now and then
             plan = PlanPreview.of(await manager.plan(restart)).continuity
             assert plan and plan.verdict == "not_measurable"
-            assert "it has no ports" in plan.headline and "so both write there" in plan.headline
+            assert "no ports are stated" in plan.headline and "so both write there" in plan.headline
             assert "service /save ends with driver" in plan.headline
             outcome, silence = await recorder.meanwhile(manager.change(restart))
             assert outcome.outcome == "done", outcome.because
@@ -263,7 +263,7 @@ def test_a_node_without_ports_is_never_down_unless_the_report_says_so(tmp_path: 
             assert outcome.outcome == "rolled_back" and "broken build" in str(outcome.because)
             assert silence < 0.5 and list(manager.configuration.instances) == ["driver_2"]
             condition = (await manager.status()).condition
-            assert condition.state == "up" and condition.unknown == ["what driver does (it has no ports)"]
+            assert condition.state == "up" and condition.unknown == ["what driver does (no ports are stated)"]
             (instance,) = (await manager.status()).instances
             assert instance.pid is not None
             os.kill(instance.pid, signal.SIGKILL)
@@ -305,7 +305,7 @@ def test_nodes_of_a_lifecycle_manager_are_not_lost_and_taken_down_they_are_no_he
             assert outcome.outcome == "rolled_back" and "publishes on /said" in str(outcome.because)
             assert said(outcome).verdict == "not_measurable" and silence < 0.5
             headline = said(outcome).headline
-            assert "what life_a does: it has no ports" in headline and "what life_b and manager do" in headline
+            assert "what life_a does: no ports are stated" in headline and "what life_b and manager do" in headline
             (life,) = (each for each in (await manager.status()).instances if each.name == "life_a")
             assert life.pid is not None
             os.kill(life.pid, signal.SIGKILL)

@@ -103,7 +103,7 @@ def test_a_lifecycle_node_that_hangs_makes_the_system_degraded_and_no_report_cal
 def test_what_a_node_without_ports_does_is_said_to_be_not_measurable(tmp_path: Path) -> None:
     async def body(manager: Manager, _: SimulatedRos) -> None:
         plan = said(PlanPreview.of(await manager.plan(RESTART)).continuity or None)
-        because = "what driver does: it has no ports"
+        because = "what driver does: no ports are stated"
         assert plan.headline == (
             f"Nothing is known to degrade. Not measurable here: {because}. "
             "The new instance has to be up before the old one is ended."
@@ -118,7 +118,7 @@ def test_what_a_node_without_ports_does_is_said_to_be_not_measurable(tmp_path: P
         )
         assert "It was never down: both instances ran for " in found.headline
         condition = (await manager.status()).condition
-        assert condition.headline == "up, its node runs; not measurable here: what driver does (it has no ports)"
+        assert condition.headline == "up, its node runs; not measurable here: what driver does (no ports are stated)"
 
     simulated.managed(tmp_path, DRIVER, body)
 
