@@ -419,7 +419,7 @@ def test_ctrl_c_before_the_manager_answers_stops_the_system(midstride: Midstride
         terminal.press("\x03")
         assert "Stopping everything started for talker" in terminal.rest()
         assert terminal.status == 130
-    assert midstride("status").err.endswith("no system is running; start one with `midstride up FILE`\n")
+    assert "no system is running" in midstride("status").err
 
 
 @pytest.mark.full

@@ -27,6 +27,7 @@ from midstride.errors import MidstrideError
 from midstride.model.specification import Specification
 from midstride.plan.forms.plan_forms import PlanPreview
 from midstride.runtime.records.state_store import StateStore
+from midstride.wire.folders import workspace_root
 from tests.cli import statuses
 from tests.cli.conftest import EXAMPLES, Midstride
 from tests.examples import json_form, json_text
@@ -184,7 +185,8 @@ def test_no_command_at_all(capsys: pytest.CaptureFixture[str]) -> None:
 def test_the_error_without_a_manager_says_how_to_start_one(
     words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    message = "no system is running; start one with `midstride up FILE`"
+    where = f"none in {workspace_root()}, where those of this user and XDG_RUNTIME_DIR are"
+    message = f"no system is running: {where}; start one with `midstride up FILE`"
     assert run(capsys, *words) == (1, "", f"midstride {words[0]}: {message}\n")
     status, out, _ = run(capsys, "--json", *words)
     document = json.loads(out)

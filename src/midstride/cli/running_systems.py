@@ -13,6 +13,7 @@ from midstride.cli.client import Client
 from midstride.errors import ManagerError, NoManager, PlanRefused
 from midstride.model.diagnostics import suggestion
 from midstride.runtime.workspace import Workspace
+from midstride.wire.folders import workspace_root
 
 if TYPE_CHECKING:
     from midstride.runtime.records.status_forms import Status
@@ -55,7 +56,8 @@ def find(system: str | None) -> tuple[Client, Workspace]:
             f"no manager answers; components of these systems may still be running: {', '.join(known)}. "
             "Choose one with --system NAME"
         )
-    raise NoManager("no system is running; start one with `midstride up FILE`")
+    where = f"none in {workspace_root()}, where those of this user and XDG_RUNTIME_DIR are"
+    raise NoManager(f"no system is running: {where}; start one with `midstride up FILE`")
 
 
 def find_workspace(system: str | None) -> Workspace:

@@ -175,7 +175,7 @@ class CommandHandlers:
         if self.parts.callbacks.stop is not None:
             try:
                 if not await self._data.drive(self.parts.callbacks.stop, timeout):
-                    self.host.logger.error(f"on_stop did not return within {timeout:g} s")
+                    self.host.logger.error(f"on_stop did not return within {timeout:.3g} s")
             except CAUGHT as error:
                 self.host.logger.error(f"on_stop raised: {format_error(error)}")
         with contextlib.suppress(CommandRefused, BackendError):
@@ -192,7 +192,7 @@ class CommandHandlers:
         deadline = self.host.steady() + int(timeout * 1e9)
         while any(runner.asynchronous for runner in self._runners):
             if self.host.steady() >= deadline:
-                raise CommandRefused(f"user code did not return within {timeout:g} s{self._busy_words()}")
+                raise CommandRefused(f"user code did not return within {timeout:.3g} s{self._busy_words()}")
             await self.host.sleep(0.01)
 
     async def _detach(self, command: commands.DetachCommand) -> replies.Detached:
@@ -274,7 +274,7 @@ class CommandHandlers:
             self.host.on_data(switch.release)
             raise CommandRefused(
                 f"the change of {', '.join(indices)} was withdrawn: "
-                f"user code did not return within {command.timeout:g} s{self._busy_words()}"
+                f"user code did not return within {command.timeout:.3g} s{self._busy_words()}"
             )
         await ended.wait()
         if switch.refused is not None:
@@ -295,7 +295,7 @@ class CommandHandlers:
         self.host.on_data(hold.attempt)
         if await within(self.host, held.wait(), command.timeout) is None:
             self.host.on_data(hold.release)
-            raise CommandRefused(f"user code did not return within {command.timeout:g} s{self._busy_words()}")
+            raise CommandRefused(f"user code did not return within {command.timeout:.3g} s{self._busy_words()}")
         self._hold = hold
         self._expiry = asyncio.ensure_future(self._expire(command.seconds))
         return replies.Done()

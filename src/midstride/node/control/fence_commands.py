@@ -47,7 +47,7 @@ class Fencing:
             return replies.Idle(busy=str(error))
         while any(runner.asynchronous and runner.driven != "none" for runner in self.runners):
             if self.host.steady() >= deadline:
-                words = f"user code did not return within {command.timeout:g} s{self.data.busy()}"
+                words = f"user code did not return within {command.timeout:.3g} s{self.data.busy()}"
                 return replies.Idle(busy=words)
             await self.host.sleep(TICK)
         return replies.Idle(busy=None)

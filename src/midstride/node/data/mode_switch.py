@@ -70,9 +70,9 @@ class DataExecutor:
         work = asyncio.ensure_future(self.host.on_data(lambda: function() if decision.make() else None))
         if await within(self.host, work, timeout) is None:
             if decision.make():
-                raise CommandRefused(f"user code did not return within {timeout:g} s{self.busy()}")
+                raise CommandRefused(f"user code did not return within {timeout:.3g} s{self.busy()}")
             if await within(self.host, work, timeout) is None:
-                raise CommandRefused(f"it has started, but did not end within another {timeout:g} s{self.busy()}")
+                raise CommandRefused(f"it has started, but did not end within another {timeout:.3g} s{self.busy()}")
         result: T = work.result()  # type: ignore[assignment]  # it was not withdrawn, so it has run
         return result
 

@@ -193,7 +193,7 @@ class StateExport(_Transfer):
         self._all_passed = True
         try:
             if await within(self.host, self._quiet(), self.transfer.timeout) is None:
-                raise CommandRefused(f"user code did not return within {self.transfer.timeout:g} s")
+                raise CommandRefused(f"user code did not return within {self.transfer.timeout:.3g} s")
             self._answered = self.answering.pause()
             await within(self.host, self._requests_answered(), REQUEST_PATIENCE)
             self._state = await self.hooks.export(self.transfer.timeout, self.transfer.changes)
