@@ -242,6 +242,12 @@ CASES: list[tuple[str, list[tuple[str, object]], str, str]] = [  # code, changes
         "port out of Talker states what the program calls its topic, but Talker has no gate",
     ),
     (
+        "E028",
+        [("/components/Home", {"once": True})],
+        "/components/Home/once",
+        "Home is `once`, but has no `run` command",
+    ),
+    (
         "W035",
         [(RUN, "t"), (RESPAWN, {"fallback": "Talker"})],
         f"{RESPAWN}/fallback",

@@ -12,8 +12,8 @@ import pytest
 
 from midstride.errors import PlanRefused
 from midstride.model.action import Attach, Create, Degrade, Handover, Remove, Upgrade
-from midstride.model.component import FunctionalityRef
-from midstride.model.configuration import Configuration
+from midstride.model.component import ComponentSpec, FunctionalityRef
+from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import violations
 from midstride.model.specification import Specification, initial
 from midstride.plan.change_builder import change_between
@@ -364,10 +364,12 @@ def test_a_round_of_commands_is_of_so_many_components_at_most() -> None:
 
 
 def test_one_by_one_only_processes_of_creations_in_a_row_start_at_once() -> None:
-    create, other = Create.__new__(Create), Remove("a")
+    create, other = Create(Instance("b", "b", work("A"))), Remove("a")
     found = one_by_one([other, create, create, other, create])
     assert found.rounds == ((0,), (1,), (2,), (3,), (4,))
     assert found.starts == {1: [1, 2], 4: [4]}
+    once = Create(Instance("c", "c", ComponentSpec("C", run="c", gate="none", once=True)))
+    assert one_by_one([create, once, create]).starts == {0: [0, 2]}, "a program that ends is started in its own step"
 
 
 @pytest.mark.full

@@ -110,6 +110,7 @@ function newComponent(create, view) {
     reachable: true,
     answers: true,
     ending: false,
+    done: false,
     waiting: null,
     as_modelled: true,
     differences: [],
