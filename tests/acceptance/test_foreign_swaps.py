@@ -40,7 +40,7 @@ rclpy.spin(node)
 """
 REASONS = {
     "dies": "talker_2 ",
-    "hangs": "has written nothing",
+    "hangs": "has written nothing|wrote at 0 Hz",  # whether its first messages were counted is chance
     "half": "does not keep the 50 Hz",
     "type": "node /talker_2 publishes std_msgs/msg/Int32 on /chat, and output out of Type is declared as std_msgs",
     "qos": "node /talker_2 publishes on /chat with reliable, volatile, and output out of Qos is declared with",

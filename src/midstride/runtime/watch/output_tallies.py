@@ -88,10 +88,14 @@ class OutputTallies:
             before = begun.link.inactive if resumed else 0.0
             yield verdicts.inactive(begun.topic, str(writer), max(0.0, link.inactive - (before or 0.0)), begun.rate)
         elif begun.rate is not None:
-            last = link.count if resumed else last_numbers.get(begun.exchange.old)
-            if last is not None:
-                passed = last - begun.link.count + (0 if resumed else link.count)
-                yield verdicts.written(begun.topic, str(writer), passed, now - begun.at, begun.rate)
+            last = last_numbers.get(begun.exchange.old)
+            if resumed and link.count >= max(begun.link.count, last or 0):
+                passed = link.count - begun.link.count
+            elif last is not None:  # the new side's count, or that of the old one, attached anew, began at 0
+                passed = last - begun.link.count + link.count
+            else:
+                return  # attached anew, and how much it had written before is not known
+            yield verdicts.written(begun.topic, str(writer), passed, now - begun.at, begun.rate)
 
 
 def _rate(components: Mapping[str, ComponentSpec], port: PortRef) -> float | None:
