@@ -29,7 +29,8 @@ SHOW = """
 import json, os, sys
 print(json.dumps({
     "argv": sys.argv, "file": __file__, "name": __name__, "directory": os.getcwd(), "path": sys.path[0],
-    "environment": {name: value for name, value in os.environ.items() if name != "MIDSTRIDE_TOKEN"},
+    # The token is that of the system, and the mark that of the start.
+    "environment": {k: v for k, v in os.environ.items() if k not in ("MIDSTRIDE_TOKEN", "MIDSTRIDE_START")},
     "leads": os.getsid(0) == os.getpid(), "manager": os.getppid(), "threads": len(os.listdir("/proc/self/task")),
 }))
 """

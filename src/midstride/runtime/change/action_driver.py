@@ -240,9 +240,10 @@ class ActionDriver:
         """
         swaps = [swap for action in self.change.actions if isinstance(action, Handover) for swap in action.swaps]
         handed = {swap.new.instance for swap in swaps}
+        started = self.system.configuration.instances  # an earlier one of that name may have exited long ago
         for old, new in () if self.rolling_back else self.change.plan.change.replaced.items():
             life = self.system.life[new]
-            if old == leaving and new not in handed and life.exit is not None:
+            if old == leaving and new in started and new not in handed and life.exit is not None:
                 log = f":\n{life.exit.log_tail.strip()}" if life.exit.log_tail.strip() else ""
                 raise StepFailed(f"{new}, which replaces {old}, {wording.exited(life.exit.status)}{log}")
 
