@@ -266,11 +266,11 @@ nested = f"import subprocess, sys; subprocess.run([sys.executable, '-S', '-c', {
 subprocess.Popen([*python, nested], start_new_session=True, env={} if "bare" in sys.argv else None)
 subprocess.run([*python, f"import subprocess, sys; subprocess.Popen([sys.executable, '-S', '-c', {waits!r}])"],
                start_new_session=True)
+signal.signal(signal.SIGINT, lambda *_: sys.exit())
 print("up", flush=True)
 if "leaves" in sys.argv:
     time.sleep(0.5)
     os._exit(3)
-signal.signal(signal.SIGINT, lambda *_: sys.exit())
 time.sleep(600)
 """
 
@@ -285,9 +285,11 @@ async def wide(tmp_path: Path, token: str, *arguments: str, instance: str = "wid
     }
     process = spawn([sys.executable, "-S", "-c", WIDE, *arguments], tmp_path, environment, tmp_path / "log.txt")
     process.mark = families.mark_of(process.pid)
-    while len(left := [line.split()[1] for line in tail(process.log).splitlines() if line.startswith("left")]) < 2:
+    lines: list[str] = []
+    while "up" not in lines or len(left := [line for line in lines if line.startswith("left")]) < 2:
         await asyncio.sleep(0.005)
-    return process, [int(pid) for pid in left]
+        lines = tail(process.log).splitlines()
+    return process, [int(line.split()[1]) for line in left]
 
 
 @pytest.mark.parametrize("arguments", [(), ("bare",), ("stubborn",)])
