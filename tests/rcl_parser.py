@@ -6,6 +6,7 @@ import ctypes
 import os
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
@@ -97,15 +98,22 @@ def rcl_sections(files: Sequence[Path]) -> list[tuple[str, dict[str, Any]]] | No
 
     A parameter without a value is None. Of a name that occurs twice in a section, the last counts, as for a node.
     """
-    library = rcl_parser()
-    assert library is not None
-    into = library.rcl_yaml_node_struct_init(library.allocator)
-    try:
+    with parsing() as (library, into):
         for path in files:
             if not library.rcl_parse_yaml_file(os.fsencode(path), into):
                 library.reset_error()
                 return None
         return list(sections_of_rcl(into.contents))
+
+
+@contextmanager
+def parsing() -> Iterator[tuple[Any, Any]]:
+    """The library, and where it puts what it reads."""
+    library = rcl_parser()
+    assert library is not None
+    into = library.rcl_yaml_node_struct_init(library.allocator)
+    try:
+        yield library, into
     finally:
         library.rcl_yaml_node_struct_fini(into)
 

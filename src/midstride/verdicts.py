@@ -22,9 +22,6 @@ ConditionState: TypeAlias = Literal["up", "degraded", "down"]
 
 # The exit status of `up` and `status`: all is up, nothing runs, or something is missing or worse than it should be.
 EXIT_STATUS: Final[Mapping[ConditionState, int]] = {"up": 0, "down": 1, "degraded": 3}
-# An output was silent if it was for more than so many of its periods: of two writers in turn, the second may write up
-# to a period after the slot that the first has left.
-SILENT_PERIODS: Final = 2.0
 # A count of messages shows a silence only if more than this part of them is missing, and more than so many: the
 # tolerance of a rate, and what is uncertain at both ends of the count.
 MISSING_PART: Final = 0.1
@@ -367,20 +364,23 @@ def why_unmeasured(component: ComponentSpec) -> str | None:
     return None
 
 
-def unmeasured_in_words(reasons: Mapping[str, str]) -> list[str]:
-    """The nodes of which nothing measures what they do, one text for each reason."""
-    by_reason: dict[str, list[str]] = {}
-    for role, because in sorted(reasons.items()):
-        by_reason.setdefault(because, []).append(role)
-    return [f"what {listed(roles)} {_do(roles)} ({because})" for because, roles in by_reason.items()]
+def unmeasured_in_words(components: Mapping[str, ComponentSpec]) -> list[str]:
+    """The nodes of which nothing measures what they do, one text for each reason; by role, their components."""
+    return [f"what {listed(roles)} {_do(roles)} ({because})" for because, roles in _unmeasured(components).items()]
 
 
-def by_reason(reasons: Mapping[str, str]) -> list[Assessment]:
-    """The same as assessments."""
+def unmeasured_nodes(components: Mapping[str, ComponentSpec]) -> list[Assessment]:
+    """One assessment for each reason why nothing measures what nodes do; by role, their components."""
+    return [unmeasured_others(roles, because) for because, roles in _unmeasured(components).items()]
+
+
+def _unmeasured(components: Mapping[str, ComponentSpec]) -> dict[str, list[str]]:
+    """The roles of which nothing measures what their nodes do, by the reason."""
     found: dict[str, list[str]] = {}
-    for role, because in sorted(reasons.items()):
-        found.setdefault(because, []).append(role)
-    return [unmeasured_others(roles, because) for because, roles in found.items()]
+    for role, component in sorted(components.items()):
+        if (because := why_unmeasured(component)) is not None:
+            found.setdefault(because, []).append(role)
+    return found
 
 
 def listed(words: Sequence[str]) -> str:

@@ -13,6 +13,7 @@ from statistics import median
 
 import pytest
 
+from midstride.model.specification import Specification
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.measure import Observation, SwapReport, report
 from midstride.wire.commands import GateCommand, RecordCommand, RecordsCommand
@@ -129,6 +130,25 @@ def recorded_swaps(strategy: str, folder: Path) -> tuple[list[Receipt], list[Swa
         return run(main(), 100), swaps
 
 
+async def swapped_beside_a_stopped(
+    instance: str, folder: Path, specification: Specification, written: int = 0
+) -> tuple[SwapReport, list[Receipt]]:
+    """Replace the source while ``instance`` stands still from the cut on; what is reported, and what a recorder heard.
+
+    The change begins when the source has written ``written`` messages.
+    """
+    async with managed(folder / "system", specification) as (manager, _):
+        recorder = Recorder(folder)
+        await asyncio.to_thread(recorder.wait_until_it_hears)
+        if written:
+            await until_async(lambda: has_written(manager, written))
+        pid = (await manager.peek(instance)).pid
+        when_the_cut_is_agreed(manager, lambda: stopped_for(pid, STILL))
+        outcome = await manager.change(other_source(manager))
+        assert outcome.outcome == "done", outcome.because
+        return outcome.swaps[0], recorder.stop()
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("queue", [10, QUEUE])
 def test_what_a_stopped_subscriber_loses_is_what_its_queue_does_not_hold_and_is_in_the_report(
@@ -136,20 +156,8 @@ def test_what_a_stopped_subscriber_loses_is_what_its_queue_does_not_hold_and_is_
 ) -> None:
     """It stands still while the publishers change, so that some of each one's messages are among the lost."""
     seen = kept_observations(monkeypatch)
-
-    async def main() -> tuple[SwapReport, list[Receipt]]:
-        async with managed(tmp_path / "system", swap_specification(queue)) as (manager, _):
-            recorder = Recorder(tmp_path)
-            await asyncio.to_thread(recorder.wait_until_it_hears)
-            await until_async(lambda: has_written(manager, 200))  # where rclpy names no publishers, numbers do
-            pid = (await manager.peek("sink")).pid
-            when_the_cut_is_agreed(manager, lambda: stopped_for(pid, STILL))
-            outcome = await manager.change(other_source(manager))
-            assert outcome.outcome == "done", outcome.because
-            return outcome.swaps[0], recorder.stop()
-
-    with ended():
-        swap, rows = run(main())
+    with ended():  # where rclpy names no publishers, numbers do
+        swap, rows = run(swapped_beside_a_stopped("sink", tmp_path, swap_specification(queue), written=200))
     own = by_source(window(seen[0]))
     published = [source for source in by_source(rows) if min(own) <= source <= max(own)]
     lost = len(set(published) - own.keys())
@@ -160,19 +168,8 @@ def test_what_a_stopped_subscriber_loses_is_what_its_queue_does_not_hold_and_is_
 @pytest.mark.full
 def test_an_old_publisher_stopped_at_the_cut_is_not_heard_beside_the_new_one(tmp_path: Path) -> None:
     """When it goes on, it is in the middle of a call for a slot that was its own."""
-
-    async def main() -> tuple[SwapReport, list[Receipt]]:
-        async with managed(tmp_path / "system", swap_specification()) as (manager, _):
-            recorder = Recorder(tmp_path)
-            await asyncio.to_thread(recorder.wait_until_it_hears)
-            pid = (await manager.peek("source")).pid
-            when_the_cut_is_agreed(manager, lambda: stopped_for(pid, STILL))
-            outcome = await manager.change(other_source(manager))
-            assert outcome.outcome == "done", outcome.because
-            return outcome.swaps[0], recorder.stop()
-
     with ended():
-        swap, rows = run(main())
+        swap, rows = run(swapped_beside_a_stopped("source", tmp_path, swap_specification()))
     numbers = [row.number for row in rows if row.number is not None]
     first = numbers.index(1, 1)  # the new one's; the old one had been writing before
     assert numbers[first:] == list(range(1, len(numbers) - first + 1))

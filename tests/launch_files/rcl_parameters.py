@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from tests.rcl_parser import rcl_parser, sections_of_rcl
+from tests.rcl_parser import parsing, sections_of_rcl
 
 
 class Unreadable(Exception):
@@ -20,10 +20,7 @@ def effective(rules: Sequence[tuple[str, str]], node: str) -> dict[str, Any]:
     ``rules``: arguments of the process in their order, ``-p`` with a rule or ``--params-file`` with a path. Raises
     Unreadable.
     """
-    library = rcl_parser()
-    assert library is not None
-    into = library.rcl_yaml_node_struct_init(library.allocator)
-    try:
+    with parsing() as (library, into):
         for option, rule in rules:
             if option == "--params-file":
                 done = library.rcl_parse_yaml_file(os.fsencode(rule), into)
@@ -43,5 +40,3 @@ def effective(rules: Sequence[tuple[str, str]], node: str) -> dict[str, Any]:
             if re.fullmatch(pattern, node):
                 found |= values
         return found
-    finally:
-        library.rcl_yaml_node_struct_fini(into)

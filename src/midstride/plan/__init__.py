@@ -11,5 +11,6 @@ questions about specifications without a plan.
 PUBLIC = (
     "Alternative Change Degradation Estimate LevelShift Levels Overlap Plan PlanRequest RuntimeValue Step Values "
     "alternatives change_between decide differences impacts left_behind of_change one_by_one overlap "
-    "renamed_components requested_change require runtime_value sensitivity unmeasured_pair without_outputs"
+    "planned_instances renamed_components requested_change require runtime_value sensitivity unmeasured_pair "
+    "without_outputs"
 )

@@ -23,17 +23,16 @@ def expected_losses(plan: Plan) -> verdicts.Assessments:
     found = [*map(verdicts.will_degrade, dict.fromkeys(lowered)), *_silences(plan), *_exchanges(plan), *plan.besides]
     touched = {role for step in plan.steps for role in step.roles}
     others = {
-        role: because
+        role: plan.change.target.component_of(role)
         for role in plan.change.start.instances_by_role
         if role not in touched and role in plan.change.target.nodes
-        if (because := verdicts.why_unmeasured(plan.change.target.component_of(role))) is not None
     }
-    return verdicts.expected([*found, *(verdicts.by_reason(others) if plan.steps else ())])
+    return verdicts.expected([*found, *(verdicts.unmeasured_nodes(others) if plan.steps else ())])
 
 
 def _silences(plan: Plan) -> Iterator[verdicts.Assessment]:
     """The topics that are handed over between lifecycle nodes that nothing else holds back."""
-    instances = _instances(plan)
+    instances = planned_instances(plan)
     for step in plan.steps:
         for swap in step.action.swaps if isinstance(step.action, Handover) else ():
             old, new = (instances[port.instance].component.gate for port in (swap.old, swap.new))
@@ -44,7 +43,7 @@ def _silences(plan: Plan) -> Iterator[verdicts.Assessment]:
 
 def _exchanges(plan: Plan) -> Iterator[verdicts.Assessment]:
     """The nodes of which nothing measures what they do, and that are started again."""
-    instances = _instances(plan)
+    instances = planned_instances(plan)
     created = {step.action.instance.name: at for at, step in enumerate(plan.steps) if isinstance(step.action, Create)}
     removed = {step.action.instance: at for at, step in enumerate(plan.steps) if isinstance(step.action, Remove)}
     for old, new in sorted(plan.change.replaced.items()):
@@ -66,8 +65,8 @@ def unmeasured_pair(instances: Mapping[str, Instance], old: str, new: str) -> st
     return next(filter(None, (verdicts.why_unmeasured(instances[name].component) for name in (old, new))), None)
 
 
-def _instances(plan: Plan) -> dict[str, Instance]:
-    """Those that run at the start of ``plan``, and those that it creates, by name."""
+def planned_instances(plan: Plan) -> dict[str, Instance]:
+    """The instances that run at the start of ``plan``, and those that it creates, by name."""
     created = {
         step.action.instance.name: step.action.instance for step in plan.steps if isinstance(step.action, Create)
     }

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from midstride import verdicts
 from midstride.model import wording
-from midstride.model.action import Create, Remove
+from midstride.model.action import Action, Create, Remove
 from midstride.model.configuration import Configuration
-from midstride.plan.expected_losses import unmeasured_pair
+from midstride.plan.expected_losses import planned_instances, unmeasured_pair
 from midstride.plan.plan import Plan
 from midstride.runtime.change.foreign_losses import foreign_losses
 from midstride.runtime.instance_life import LatestState
@@ -69,17 +69,15 @@ def reported(outcome: Outcome, silences: Sequence[SilenceFault]) -> list[verdict
 
 def _exchanged(plan: Plan, outcome: Outcome) -> Iterator[verdicts.Assessment]:
     """The nodes of which nothing measures what they do, and that were started again, or were to be."""
-    times = {time.step: time for time in outcome.steps}
     created: dict[str, StepTime | None] = {}
     removed: dict[str, StepTime | None] = {}
-    instances = dict(plan.change.start.instances)
-    for number, step in enumerate(plan.steps, start=1):
-        match step.action:
+    instances = planned_instances(plan)
+    for action, time in _timed_actions(plan, outcome):
+        match action:
             case Create(instance):
-                instances[instance.name] = instance
-                created[instance.name] = times.get(number)
+                created[instance.name] = time
             case Remove(name):
-                removed[name] = times.get(number)
+                removed[name] = time
     for old, new in sorted(plan.change.replaced.items()):
         if new not in created or old not in removed:
             continue
@@ -94,15 +92,20 @@ def _exchanged(plan: Plan, outcome: Outcome) -> Iterator[verdicts.Assessment]:
             yield verdicts.unmeasured_exchange(instances[new].role, because, down=down, together=together, done=done)
 
 
+def _timed_actions(plan: Plan, outcome: Outcome) -> Iterator[tuple[Action, StepTime | None]]:
+    """The actions of ``plan``, each with when its step was carried out; None where it was not."""
+    times = {time.step: time for time in outcome.steps}
+    return ((step.action, times.get(number)) for number, step in enumerate(plan.steps, start=1))
+
+
 def _together(plan: Plan, outcome: Outcome) -> dict[str, float]:
     """For how long both instances of a role ran at once, as measured (s)."""
-    times = {time.step: time for time in outcome.steps}
     created: dict[str, float] = {}
     found: dict[str, float] = {}
-    for number, step in enumerate(plan.steps, start=1):
-        if (time := times.get(number)) is None:
+    for action, time in _timed_actions(plan, outcome):
+        if time is None:
             continue
-        match step.action:
+        match action:
             case Create(instance):
                 created[instance.role] = time.began
             case Remove(name) if (role := plan.change.role_of(name)) in created:
@@ -113,9 +116,5 @@ def _together(plan: Plan, outcome: Outcome) -> dict[str, float]:
 def _others(plan: Plan, now: Configuration) -> list[verdicts.Assessment]:
     """The nodes that run and were not exchanged, of which nothing measures whether they do their work."""
     exchanged = {plan.change.role_of(old) for old in plan.change.replaced}
-    reasons = {
-        instance.role: because
-        for instance in now.instances.values()
-        if instance.role not in exchanged and (because := verdicts.why_unmeasured(instance.component)) is not None
-    }
-    return verdicts.by_reason(reasons)
+    others = (instance for instance in now.instances.values() if instance.role not in exchanged)
+    return verdicts.unmeasured_nodes({instance.role: instance.component for instance in others})

@@ -33,16 +33,11 @@ def condition(
     faults += [verdicts.silence_in_words(fault.words, fault.seconds or None) for fault in silences]
     faults += [words for role in sorted(best) for words in best[role][1]]
     components = {role: specification.component_of(role) for role in specification.roles()}
-    unknown = {
-        role: because
-        for role, component in components.items()
-        if role in best and (because := verdicts.why_unmeasured(component)) is not None
-    }
     return verdicts.system_condition(
         len(components),
         sum(role in best for role in components),
         [*faults, *violations],
-        verdicts.unmeasured_in_words(unknown),
+        verdicts.unmeasured_in_words({role: component for role, component in components.items() if role in best}),
         answering=sum(best[role][0].reachable or best[role][0].done for role in components if role in best),
         slow=[words for role in sorted(best) for words in _below_rate(best[role][0], far=False)],
     )
