@@ -61,7 +61,7 @@ class Assessments(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=
 
     @property
     def lasting(self) -> bool:
-        """Whether something is lost afterwards that no plan has asked for."""
+        """Return whether something is lost afterwards that no plan has asked for."""
         return any(each.lasting for each in self.found)
 
     @property
@@ -146,7 +146,7 @@ def silent(subject: str, words: str, seconds: float | None, *, since_before: boo
 def received(
     topic: str, subscriber: str, counts: Mapping[str, int | None], gap: float | None = None
 ) -> Assessment | None:
-    """What was counted at one subscriber: ``missed``, ``lost`` and ``duplicates``; None where all of it is 0."""
+    """Return what was counted at one subscriber: ``missed``, ``lost`` and ``duplicates``; None where all of it is 0."""
     found = [f"{count} {name.removesuffix('s') if count == 1 else name}" for name, count in counts.items() if count]
     unknown = [name for name, count in counts.items() if count is None]
     if found:
@@ -256,7 +256,7 @@ def will_be_exchanged(role: str, because: str, *, side_by_side: bool, seconds: f
 
 
 def assessed(found: Iterable[Assessment | None]) -> Assessments:
-    """What may be said of a change that has been carried out."""
+    """Return what may be said of a change that has been carried out."""
     known = [each for each in found if each is not None]
     if not known:
         return Assessments("kept", "Nothing fell below its level.", [])
@@ -270,7 +270,7 @@ def assessed(found: Iterable[Assessment | None]) -> Assessments:
 
 
 def expected(found: Iterable[Assessment | None]) -> Assessments:
-    """What may be said of a plan."""
+    """Return what may be said of a plan."""
     known = [each for each in found if each is not None]
     if not known:
         words = "Nothing degrades: every functionality that remains keeps its level throughout."
@@ -291,7 +291,7 @@ def system_condition(
     answering: int | None = None,
     slow: Sequence[str] = (),
 ) -> SystemCondition:
-    """What may be said of a system of so many ``nodes``, of which ``running`` have an instance that runs.
+    """Return what may be said of a system of so many ``nodes``, of which ``running`` have an instance that runs.
 
     ``answering`` of them answer, if not all of them do. ``faults``: what is missing or worse than it should be.
     """
@@ -336,7 +336,7 @@ def writes_less(port: str, rate: float | None, declared: float | None) -> str:
 
 
 def is_far_below(rate: float | None, declared: float | None) -> bool:
-    """Whether an output writes so little of the rate (Hz) that it guarantees that this is a fault."""
+    """Return whether an output writes so little of the rate (Hz) that it guarantees that this is a fault."""
     return (rate or 0.0) < FAULTY_PART * (declared or 0.0)
 
 
@@ -346,7 +346,7 @@ def not_yet_judged(ports: Sequence[str]) -> str:
 
 
 def silence_in_words(words: str, seconds: float | None) -> str:
-    """What is silent, and for how long (s)."""
+    """Return what is silent, and for how long (s)."""
     return words if seconds is None else f"{words} (for {seconds_in_words(seconds)})"
 
 

@@ -66,7 +66,7 @@ class DryRun(Report, frozen=True, kw_only=True):
 
 
 def dry_run(specification: Specification, backend: str, directory: Path, options: SystemOptions) -> DryRun:
-    """What `up` would start where nothing runs. Starts and writes nothing.
+    """Return what `up` would start where nothing runs. Starts and writes nothing.
 
     Raises PlanRefused where there is no plan, BackendError where the platform cannot be had here.
     """

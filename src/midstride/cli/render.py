@@ -155,7 +155,7 @@ def falls(plan: AnyPlan) -> str:
 
 
 def _expected(plan: AnyPlan) -> Iterator[str]:
-    """What a plan keeps, and what it loses beside what degrades, which has lines of its own."""
+    """Yield what a plan keeps, and what it loses beside what degrades, which has lines of its own."""
     if not (found := plan.continuity):
         return
     if found.verdict != "lost":
@@ -291,7 +291,7 @@ def _times(outcome: Outcome) -> list[str]:
 
 
 def _continuity(found: Assessments | None) -> Iterable[Text]:
-    """What was kept, what was lost for how long, and what is not measurable, in the manager's words."""
+    """Yield what was kept, what was lost for how long, and what is not measurable, in the manager's words."""
     if found is None:  # it was recorded by an earlier version
         return
     yield from (Text(line, style="default" if found.verdict == "kept" else "yellow") for line in found.lines)

@@ -73,7 +73,7 @@ def _stop_left_components(workspace: Workspace) -> list[KilledProcess]:
 async def _stop(
     backend: Backend, instances: Sequence[SavedInstance], token: str
 ) -> tuple[list[KilledProcess], list[str]]:
-    """What had to be killed, and what failed."""
+    """Return what had to be killed, and what failed."""
     await backend.open(lambda _: None)
     killed: list[KilledProcess] = []
     failures: list[str] = []

@@ -33,7 +33,7 @@ _ONE_TYPE = {"allOf": [{"anyOf": [{"not": {"type": "array"}}, *_LISTS]}]}
 
 
 def _wrong(value: object) -> str | None:
-    """What is wrong with a value of the right JSON types: msgspec takes an object for one with ``float``."""
+    """Return what is wrong with a value of the right JSON types: msgspec takes an object for one with ``float``."""
     members = value if isinstance(value, list) else [value]
     if any(isinstance(member, dict) and member not in _NUMBER_FORMS for member in members):
         return 'an object is expected to have `float`: "nan", "inf" or "-inf"'

@@ -114,7 +114,7 @@ class DeclaredEndpoints:
         return words
 
     def _if_later(self, port: str, waited: float) -> str:
-        """What to state of an endpoint that the program creates later than ``waited`` s after its start."""
+        """Return what to state of an endpoint that the program creates later than ``waited`` s after its start."""
         late = f"if it takes longer to start, state `takes {2 * waited:.0f} s` after its `run` command"
         if not self.component.has_output(port):
             return late

@@ -8,7 +8,7 @@ from midstride.foreign.graph_check import GraphEndpoint
 
 
 def lacks(found: Iterable[GraphEndpoint], node: str, before: Sequence[GraphEndpoint], old: str) -> list[str]:
-    """What the graph shows of the node ``old``, and not yet of ``node`` (full names), in words.
+    """Return what the graph shows of the node ``old``, and not yet of ``node`` (full names), in words.
 
     Topics below the name of the one, as of `~/state`, are those below the name of the other.
     """

@@ -145,7 +145,7 @@ class NodeBuilder:
         return Map(found)
 
     def _stated(self, entry: NodeEntry) -> _Stated:
-        """What is stated for a node: in files for all nodes first, then in its component, then in itself.
+        """Return what is stated for a node: in files for all nodes first, then in its component, then in itself.
 
         What a component states before its first file is a default, and comes before all files.
         """

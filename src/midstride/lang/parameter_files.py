@@ -25,7 +25,7 @@ class SectionInFile:
     values: Mapping[str, ParameterValueAt]
 
     def matches(self, role: str) -> bool:
-        """Whether the section applies to the node ``role``, as in ROS."""
+        """Return whether the section applies to the node ``role``, as in ROS."""
         return ParameterSection(self.pattern).matches(role)
 
 

@@ -45,7 +45,7 @@ _ONE_MESSAGE: Final = {"-1", "--once", "-t", "--times"}
 
 
 def ends(node: LaunchedNode) -> bool:
-    """Whether launch lets the program of ``node`` end, as it is known to."""
+    """Return whether launch lets the program of ``node`` end, as it is known to."""
     if node.respawn:
         return False
     program, *arguments = node.command

@@ -78,7 +78,7 @@ class ImportFindings:
         self._found.setdefault((str(finding), span.source.name, span.start), finding)
 
     def add_once(self, kind: str, message: str, span: Span) -> None:
-        """What is assumed, and is the same wherever it is met: it is named at the first place."""
+        """Name what is assumed, and is the same wherever it is met, at the first place only."""
         self._found.setdefault((kind, message), ImportFinding(kind, message, span, left_out=False))
 
     def counts(self, left_out: bool | None = None) -> dict[str, int]:

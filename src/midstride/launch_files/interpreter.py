@@ -148,7 +148,7 @@ class Interpreter(NodeElements):
     def _take_over(
         self, state: Mapping[str, Any], known: Mapping[str, str], rules: Sequence[Any], span: Span, context: Context
     ) -> None:
-        """What a launch file in Python has set holds for what follows, as after any include."""
+        """Have what a launch file in Python has set hold for what follows, as after any include."""
         for name in known:
             if name not in state["variables"]:
                 del context.variables[name]
@@ -326,7 +326,7 @@ class Interpreter(NodeElements):
 
 
 def of_ros_1(root: Entity) -> bool:
-    """Whether a launch file is one of ROS 1's roslaunch, by what only that has."""
+    """Return whether a launch file is one of ROS 1's roslaunch, by what only that has."""
     for entity in root.children:
         if entity.tag in _OF_ROS_1 or (entity.tag == "node" and "type" in entity.attributes):
             return True

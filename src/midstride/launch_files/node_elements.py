@@ -436,7 +436,7 @@ class NodeElements:
         return value if isinstance(value, bool) else typed_truth(substituted(plain(value), context))
 
     def flag(self, entity: Entity, attribute: str, otherwise: bool) -> bool:
-        """Whether an attribute is set in which launch carries out no substitution: any text there sets it."""
+        """Return whether an attribute is set in which launch carries out no substitution: any text there sets it."""
         value = entity.attributes.get(attribute, otherwise)
         try:
             return value if isinstance(value, bool) else typed_truth(plain(value))

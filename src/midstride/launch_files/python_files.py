@@ -23,7 +23,7 @@ def carried_out(
     runner: Sequence[str] = RUNNER,
     timeout: float = TIMEOUT,
 ) -> dict[str, Any]:
-    """What a launch file in Python starts, what was left out, and what holds after it.
+    """Return what a launch file in Python starts, what was left out, and what holds after it.
 
     ``given``: what holds where it is included. Raises UnknownValue with the reason.
     """

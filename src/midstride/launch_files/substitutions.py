@@ -153,7 +153,7 @@ def truth(text: str) -> bool:
 
 
 def typed_truth(text: str) -> bool:
-    """Whether ``text`` is true where launch wants a boolean of YAML. Raises UnknownValue."""
+    """Return whether ``text`` is true where launch wants a boolean of YAML. Raises UnknownValue."""
     if text in _YAML_TRUE or text in _YAML_FALSE:
         return text in _YAML_TRUE
     raise UnknownValue(f"`{shortened(text)}` is neither true nor false", "condition")

@@ -195,7 +195,7 @@ class SpecificationDraft:
             self._findings.add("restart", message, node.span, left_out=False)
 
     def _order(self, nodes: Sequence[LaunchedNode]) -> Iterator[str]:
-        """What is started later follows all that is started before it."""
+        """Yield the orders by which what is started later follows all that is started before it."""
         times = sorted({node.at for node in nodes})
         for before, time in pairwise(times):
             for late in (node for node in nodes if node.at == time):

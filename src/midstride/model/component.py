@@ -99,7 +99,7 @@ class ParameterSection:
     parameters: Map[str, ParameterValue] = field(default_factory=Map)
 
     def matches(self, node: str) -> bool:
-        """Whether it applies to the node of this full name, as in rclcpp and rclpy."""
+        """Return whether it applies to the node of this full name, as in rclcpp and rclpy."""
         return _section_regex(self.pattern).fullmatch("/" + node.strip("/")) is not None
 
 
@@ -373,7 +373,7 @@ class ComponentSpec:
 
     @property
     def takes_values_over(self) -> bool:
-        """Whether a node is started with the values that were set on its predecessor while that ran."""
+        """Return whether a node is started with the values that were set on its predecessor while that ran."""
         return self.gate is None or self.has_lifecycle
 
     def topic_of(self, port: str) -> str:

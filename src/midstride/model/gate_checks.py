@@ -12,7 +12,7 @@ _CODE = "E027"
 
 
 def _once(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
-    """What a component cannot have whose program ends."""
+    """Yield what a component cannot have whose program ends."""
     name, help = component.name, "omit it, or omit `once`: a program that is done has none"
     if component.run is None:
         yield Problem("E028", (*path, "once"), f"{name} is `once`, but has no `run` command", "state the command")
@@ -75,7 +75,7 @@ def gate_problems(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
 
 
 def _of_a_program(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
-    """What is stated of the process and the endpoints of a program that does not use Midstride's API."""
+    """Yield what is stated of the process and the endpoints of a program that does not use Midstride's API."""
     name = component.name
     if component.stop is not None and component.gate is None:
         message = f"{name} states how its process is ended, but has no gate: it uses Midstride's API, and ends in order"

@@ -110,7 +110,7 @@ class PlanRequest:
         return sorted({*self.replaced(), *(role for role in target.nodes if not target.component_of(role).once)})
 
     def stays_away(self, role: str, specification: Specification) -> bool:
-        """Whether a node that has crashed is none of the request's business.
+        """Return whether a node that has crashed is none of the request's business.
 
         It is asked for by its name, by a change of what the specification says of it, and by the specification that
         runs already.

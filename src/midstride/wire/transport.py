@@ -47,7 +47,7 @@ class CutClaim(Protocol):
 
     @property
     def is_taken(self) -> bool:
-        """Whether another side has it now, as far as that can be seen from here. Takes nothing."""
+        """Return whether another side has it now, as far as that can be seen from here. Takes nothing."""
 
     @property
     def place(self) -> str:

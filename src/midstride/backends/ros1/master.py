@@ -130,7 +130,7 @@ class Master:
             writer.close()
 
     async def is_running(self, node: str) -> bool:
-        """Whether a node of that name runs; what a dead one has left is withdrawn.
+        """Return whether a node of that name runs; what a dead one has left is withdrawn.
 
         Another node may listen at its address by now. ROS's Python nodes give their names; where one does not, the
         master's word counts.

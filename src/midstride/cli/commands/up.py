@@ -234,7 +234,7 @@ def _up(
 
 
 def missing_lines(report: UpReport) -> Iterator[str]:
-    """What could not be started beside what runs, and what to do."""
+    """Yield what could not be started beside what runs, and what to do."""
     for node, because in report.missing.items():
         yield f"Missing: {because if because.startswith(node) else f'{node}: {because}'}"
     if report.missing:

@@ -24,7 +24,7 @@ def change_assessment(
     at_outputs: Sequence[verdicts.Assessment],
     states: Mapping[str, LatestState],
 ) -> verdicts.Assessments:
-    """What may be said of ``outcome``, after which ``now`` runs.
+    """Return what may be said of ``outcome``, after which ``now`` runs.
 
     ``silences``: all that is silent now, also what was before; ``at_outputs``: what the counts of outputs show;
     ``states``: what each component reported before the change.
@@ -42,7 +42,7 @@ def change_assessment(
 
 
 def reported(outcome: Outcome, silences: Sequence[SilenceFault]) -> list[verdicts.Assessment | None]:
-    """What the figures of ``outcome`` say; ``silences``: all that is silent now, also what was before."""
+    """Return what the figures of ``outcome`` say; ``silences``: all that is silent now, also what was before."""
     found: list[verdicts.Assessment | None] = [
         verdicts.below_level(name, spent) for name, spent in sorted(outcome.below_baseline_seconds.items())
     ]

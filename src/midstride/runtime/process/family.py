@@ -16,7 +16,7 @@ from midstride.wire.environment import ENV_START
 
 
 def mark_of(pid: int) -> str | None:
-    """What the environment of a process says of the start that it belongs to; None where that is not known."""
+    """Return what the environment of a process says of the start that it belongs to; None where that is not known."""
     return reaper.environment_value(pid, ENV_START) or None
 
 

@@ -448,7 +448,7 @@ def killed_in_words(name: str, leader: int | None, process: RemainingProcess) ->
 
 
 def maybe_done(component: ComponentSpec, ended: Exited) -> str:
-    """What to state if a program without Midstride's API has ended with status 0: it may have done its work."""
+    """Return what to state if a program without Midstride's API has ended with status 0: it may have done its work."""
     if ended.status != 0 or component.gate is None:
         return ""
     return '; if it had done its work then, state it: `run "…" once`'

@@ -86,7 +86,7 @@ class Interrupted:
     created: frozenset[str] = frozenset()
 
     def finished(self, specification: Specification, instances: Container[str]) -> bool:
-        """Whether it has been finished, where ``specification`` and ``instances`` run now."""
+        """Return whether it has been finished, where ``specification`` and ``instances`` run now."""
         return specification == self.target and all(name in instances for name in self.created)
 
     def __str__(self) -> str:

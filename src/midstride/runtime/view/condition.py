@@ -16,7 +16,7 @@ def condition(
     silences: Sequence[SilenceFault],
     violations: Sequence[str],
 ) -> verdicts.SystemCondition:
-    """What may be said of the system, whose ``instances`` are as in its status.
+    """Return what may be said of the system, whose ``instances`` are as in its status.
 
     While a role has two instances, as during a change, the one with fewer faults counts.
     """
@@ -44,7 +44,7 @@ def condition(
 
 
 def _faults(watched: WatchedSystem, instance: InstanceStatus) -> Iterator[str]:
-    """What an instance does worse than it should, where it answers: else that is a silence."""
+    """Yield what an instance does worse than it should, where it answers: else that is a silence."""
     if not instance.reachable:
         return
     baseline = watched.baseline()

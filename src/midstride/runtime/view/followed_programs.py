@@ -158,7 +158,7 @@ def _entry_point(tree: ast.Module, folders: Sequence[str]) -> str | None:
 
 
 def _is_exit(function: ast.expr) -> bool:
-    """Whether it is `sys.exit`, to which a console script passes what its entry point returns."""
+    """Return whether it is `sys.exit`, to which a console script passes what its entry point returns."""
     name = function.attr if isinstance(function, ast.Attribute) else getattr(function, "id", "")
     return name in ("exit", "SystemExit")
 

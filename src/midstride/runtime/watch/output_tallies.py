@@ -60,7 +60,7 @@ class OutputTallies:
     async def assessments(
         self, last_numbers: Mapping[PortRef, int | None], *, resumed: bool
     ) -> list[verdicts.Assessment]:
-        """What the counts show; ``resumed``: the change was rolled back, so the old sides write again."""
+        """Return what the counts show; ``resumed``: the change was rolled back, so the old sides write again."""
         found: list[verdicts.Assessment] = []
         unanswered: dict[str, list[str]] = {}
         for each in self._begun:
@@ -99,7 +99,7 @@ class OutputTallies:
 
 
 def _rate(components: Mapping[str, ComponentSpec], port: PortRef) -> float | None:
-    """What an output guarantees in its normal mode (Hz)."""
+    """Return what an output guarantees in its normal mode (Hz)."""
     component = components[port.instance]
     owner = component.find_owner(port.port)
     return None if owner is None else component.stated_rate(port.port, {owner.name: owner.modes[0].name})

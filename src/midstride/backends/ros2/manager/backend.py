@@ -329,7 +329,7 @@ class Ros2Backend(ProcessBackend, Backend):
 
 
 def _is_ros_node(launch: Launch) -> bool:
-    """Whether a program that ends gets arguments for ROS, as a node in a launch file."""
+    """Return whether a program that ends gets arguments for ROS, as a node in a launch file."""
     return launch.package is not None or bool(launch.parameters or launch.sections)
 
 

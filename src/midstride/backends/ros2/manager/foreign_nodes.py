@@ -84,7 +84,7 @@ class ForeignNodes:
         self._nodes_in = nodes_in
 
     def start_name(self, launch: Launch, component: ComponentSpec, runs: Callable[[str], bool]) -> StartName:
-        """What the node of the instance is called. Raises StartFailed."""
+        """Return what the node of the instance is called. Raises StartFailed."""
         return self._own_names.start_name(launch, component.unnamed, runs)
 
     async def prepare(
@@ -176,7 +176,7 @@ class ForeignNodes:
         return typed(component, given, {})
 
     def arguments(self, launch: Launch, component: ComponentSpec, name: StartName) -> list[str]:
-        """What follows the command; the parameters are in a file, which is deleted with the process.
+        """Return what follows the command; the parameters are in a file, which is deleted with the process.
 
         Raises BackendError.
         """
@@ -329,7 +329,7 @@ class ForeignNodes:
 def ros_arguments(
     launch: Launch, component: ComponentSpec, name: StartName, parameters: Path | None = None, enclave: str = ""
 ) -> list[str]:
-    """What follows the command: the node's name, the topics of its ports, and its file of parameters."""
+    """Return what follows the command: the node's name, the topics of its ports, and its file of parameters."""
     own, namespace = split_name(name.full) if name.full else ("", f"/{launch.namespace}")
     of_one = f"{split_name(name.original)[0]}:" if name.original else ""  # further nodes keep their names
     remaps = [f"{of_one}__node:={own}"] if name.passed else []

@@ -66,7 +66,7 @@ class OwnNames:
             raise BackendError(f"{self._path} cannot be written: {error.strerror or error}") from None
 
     def start_name(self, launch: Launch, unnamed: bool, runs: Callable[[str], bool]) -> StartName:
-        """What the node of an instance is called. ``runs``: whether a node of that full name is in the graph.
+        """Return what the node of an instance is called. ``runs``: whether a node of that full name is in the graph.
 
         Raises StartFailed.
         """

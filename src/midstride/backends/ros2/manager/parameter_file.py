@@ -27,7 +27,7 @@ _SMALLEST: Final = 2.0**-1022
 
 
 def parameter_file(folder: Path, instance: str) -> Path:
-    """That of an instance; ``folder`` has what is known of its process."""
+    """The parameter file of an instance; ``folder`` has what is known of its process."""
     return folder / FOLDER / f"{instance.strip('/').replace('/', '.')}.yaml"
 
 
@@ -51,7 +51,7 @@ def write_parameters(path: Path, sections: Iterable[ParameterSection], node: str
 
 
 def parameters_text(sections: Iterable[ParameterSection], node: str, values: Mapping[str, object]) -> str:
-    """What :func:`write_parameters` writes; empty where there are none."""
+    """Return what :func:`write_parameters` writes; empty where there are none."""
     return "".join(_lines(sections, node, values))
 
 
