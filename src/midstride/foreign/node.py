@@ -74,7 +74,7 @@ class ForeignNode:
         return True
 
     def answered(self, answers: bool) -> None:
-        """Return whether it has answered when it was last asked."""
+        """Note whether the node answered when it was last asked."""
         if answers:
             self._unanswered = None
         elif self._unanswered is None:

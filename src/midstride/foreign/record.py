@@ -9,6 +9,7 @@ import msgspec
 
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import BackendError
+from midstride.model.instance_names import dotted_name
 from midstride.wire.state import GateState, WireValue
 
 _SUFFIX: Final = ".json"
@@ -82,4 +83,4 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
 
 
 def _path(folder: Path, instance: str) -> Path:
-    return folder / f"{instance.strip('/').replace('/', '.')}{_SUFFIX}"
+    return folder / f"{dotted_name(instance)}{_SUFFIX}"

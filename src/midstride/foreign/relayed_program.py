@@ -18,6 +18,7 @@ import msgspec
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import BackendError, NodeError
 from midstride.model.component import DEFAULT_STOP, ComponentSpec, StopTimes
+from midstride.model.instance_names import dotted_name
 from midstride.wire.state import WireValue
 
 # What a relay exits with where it had to kill its program, as a shell has it.
@@ -67,7 +68,7 @@ class RelayOrder(WireValue, frozen=True, kw_only=True):
 
 def order_file(folder: Path, instance: str) -> Path:
     """The file of the order for the relay of ``instance``."""
-    return folder / "relays" / f"{instance.strip('/').replace('/', '.')}.json"
+    return folder / "relays" / f"{dotted_name(instance)}.json"
 
 
 def differing(program: Mapping[str, str], relay: Mapping[str, str]) -> dict[str, str | None]:

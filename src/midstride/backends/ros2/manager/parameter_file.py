@@ -16,6 +16,7 @@ from typing import Final
 
 from midstride.errors import BackendError
 from midstride.model.component import ParameterSection
+from midstride.model.instance_names import dotted_name
 
 FOLDER: Final = "parameters"
 # The section of all nodes.
@@ -28,7 +29,7 @@ _SMALLEST: Final = 2.0**-1022
 
 def parameter_file(folder: Path, instance: str) -> Path:
     """The parameter file of an instance; ``folder`` has what is known of its process."""
-    return folder / FOLDER / f"{instance.strip('/').replace('/', '.')}.yaml"
+    return folder / FOLDER / f"{dotted_name(instance)}.yaml"
 
 
 def write_parameters(path: Path, sections: Iterable[ParameterSection], node: str, values: Mapping[str, object]) -> bool:

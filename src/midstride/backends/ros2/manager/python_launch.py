@@ -248,7 +248,7 @@ class _Visitor:
             raise _Refused("unsupported", f"`{type(action).__name__}` is left out: what it starts is not known")
 
     def started(self, action: Any) -> None:
-        """Return what launch would start now, in place of `ExecuteLocal.__execute_process`."""
+        """Record what launch would start now, in place of `ExecuteLocal.__execute_process`."""
         is_node = isinstance(action, self._ros.Node)
         details, described = action.process_details, action.process_description
         words = [str(word) for word in details["cmd"]]
