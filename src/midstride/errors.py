@@ -20,6 +20,7 @@
     └── ManagerError            the manager cannot do what was asked of it
         ├── ManagerBusy         another command is running
         ├── Superseded          another manager of the system has taken over
+        ├── ChangeForbidden     no change may happen now, as while the system is locked
         └── NoManager           no manager of that system is running
 
 This module imports nothing, so that every other one may import it.
@@ -128,6 +129,10 @@ class ManagerBusy(ManagerError):
 
 class Superseded(ManagerError):
     """Another manager of the system has taken over: this one must not change anything any more."""
+
+
+class ChangeForbidden(ManagerError):
+    """No change of the system may happen now; the message says why, by whose lock, and what to do."""
 
 
 class NoManager(ManagerError):

@@ -48,6 +48,7 @@ IN_PROCESS = {
     "diff",
     "export",
     "history",
+    "lock",
     "log",
     "logs",
     "param",
@@ -58,6 +59,7 @@ IN_PROCESS = {
     "restart",
     "rollback",
     "status",
+    "unlock",
     "verify",
     "why",
 }

@@ -11,6 +11,7 @@ from typing import Any, cast
 from midstride.codec.specification_form import decode_specification
 from midstride.model.specification import Specification, initial
 from midstride.plan.request import PlanRequest
+from midstride.runtime.change.change_permission import ChangePermission
 from midstride.runtime.command_queue import CommandQueue
 from midstride.runtime.manager import Manager
 from midstride.runtime.manager_clock import SystemClock
@@ -51,6 +52,7 @@ def watched_system(specification: Specification, events: EventLog) -> WatchedSys
         clock=clock,
         backend=backend,
         journal=records,
+        permission=ChangePermission(clock, events, cast(Any, records)),
     )
     return WatchedSystem(cast(Any, session), nothing, nothing, 0)
 

@@ -70,10 +70,13 @@ def test_who_answers() -> None:
     served(test, up=False)
 
 
+CHANGING = ("/check", "/plan", "/rehearsal", "/change", "/parameters", "/lock", "/unlock", "/down")
+
+
 def test_the_openapi_document_has_every_operation() -> None:
     async def test(client: httpx.AsyncClient, _: ScriptedManager, __: Lifecycle) -> None:
         document = (await client.get("/openapi.json")).json()
-        assert {f"/api/v1{path}" for path in ("/check", "/plan", "/rehearsal", "/change", "/parameters", "/down")} == {
+        assert {f"/api/v1{path}" for path in CHANGING} == {
             path for path, operations in document["paths"].items() if "post" in operations
         }
         reading = ("", "/up", "/programs", "/configuration", "/specification", "/why", "/log")
@@ -129,6 +132,8 @@ def test_the_openapi_document_describes_every_body_and_refers_to_nothing_else() 
             "/api/v1/rehearsal": ["#/components/schemas/SubmittedRehearsal"],
             "/api/v1/change": ["#/components/schemas/SubmittedChange"],
             "/api/v1/parameters": ["#/components/schemas/ParameterSetting"],
+            "/api/v1/lock": ["#/components/schemas/LockRequest"],
+            "/api/v1/unlock": ["#/components/schemas/UnlockRequest"],
             "/api/v1/down": [],
         }
         for name, needed in {"Outcome": "plan", "SystemView": "crashed", "Event": "words"}.items():

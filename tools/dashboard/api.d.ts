@@ -64,6 +64,19 @@ declare namespace Api {
     causes?: CauseLink[];
   }
 
+  /** A lock: no command changes the system, but `down`, until it is unlocked. */
+  interface ChangeLock {
+    reason: string;
+    /** who has locked it, as `alice@robot` */
+    by: string;
+    /** in unix seconds */
+    since: number;
+    /** when it ends, in unix seconds; null: when it is unlocked */
+    until: number | null;
+    /** nor does the manager restart what has crashed, and restore what has degraded */
+    holds_recovery: boolean;
+  }
+
   /** A change; without an outcome, it is in progress. */
   interface ChangeRecord {
     number: number;
@@ -573,6 +586,14 @@ declare namespace Api {
     configuration: ConfigurationForm;
   }
 
+  /** A lock, under which no command changes the system, but `down`: why, by whom, and until when (unix seconds). `holds_recovery`: nor is what has crashed restarted, and what has degraded restored. */
+  interface LockRequest {
+    reason: string;
+    by: string;
+    until?: number | null;
+    holds_recovery?: boolean;
+  }
+
   /** What a back end sets in the environment of the processes that it starts, and what it leaves as set. */
   interface Middleware {
     name: string;
@@ -746,10 +767,12 @@ declare namespace Api {
     changeable?: boolean;
   }
 
-  /** Values to set at run time, all of them or none: of the parameters of a node, by name. */
+  /** Values to set at run time, all of them or none: of the parameters of a node, by name. `by`: who asks, for the history. `despite_lock`: also while the system is locked. */
   interface ParameterSetting {
     node: string;
     parameters: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
+    by?: string | null;
+    despite_lock?: boolean;
   }
 
   /** A parameter of a component. Where it was set at run time, `declared` is the value that it was started with. */
@@ -791,6 +814,7 @@ declare namespace Api {
     phase?: "down" | "failed" | "starting" | "up";
     revision?: number;
     running?: RunningCommand | null;
+    lock?: ChangeLock | null;
     condition?: SystemCondition;
     valid?: boolean;
     violations?: string[];
@@ -899,7 +923,7 @@ declare namespace Api {
     measured?: Record<string, [number, number, number]>;
   }
 
-  /** A plan, and the revision of the configuration that it was made for: `expected` of a change. */
+  /** A plan, and the revision of the configuration that it was made for: `expected` of a change. `forbidden`: why it may not be carried out now; absent: it may. */
   interface PlannedChange {
     strategy: string;
     proved_minimal: boolean;
@@ -946,6 +970,7 @@ declare namespace Api {
     /** how long steps took in earlier runs: what is expected, the shortest and the longest (s); only of a plan whose proof covers detours, since it rests on steps that the plan does not take */
     measured?: Record<string, [number, number, number]>;
     revision: number;
+    forbidden?: string;
   }
 
   /** A port of an instance on a topic, or on none, with what its component measures there on its ROS clock. In the stream, measurements are rounded, and refreshed where they change noticeably. */
@@ -1212,7 +1237,7 @@ declare namespace Api {
     sigkill?: number;
   }
 
-  /** A request to be carried out. `expected`: refuse it unless the configuration still has that revision. `verify`: refuse it unless Alloy finds every step of the plan safe, and verify the live configuration after each of them. `brief`: the next command does not wait until this change has been measured over 20 periods. `wait`: after how many seconds a component that hangs, and is to go, is fenced: replaced although its code does not return. `file`: the one that `to` was read from. `id`: any text; the events `waiting` and `command` of this change contain it, and those that follow until the next `command` belong to it. `by`: who asks, and for what, for the history. */
+  /** A request to be carried out. `expected`: refuse it unless the configuration still has that revision. `verify`: refuse it unless Alloy finds every step of the plan safe, and verify the live configuration after each of them. `brief`: the next command does not wait until this change has been measured over 20 periods. `wait`: after how many seconds a component that hangs, and is to go, is fenced: replaced although its code does not return. `file`: the one that `to` was read from. `id`: any text; the events `waiting` and `command` of this change contain it, and those that follow until the next `command` belong to it. `by`: who asks, and for what, for the history. `despite_lock`: also while the system is locked. */
   interface SubmittedChange {
     request: ChangeRequest;
     expected?: number | null;
@@ -1222,6 +1247,7 @@ declare namespace Api {
     file?: string | null;
     id?: string | null;
     by?: string | null;
+    despite_lock?: boolean;
   }
 
   /** A change to be rehearsed on the running specification, with faults that are drawn from a seed each time. `seeds`: how often; `first`: the first of the seeds. After `seconds` no further one is begun. */
@@ -1277,6 +1303,8 @@ declare namespace Api {
     revision: number;
     /** the command in progress */
     running: RunningCommand | null;
+    /** null: the system is not locked */
+    lock: ChangeLock | null;
     /** what runs, and what is missing or worse than it should be */
     condition: SystemCondition;
     /** the configuration is, and its components report what the model has */
@@ -1366,6 +1394,11 @@ declare namespace Api {
     subscribers: string[];
     /** publishers outside the system, that the specification declares */
     outside: string[];
+  }
+
+  /** The end of a lock. */
+  interface UnlockRequest {
+    by: string;
   }
 
   /** The system is up, with these instances; `incomplete`: without those that are `missing`. */

@@ -38,6 +38,11 @@ def wait_option(function: Any) -> Any:
     )(function)
 
 
+def despite_lock_option(function: Any) -> Any:
+    summary = "Change the system although it is locked; the history says that you did."
+    return click.option("--despite-lock", is_flag=True, help=summary)(function)
+
+
 def declared_parameters_option(function: Any) -> Any:
     summary = "Start with the declared values of parameters instead of those that were set at run time."
     return click.option("--declared-parameters", is_flag=True, help=summary)(function)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         PlannedChange,
         UpReport,
     )
-    from midstride.runtime.records.status_forms import ParametersReport, ProgramStatus, Service, Status, Why
+    from midstride.runtime.records.status_forms import ChangeLock, ParametersReport, ProgramStatus, Service, Status, Why
 
 F = TypeVar("F")
 
@@ -110,14 +110,15 @@ class Client:
 
         return self._form(Why, "GET", _with_query("/why", {"functionality": functionality}))
 
-    def set_parameters(self, node: str, values: Mapping[str, Any]) -> ParametersReport:
+    def set_parameters(
+        self, node: str, values: Mapping[str, Any], *, by: str, despite_lock: bool = False
+    ) -> ParametersReport:
         """Set parameters of a role or an instance, once the commands before are done; all of them or none."""
         from midstride.codec.parameter import json_values
         from midstride.runtime.records.status_forms import ParametersReport
 
-        return self._form(
-            ParametersReport, "POST", "/parameters", {"node": node, "parameters": json_values(values)}, timeout=None
-        )
+        setting = {"node": node, "parameters": json_values(values), "by": by, "despite_lock": despite_lock}
+        return self._form(ParametersReport, "POST", "/parameters", setting, timeout=None)
 
     def specification(self) -> Specification:
         """The specification that the system runs."""
@@ -172,6 +173,19 @@ class Client:
         from midstride.runtime.records.reports import DownReport
 
         return self._form(DownReport, "POST", "/down", None, None)
+
+    def lock(self, reason: str, by: str, until: float | None, *, holds_recovery: bool) -> ChangeLock:
+        """Lock the system until it is unlocked, or until then (unix s)."""
+        from midstride.runtime.records.status_forms import ChangeLock
+
+        lock = {"reason": reason, "by": by, "until": until, "holds_recovery": holds_recovery}
+        return self._form(ChangeLock, "POST", "/lock", lock)
+
+    def unlock(self, by: str) -> ChangeLock:
+        """End the lock of the system."""
+        from midstride.runtime.records.status_forms import ChangeLock
+
+        return self._form(ChangeLock, "POST", "/unlock", {"by": by})
 
     def log(self) -> list[Event]:
         """The events so far that the manager has kept."""

@@ -43,6 +43,8 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
         "report": ("report", "write a change of the history as one HTML file"),
         "watch": ("running", "watch the system live"),
         "dashboard": ("dashboard", "show the system and its changes on a live page"),
+        "lock": ("lock_commands", "refuse every change until the system is unlocked"),
+        "unlock": ("lock_commands", "end a lock"),
         "down": ("running", "stop all components and the manager"),
     },
     "Changes to the running system": {

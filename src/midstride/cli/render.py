@@ -49,6 +49,10 @@ _STYLES: Final = {
     "restore_ended": "red",
     "respawn": "yellow",
     "respawn_ended": "red",
+    "lock": "yellow",
+    "unlock": "yellow",
+    "forbidden": "red",
+    "override": "red",
 }
 
 
@@ -102,6 +106,8 @@ def plan(plan: AnyPlan, title: str) -> RenderableType:
     for number, step in enumerate(plan.steps, 1):
         steps.add_row(Text(str(number), style="dim"), Text(step_text(step)), _about(step))
     remarks = [Text(remark, style="yellow") for remark in plan.remarks or ()]
+    if forbidden := getattr(plan, "forbidden", None):
+        remarks.insert(0, Text(f"It may not be carried out now: {forbidden}", style="red"))
     parts = [*remarks, Text.from_markup(falls(plan)), *_runtime_values(plan)]
     for name, because in (plan.own_state or {}).items():
         parts.append(Text(f"{name} starts with its own state: {because}.", style="yellow"))

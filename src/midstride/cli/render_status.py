@@ -13,6 +13,7 @@ from midstride.cli.input_files import as_typed_here
 from midstride.cli.render import UNKNOWN, hertz, seconds, table
 from midstride.codec.parameter import from_json
 from midstride.runtime.records.status_forms import (
+    ChangeLock,
     FunctionalityStatus,
     InstanceStatus,
     PortStatus,
@@ -42,7 +43,15 @@ def _heading(status: Status) -> str:
     state = f"[{style}]{escape(status.condition.headline)}[/]"
     since = ", changed since (`midstride history`)" if status.changed_since else ""
     origin = f"\n[dim]specification: {escape(as_typed_here(file))}{since}[/dim]" if file else ""
-    return f"[bold]{status.system}[/bold] on {status.backend}: {state}{activity}{origin}"
+    lock = f"\n[yellow]{escape(lock_line(status.lock))}[/yellow]" if status.lock else ""
+    return f"[bold]{status.system}[/bold] on {status.backend}: {state}{activity}{lock}{origin}"
+
+
+def lock_line(lock: ChangeLock) -> str:
+    """Who has locked the system, until when and why, and what that holds back."""
+    held = "commands, restarts and restoring" if lock.holds_recovery else "commands"
+    words = f"{lock.words[0].upper()}{lock.words[1:]}"
+    return f"{words} (it holds back {held}; `midstride unlock` ends it)"
 
 
 def _process(component: InstanceStatus) -> Text:

@@ -17,6 +17,7 @@ from midstride.runtime.process.child_process import end_orphans
 from midstride.runtime.process.launcher import killed_in_words, stop_times
 from midstride.runtime.records.reports import DownReport, KilledProcess
 from midstride.runtime.records.state_store import SavedInstance, StateStore
+from midstride.runtime.records.status_forms import ChangeLock
 from midstride.runtime.workspace import Workspace
 
 # How long a manager may take to exit once its system is down (s).
@@ -37,11 +38,18 @@ def shut_down(system: str | None) -> tuple[str, DownReport]:
             raise
         with left[0].lock():
             return left[0].name, DownReport(killed=_stop_left_components(left[0]))
-    if (running := client.status().running) is not None:
+    status = client.status()
+    _say_lock(status.lock)
+    if (running := status.running) is not None:
         click.echo(f"{workspace.name} is carrying out `{running.command}` and will stop afterwards …", err=True)
     report = client.down()
     wait_for_manager_exit(workspace)
     return workspace.name, report
+
+
+def _say_lock(lock: ChangeLock | None) -> None:
+    if lock is not None:
+        click.echo(f"{lock.words}. `down` stops it all the same, and the lock ends with it.", err=True)
 
 
 def wait_for_manager_exit(workspace: Workspace) -> None:
@@ -62,6 +70,7 @@ def _stop_left_components(workspace: Workspace) -> list[KilledProcess]:
     if saved is None:  # its manager was killed before it could start anything
         store.delete()
         return []
+    _say_lock(saved.lock)
     backend = backends.make(saved.backend, workspace)
     killed, failures = asyncio.run(_stop(backend, saved.instances, saved.token))
     if failures:

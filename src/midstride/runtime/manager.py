@@ -18,7 +18,7 @@ from typing import Literal
 
 from midstride.codec.configuration_form import ConfigurationForm
 from midstride.codec.parameter import json_values
-from midstride.errors import BackendError, ManagerError, MidstrideError
+from midstride.errors import BackendError, ChangeForbidden, ManagerError, MidstrideError
 from midstride.model.component import ParameterValue
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification, initial
@@ -26,6 +26,7 @@ from midstride.model.wording import counted
 from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
 from midstride.runtime.backend_protocol import Backend
+from midstride.runtime.change.change_permission import NO_OVERRIDE, Override
 from midstride.runtime.change.change_session import ChangeSession
 from midstride.runtime.change.reconciler import Reconciler
 from midstride.runtime.change.runtime_verification import Verifier
@@ -48,7 +49,7 @@ from midstride.runtime.records.reports import (
     killed_processes,
 )
 from midstride.runtime.records.state_store import StateStore
-from midstride.runtime.records.status_forms import ParametersReport, ProgramStatus, Status, Why
+from midstride.runtime.records.status_forms import ChangeLock, ParametersReport, ProgramStatus, Status, Why
 from midstride.runtime.restore.bring_up import BringUp
 from midstride.runtime.restore.respawner import Respawner
 from midstride.runtime.restore.restoring import Restorer
@@ -80,10 +81,15 @@ class Manager:
         options: SystemOptions = NO_OPTIONS,
         file: Path | None = None,
         disk: Disk = DISK,
+        lock: ChangeLock | None = None,
     ) -> None:
-        """``file`` is the one that ``specification`` was read from, and ``directory`` where programs are started."""
+        """``file`` is the one that ``specification`` was read from, and ``directory`` where programs are started.
+
+        ``lock``: that of an earlier manager of which no component is left.
+        """
         named = None if file is None else str(file)
         self._backend, self._workspace, self._options, self._spares = backend, workspace, options, options.spares
+        self._lock_before = lock
         # What the parts have in common: records, commands, and the way to components.
         clock, self.events = backend.clock, (events := EventLog())
         self._journal = journal = Journal(workspace.journal, backend.name, disk)
@@ -151,6 +157,8 @@ class Manager:
                 self.events.add("note", self._journal.damaged)
             if saved is not None:
                 self._store.take_over()
+            lock = self._lock_before if saved is None else saved.lock
+            self._session.permission.restore(lock)
             bring_up = BringUp(self._session, self._restorer, self._options, self._workspace.name)
             absent = set() if saved is None else await bring_up.recover(saved, interrupted)
             self._backend.keep_spares(self._spares, self._client.token)
@@ -162,6 +170,8 @@ class Manager:
                 if saved is None and not self.system.life.handles:
                     self._store.delete()
                 raise
+            if saved is None and lock is not None:
+                self._store.write_lock(self._session.permission.current_lock)
             for change in interrupted:
                 left = None if saved is None else self.specification
                 await self._journal.end_interrupted(change, left, self.configuration.instances)
@@ -190,6 +200,7 @@ class Manager:
         await self._watch.close()
         await self._respawner.close()
         await self._restorer.close()
+        await self._session.permission.close()
         await self._reconciler.close()
         await self._programs.close()
         self._client.close()
@@ -198,7 +209,10 @@ class Manager:
         await self._backend.close()
 
     async def down(self) -> DownReport:
-        """Terminate every component and delete the saved state. Raises ManagerError naming those that still run."""
+        """Terminate every component and delete the saved state. Raises ManagerError naming those that still run.
+
+        A lock does not prevent it, since a robot can be stopped at any time; the lock ends with the system.
+        """
         before = self.events.last
         self._restorer.stop()
         self._respawner.stop()  # also a restart in progress: it is rolled back
@@ -212,7 +226,9 @@ class Manager:
                 raise ManagerError("; ".join(faults))
             self.system.configuration = Configuration(context=self.specification.context)
             self._store.delete()
-            self.events.add("down", f"{self.specification.name} is down")
+            lock = self._session.permission.current_lock
+            although = "" if lock is None else f", although {lock.words}; that lock has ended with it"
+            self.events.add("down", f"{self.specification.name} is down{although}")
             return DownReport(killed=killed_processes(self.events.since(before)))
 
     async def _end(self, name: str) -> str | None:
@@ -294,6 +310,7 @@ class Manager:
         id: str | None = None,
         by: str | None = None,
         file: str | None = None,
+        override: Override = NO_OVERRIDE,
     ) -> Outcome:
         """Carry out ``request``.
 
@@ -303,25 +320,37 @@ class Manager:
         the next command does not wait until this one has been measured over 20 periods. An old component that hangs is
         fenced after ``wait`` seconds (docs/protocols/fence.md). The events `waiting` and `command`
         contain ``id``, so that a client can distinguish its own from others. The specification of ``request`` was read
-        from ``file``. ``by`` says in the history who asked.
+        from ``file``. ``by`` says in the history who asked. While the system is locked, it is
+        refused without ``override``.
         """
         async with self._reconciler.command(request.describe(), id):
             outcome = await self._session.change(
-                request, expected=expected, verify=verify, brief=brief, by=by, wait=wait
+                request, expected=expected, verify=verify, brief=brief, by=by, wait=wait, override=override
             )
             if file is not None and request.to is not None and outcome.outcome == "done":
                 self.system.file, self.system.changed_since = file, False
                 self._store.write_file(file)
             return outcome
 
-    async def set_parameters(self, node: str, values: Mapping[str, ParameterValue]) -> ParametersReport:
+    async def set_parameters(
+        self,
+        node: str,
+        values: Mapping[str, ParameterValue],
+        override: Override = NO_OVERRIDE,
+        by: str | None = None,
+    ) -> ParametersReport:
         """Set parameters of a role or an instance, all of them or none, once the commands before are done.
 
         They count as set at run time: a replacement keeps them. Raises PlanRefused for an unknown node, ManagerError
-        for one that does not run, CommandRefused with the component's reason.
+        for one that does not run, CommandRefused with the component's reason, ChangeForbidden while the system is
+        locked, without ``override``. ``by`` says in the history who asked.
         """
         words = ", ".join(f"{name} = {value!r}" for name, value in values.items())
         async with self._reconciler.command(f"param set {node} {words}"):
+            what = f"param set {node} {words}"
+            if (because := self._session.forbidden(f"{by}: {what}" if by else f"`{what}`", override)) is not None:
+                self.events.add("parameters", f"refused: {because}", outcome="refused")
+                raise ChangeForbidden(because)
             try:
                 instance = self.system.live_instance(node)
                 await self._client.change(instance, SetParametersCommand(parameters=json_values(values), declared={}))
@@ -334,3 +363,15 @@ class Manager:
             self.system.values.report(state)
             self._reconciler.save_values()
             return ParametersReport(instance, [each for each in parameters(state) if each.name in values])
+
+    def lock(self, reason: str, by: str, until: float | None = None, *, holds_recovery: bool = False) -> ChangeLock:
+        """Lock the system at once: from now on no command changes it, but :meth:`down`. Returns the lock.
+
+        ``until``: when it ends (unix s). ``holds_recovery``: nor is what has crashed restarted, and what has degraded
+        restored, but by commands that override the lock. Raises ChangeForbidden if it is locked already.
+        """
+        return self._session.permission.lock(reason, by, until, holds_recovery)
+
+    def unlock(self, by: str) -> ChangeLock:
+        """End the lock, on behalf of ``by``; returns it. Raises ChangeForbidden if there is none."""
+        return self._session.permission.unlock(by)

@@ -26,7 +26,7 @@ from midstride.runtime.records.change_history import History, SpecificationVersi
 from midstride.runtime.records.change_report import ChangeReport
 from midstride.runtime.records.rehearsal_forms import Rehearsal
 from midstride.runtime.records.reports import DownReport, Event, LiveConfiguration, Outcome, PlannedChange, UpReport
-from midstride.runtime.records.status_forms import ParametersReport, ProgramStatus, Service, Why
+from midstride.runtime.records.status_forms import ChangeLock, ParametersReport, ProgramStatus, Service, Why
 from midstride.server.checked_text import CheckedText, checked
 from midstride.server.error_answers import Failure, answer, status_of
 from midstride.server.manager_lifecycle import Lifecycle
@@ -34,15 +34,19 @@ from midstride.server.openapi import answers, document_forms, failures, request_
 from midstride.server.rehearsing import Rehearser
 from midstride.server.report.documents import change_file
 from midstride.server.requests import (
+    LockRequest,
     ParameterSetting,
     SubmittedChange,
     SubmittedRehearsal,
     SubmittedText,
+    UnlockRequest,
     read_change,
+    read_lock,
     read_rehearsal,
     read_request,
     read_setting,
     read_text,
+    read_unlock,
 )
 from midstride.server.static import dashboard
 from midstride.server.view.live import LiveView
@@ -197,10 +201,12 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
         lifecycle.require_up()
         revision = manager.revision
         found = await manager.plan(request)
+        forbidden = manager.watched.permission.refusal()
 
         def response() -> Response:
             others = alternatives(found) if request.explain else UNSET
-            return answer(PlannedChange.of(found, revision=revision, alternatives=others))
+            planned = PlannedChange.of(found, revision=revision, alternatives=others, forbidden=forbidden or UNSET)
+            return answer(planned)
 
         return await asyncio.to_thread(response)
 
@@ -231,6 +237,7 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
             id=change.id,
             by=change.by,
             file=change.file,
+            override=change.override,
         )
         return answer(await lifecycle.carry_out(work))
 
@@ -239,9 +246,24 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
     )
     async def parameters(http: Request) -> Response:
         """Set parameters of a running node, once the commands before are done; a replacement keeps the values."""
-        node, values = await read_setting(http)
+        setting, values = await read_setting(http)
         lifecycle.require_up()
-        return answer(await lifecycle.carry_out(manager.set_parameters(node, values)))
+        work = manager.set_parameters(setting.node, values, setting.override, setting.by)
+        return answer(await lifecycle.carry_out(work))
+
+    @router.post("/lock", responses=answers(ChangeLock, body=True), openapi_extra=request_body(LockRequest))
+    async def lock(http: Request) -> Response:
+        """Lock the system at once: no command changes it, but /down. A change in progress goes on."""
+        asked = await read_lock(http)
+        lifecycle.require_up()
+        return answer(manager.lock(asked.reason, asked.by, asked.until, holds_recovery=asked.holds_recovery))
+
+    @router.post("/unlock", responses=answers(ChangeLock, body=True), openapi_extra=request_body(UnlockRequest))
+    async def unlock(http: Request) -> Response:
+        """End the lock; the answer is the one that has ended."""
+        asked = await read_unlock(http)
+        lifecycle.require_up()
+        return answer(manager.unlock(asked.by))
 
     @router.post("/down", responses=answers(DownReport))
     async def down() -> Response:

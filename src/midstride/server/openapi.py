@@ -16,7 +16,15 @@ from midstride.runtime.records.change_report import ChangeReport
 from midstride.runtime.records.rehearsal_forms import Rehearsal
 from midstride.server.checked_text import CheckedText
 from midstride.server.error_answers import Failure
-from midstride.server.requests import LARGEST_BODY, ParameterSetting, SubmittedChange, SubmittedRehearsal, SubmittedText
+from midstride.server.requests import (
+    LARGEST_BODY,
+    LockRequest,
+    ParameterSetting,
+    SubmittedChange,
+    SubmittedRehearsal,
+    SubmittedText,
+    UnlockRequest,
+)
 from midstride.server.view import view_forms
 
 Responses: TypeAlias = dict[int | str, dict[str, Any]]
@@ -24,6 +32,9 @@ Responses: TypeAlias = dict[int | str, dict[str, Any]]
 FORMS: Final = (
     ChangeRequest,
     Failure,
+    LockRequest,
+    UnlockRequest,
+    status_forms.ChangeLock,
     ParameterSetting,
     SpecificationForm,
     SubmittedChange,

@@ -18,6 +18,7 @@ from midstride.model.component import ParameterValue
 from midstride.model.diagnostics import Problem
 from midstride.plan.forms.request_form import ChangeRequest, request_names
 from midstride.plan.request import PlanRequest
+from midstride.runtime.change.change_permission import Override
 from midstride.runtime.handover.fences import DEFAULT_WAIT
 
 F = TypeVar("F", bound=msgspec.Struct)
@@ -44,7 +45,7 @@ class SubmittedChange(Form, frozen=True):
     until this change has been measured over 20 periods. `wait`: after how many seconds a component that hangs, and is
     to go, is fenced: replaced although its code does not return. `file`: the one that `to` was read from. `id`: any
     text; the events `waiting` and `command` of this change contain it, and those that follow until the next `command`
-    belong to it. `by`: who asks, and for what, for the history.
+    belong to it. `by`: who asks, and for what, for the history. `despite_lock`: also while the system is locked.
     """
 
     what: ClassVar[str] = "a change"
@@ -57,15 +58,51 @@ class SubmittedChange(Form, frozen=True):
     file: str | None = None
     id: Annotated[str, field("an id", max_length=100)] | None = None
     by: Annotated[str, field("who asks", max_length=200)] | None = None
+    despite_lock: bool = False
+
+    @property
+    def override(self) -> Override:
+        return Override(lock=self.despite_lock)
 
 
 class ParameterSetting(Form, frozen=True):
-    """Values to set at run time, all of them or none: of the parameters of a node, by name."""
+    """Values to set at run time, all of them or none: of the parameters of a node, by name.
+
+    `by`: who asks, for the history. `despite_lock`: also while the system is locked.
+    """
 
     what: ClassVar[str] = "a setting of parameters"
 
     node: NonEmptyName
     parameters: Annotated[dict[str, ValueForm], field("an object of values", min_length=1)]
+    by: Annotated[str, field("who asks", max_length=200)] | None = None
+    despite_lock: bool = False
+
+    @property
+    def override(self) -> Override:
+        return Override(lock=self.despite_lock)
+
+
+class LockRequest(Form, frozen=True, kw_only=True):
+    """A lock, under which no command changes the system, but `down`: why, by whom, and until when (unix seconds).
+
+    `holds_recovery`: nor is what has crashed restarted, and what has degraded restored.
+    """
+
+    what: ClassVar[str] = "a lock"
+
+    reason: Annotated[str, field("a reason", min_length=1, max_length=500)]
+    by: Annotated[str, field("who locks it", min_length=1, max_length=200)]
+    until: SecondsOrZero | None = None
+    holds_recovery: bool = False
+
+
+class UnlockRequest(Form, frozen=True):
+    """The end of a lock."""
+
+    what: ClassVar[str] = "the end of a lock"
+
+    by: Annotated[str, field("who unlocks it", min_length=1, max_length=200)]
 
 
 class SubmittedText(Form, frozen=True, kw_only=True):
@@ -96,9 +133,19 @@ class SubmittedRehearsal(Form, frozen=True, kw_only=True):
 R = TypeVar("R", SubmittedChange, SubmittedRehearsal)
 
 
-async def read_setting(http: HttpRequest) -> tuple[str, Mapping[str, ParameterValue]]:
-    """The node and the values in the body. Raises as :func:`read_request` does."""
-    return await _read(http, ParameterSetting, lambda form: (form.node, values_of(form.parameters)), lambda _: ())
+async def read_setting(http: HttpRequest) -> tuple[ParameterSetting, Mapping[str, ParameterValue]]:
+    """The setting in the body, and its values. Raises as :func:`read_request` does."""
+    return await _read(http, ParameterSetting, lambda form: (form, values_of(form.parameters)), lambda _: ())
+
+
+async def read_lock(http: HttpRequest) -> LockRequest:
+    """The lock in the body. Raises as :func:`read_request` does."""
+    return await _read(http, LockRequest, lambda form: form, lambda _: ())
+
+
+async def read_unlock(http: HttpRequest) -> UnlockRequest:
+    """The end of a lock in the body. Raises as :func:`read_request` does."""
+    return await _read(http, UnlockRequest, lambda form: form, lambda _: ())
 
 
 async def read_request(http: HttpRequest) -> PlanRequest:

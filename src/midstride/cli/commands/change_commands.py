@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
-import os
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,8 +15,9 @@ from midstride.cli import change_options, shell_completion
 from midstride.cli.client import Client
 from midstride.cli.output import console, is_interactive, json_option, print_json, wants_json
 from midstride.cli.running_systems import find, system_option
+from midstride.cli.user_name import user_name
 from midstride.codec.form import Document
-from midstride.errors import PlanRefused
+from midstride.errors import ChangeForbidden, PlanRefused
 
 if TYPE_CHECKING:  # completion must not wait for it
     from midstride.model.component import ComponentSpec
@@ -35,6 +34,7 @@ class RequestOptions:
     wait: float
     verify: bool
     yes: bool
+    despite_lock: bool
 
 
 def request_options(function: Any) -> Any:
@@ -42,14 +42,23 @@ def request_options(function: Any) -> Any:
 
     @wraps(function)
     def with_options(
-        system: str | None, strategy: str, detours: bool, wait: float, verify: bool, yes: bool, **arguments: Any
+        system: str | None,
+        strategy: str,
+        detours: bool,
+        wait: float,
+        verify: bool,
+        yes: bool,
+        despite_lock: bool,
+        **arguments: Any,
     ) -> int:
-        return int(function(options=RequestOptions(system, strategy, detours, wait, verify, yes), **arguments))
+        options = RequestOptions(system, strategy, detours, wait, verify, yes, despite_lock)
+        return int(function(options=options, **arguments))
 
     yes = click.option("--yes", "-y", is_flag=True, help="Do not ask for confirmation.")
     summary = "Verify the plan with Alloy before it starts, and the running system after each step."
     verify = click.option("--verify", is_flag=True, help=summary)
-    decorated = change_options.strategy_options(change_options.wait_option(verify(yes(with_options))))
+    decorated = change_options.despite_lock_option(verify(yes(with_options)))
+    decorated = change_options.strategy_options(change_options.wait_option(decorated))
     return json_option(system_option(decorated))
 
 
@@ -245,12 +254,14 @@ def change(
         console(stderr=wants_json()).print(render.plan(preview, title))
         if dry_run:
             return 0
+        if preview.forbidden and not options.despite_lock:
+            raise ChangeForbidden(preview.forbidden)
         if preview.steps and not click.confirm("Proceed?", err=True):
             click.echo("Nothing was changed.", err=True)
             return 1
         expected = preview.revision
     document = {"request": request, "expected": expected, "verify": options.verify, "wait": options.wait, "file": file}
-    document["by"] = asked_by(title)
+    document |= {"by": asked_by(title), "despite_lock": options.despite_lock}
     try:
         outcome = _carry_out(client, document, title, show_plan=options.yes)
     except (KeyboardInterrupt, BrokenPipeError, SystemExit):  # rich exits where the reader of its output has gone
@@ -263,11 +274,7 @@ def change(
 
 def asked_by(title: str) -> str:
     """The user, and what was asked for, for the history."""
-    try:
-        user = getpass.getuser()
-    except (KeyError, OSError):  # a user without a name
-        user = f"user {os.getuid()}"
-    return f"{user}: {title}"[:200]
+    return f"{user_name()}: {title}"[:200]
 
 
 def _carry_out(client: Client, change: Document, title: str, *, show_plan: bool) -> Outcome:

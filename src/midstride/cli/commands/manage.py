@@ -20,6 +20,7 @@ from midstride.runtime.process.child_process import end_orphans, shorten
 from midstride.runtime.process.descriptors import raise_limit
 from midstride.runtime.process.reaper import process_info
 from midstride.runtime.records.state_store import SavedState, StateStore
+from midstride.runtime.records.status_forms import ChangeLock
 from midstride.runtime.workspace import Workspace
 from midstride.server.serve import LOOPBACK, Tcp, serve
 from midstride.wire.environment import ENV_DIAGNOSTICS
@@ -62,7 +63,7 @@ def manager_command(
     async def run() -> int:
         shortening = asyncio.ensure_future(_shorten_log(workspace.manager_log))
         try:
-            saved = await _still_running(workspace)
+            saved, lock = await _still_running(workspace)
             options = SystemOptions(
                 use_sim_time,
                 not no_middleware_settings,
@@ -79,7 +80,7 @@ def manager_command(
             platform = backends.make(backend, workspace, middleware_settings=options.middleware_settings)
             specification = requested if saved is None else saved.specification
             path = file.resolve()
-            manager = Manager(specification, platform, workspace, path.parent, options=options, file=path)
+            manager = Manager(specification, platform, workspace, path.parent, options=options, file=path, lock=lock)
             return await serve(manager, workspace, backend=backend, tcp=tcp)
         finally:
             shortening.cancel()
@@ -95,15 +96,16 @@ async def _shorten_log(log: Path) -> None:
         shorten(log, LONGEST_LOG, KEPT_OF_LOG)
 
 
-async def _still_running(workspace: Workspace) -> SavedState | None:
-    """The state of the system that an earlier manager left running; it is reattached unchanged.
+async def _still_running(workspace: Workspace) -> tuple[SavedState | None, ChangeLock | None]:
+    """The state of the system that an earlier manager left running; it is reattached unchanged. And its lock.
 
-    If none of its recorded components runs any more, stop the unrecorded ones and delete the state.
+    If none of its recorded components runs any more, stop the unrecorded ones and delete the state, but for the lock:
+    that has not ended by `down`.
     """
     store = StateStore(workspace.state)
     saved = store.load()
     if saved is None:
-        return None
+        return None, None
     by_hand = SocketFolder(workspace.components)  # the sockets of these are all that is known of them
     running = [
         _runs(entry.handle) if entry.handle else await listens(by_hand, entry.instance.name)
@@ -113,8 +115,8 @@ async def _still_running(workspace: Workspace) -> SavedState | None:
     if not any(running):
         await end_orphans(saved.token, (), DEFAULT_STOP)
         store.delete()
-        return None
-    return saved
+        return None, saved.lock
+    return saved, saved.lock
 
 
 def _runs(handle: Handle) -> bool:

@@ -1,3 +1,3 @@
 """One change of the running system, from its request to its report or its roll-back."""
 
-PUBLIC = "ChangePhase ChangeSession Reconciler ReconciliationObserver RunningChange Verifier"
+PUBLIC = "ChangePhase ChangeSession NO_OVERRIDE Override Reconciler ReconciliationObserver RunningChange Verifier"

@@ -36,6 +36,7 @@ from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.cancellation import run_to_completion
 from midstride.runtime.change.action_driver import ActionDriver
 from midstride.runtime.change.change_assessment import change_assessment
+from midstride.runtime.change.change_permission import NO_OVERRIDE, ChangePermission, Override
 from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.crash_during_change import CrashResponse
 from midstride.runtime.change.executor import Executor
@@ -97,6 +98,7 @@ class ChangeSession:
         self.system, self.client, self.launcher = shared.system, shared.client, shared.launcher
         self.events, self.store, self.commands = shared.events, shared.store, shared.commands
         self.monitor, self.clock = shared.monitor, self.backend.clock
+        self.permission = ChangePermission(self.clock, self.events, self.store)
 
     async def plan(self, request: PlanRequest) -> tuple[Plan, Specification]:
         """The plan for ``request`` from the current configuration, and its target. Raises PlanRefused."""
@@ -131,8 +133,16 @@ class ChangeSession:
         brief: bool = False,
         wait: float = DEFAULT_WAIT,
         by: str | None = None,
+        override: Override = NO_OVERRIDE,
+        recovery: bool = False,
     ) -> Outcome:
-        """Carry out ``request``; see :meth:`midstride.runtime.manager.Manager.change`."""
+        """Carry out ``request``; see :meth:`midstride.runtime.manager.Manager.change`.
+
+        ``recovery``: the manager asks for it without a command.
+        """
+        what = by or f"`{request.describe()}`"
+        if (because := self.forbidden(what, override, recovery=recovery)) is not None:
+            return self._refuse(because)
         if expected is not None and expected != self.system.revision:
             because = "the configuration has changed since the plan was shown; look at the new plan"
             return Outcome(outcome="refused", because=because)
@@ -162,6 +172,15 @@ class ChangeSession:
         except ManagerError as error:
             return self._refuse(str(error), verdict)
         return await self.carry_out(change)
+
+    def forbidden(self, what: str, override: Override, *, recovery: bool = False) -> str | None:
+        """Why a change must not begin now, None if it may. Both that and an override are incidents of ``what``."""
+        because = self.permission.refusal(override, recovery=recovery)
+        if because is not None:
+            self.events.add("forbidden", f"{what}: refused, since {because}")
+        elif (ignored := self.permission.overridden(override)) is not None:
+            self.events.add("override", f"{what}: carried out although {ignored}")
+        return because
 
     def _refuse(self, because: str, verdict: Verdict | UnsetType = UNSET) -> Outcome:
         self.events.add("outcome", f"refused: {because}", outcome="refused")

@@ -1,12 +1,12 @@
 """The records of a manager: the journal, the saved state, events, and their JSON forms."""
 
 PUBLIC = (
-    "ChangeRecord ChangeReport ChangeTimeline CrashedInstance DISK Database DegradedFunctionality Disk DownReport "
-    "EndpointStatus Event EventLog FencedInstance FieldStatus FunctionalityStatus History Incident InstanceStatus "
-    "Interrupted Journal JournalEntry KilledProcess LiveConfiguration Middleware ModeInterval ModeRecorder ModeSkew "
-    "NewChange Observation Outcome OutcomeKind ParameterStatus ParametersReport Phase PlannedChange PortStatus "
-    "ProgramStatus Rehearsal RehearsalOrder RehearsedSeed RespawnStatus RunningCommand SAME_MODE SavedInstance "
-    "SavedState Service SilenceFault SilenceKind SpareStatus SpecificationVersion StateStore Statement Status "
-    "StepTime SwapReport TopicStatus UnixTime UpReport WINDOW_PERIODS Wakers Why closed_history closed_report "
-    "in_order killed_processes mode_level report reports status_forms unknown_report"
+    "ChangeLock ChangeRecord ChangeReport ChangeTimeline CrashedInstance DISK Database DegradedFunctionality Disk "
+    "DownReport EndpointStatus Event EventLog FencedInstance FieldStatus FunctionalityStatus History Incident "
+    "InstanceStatus Interrupted Journal JournalEntry KilledProcess LiveConfiguration Middleware ModeInterval "
+    "ModeRecorder ModeSkew NewChange Observation Outcome OutcomeKind ParameterStatus ParametersReport Phase "
+    "PlannedChange PortStatus ProgramStatus Rehearsal RehearsalOrder RehearsedSeed RespawnStatus RunningCommand "
+    "SAME_MODE SavedInstance SavedState Service SilenceFault SilenceKind SpareStatus SpecificationVersion StateStore "
+    "Statement Status StepTime SwapReport TopicStatus UnixTime UpReport WINDOW_PERIODS Wakers Why closed_history "
+    "closed_report in_order killed_processes mode_level report reports status_forms unknown_report"
 )

@@ -122,9 +122,13 @@ class Outcome(Report, frozen=True, kw_only=True):
 
 
 class PlannedChange(PlanForm, frozen=True, kw_only=True):
-    """A plan, and the revision of the configuration that it was made for: `expected` of a change."""
+    """A plan, and the revision of the configuration that it was made for: `expected` of a change.
+
+    `forbidden`: why it may not be carried out now; absent: it may.
+    """
 
     revision: int
+    forbidden: str | UnsetType = UNSET
 
 
 class LiveConfiguration(Report, frozen=True):

@@ -29,6 +29,7 @@ from midstride.model.specification import Specification
 from midstride.runtime.backend_protocol import Handle
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.records.disk import DISK, Database, Disk, Lease, Statement, refused
+from midstride.runtime.records.status_forms import ChangeLock
 from midstride.wire.folders import COMPONENTS
 
 # The form of the database; a manager of another version refuses it.
@@ -44,6 +45,7 @@ CREATE TABLE IF NOT EXISTS instances (name TEXT PRIMARY KEY, form TEXT NOT NULL,
 _REST: Final = "rest"
 # Before the name of a role, for its parameter values that were set at run time.
 _VALUES: Final = "values of "
+_LOCK: Final = "lock"
 # Instead of the handle of an instance whose program has ended as it should.
 _DONE: Final = "done"
 # Statements by what they write.
@@ -64,7 +66,7 @@ class SavedState:
     """The state that an earlier manager saved.
 
     ``values``: by role, the parameter values that were set at run time. ``file`` was brought up or applied last, if
-    any, and ``changed_since``: another command has changed the specification then.
+    any, and ``changed_since``: another command has changed the specification then. ``lock``: a person has locked it.
     """
 
     backend: str
@@ -75,6 +77,7 @@ class SavedState:
     values: dict[str, dict[str, Any]] = field(default_factory=dict)
     file: str | None = None
     changed_since: bool = False
+    lock: ChangeLock | None = None
 
 
 class StateStore:
@@ -129,6 +132,7 @@ class StateStore:
                 },
                 system.get("file") or None,
                 bool(system.get("changed_since")),
+                None if (lock := system.get(_LOCK)) is None else msgspec.json.decode(lock, type=ChangeLock),
             )
         except ManagerError:
             raise
@@ -229,6 +233,13 @@ class StateStore:
             self._write(_puts(key, msgspec.json.encode(json_values(values)).decode()))
         else:
             self._write({key: ("DELETE FROM system WHERE key = ?", (key,))})
+
+    def write_lock(self, lock: ChangeLock | None) -> None:
+        """A person has locked the system, or None: the lock has ended."""
+        if lock is not None:
+            self._write(_puts(_LOCK, msgspec.json.encode(lock).decode()))
+        else:
+            self._write({_LOCK: ("DELETE FROM system WHERE key = ?", (_LOCK,))})
 
     def require(self) -> None:
         """Raises ManagerError if the state cannot be written."""

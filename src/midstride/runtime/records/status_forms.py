@@ -5,6 +5,7 @@ Apart from :mod:`.reports`, so that a client that only looks need not import wha
 
 from __future__ import annotations
 
+import time
 from typing import Annotated, Literal, TypeAlias
 
 from msgspec import UNSET, Meta, UnsetType
@@ -228,6 +229,28 @@ class SpareStatus(Report, frozen=True, kw_only=True):
     unused_by: Annotated[list[str], Meta(description="instances whose command no spare can run")]
 
 
+class ChangeLock(Report, frozen=True, kw_only=True):
+    """A lock: no command changes the system, but `down`, until it is unlocked."""
+
+    reason: str
+    by: Annotated[str, Meta(description="who has locked it, as `alice@robot`")]
+    since: Annotated[float, Meta(description="in unix seconds")]
+    until: Annotated[float | None, Meta(description="when it ends, in unix seconds; null: when it is unlocked")]
+    holds_recovery: Annotated[
+        bool, Meta(description="nor does the manager restart what has crashed, and restore what has degraded")
+    ] = False
+
+    @property
+    def words(self) -> str:
+        """Who has locked the system, until when, and why."""
+        end = "until it is unlocked" if self.until is None else f"until {_local_time(self.until)}"
+        return f"the system is locked by {self.by} since {_local_time(self.since)}, {end}: {self.reason}"
+
+
+def _local_time(at: float) -> str:
+    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(at))
+
+
 class Middleware(Report, frozen=True, kw_only=True):
     """What a back end sets in the environment of the processes that it starts, and what it leaves as set."""
 
@@ -248,6 +271,7 @@ class Status(Report, frozen=True, kw_only=True):
     backend: str
     revision: int
     running: Annotated[RunningCommand | None, Meta(description="the command in progress")]
+    lock: Annotated[ChangeLock | None, Meta(description="null: the system is not locked")] = None
     condition: Annotated[SystemCondition, Meta(description="what runs, and what is missing or worse than it should be")]
     valid: Annotated[bool, Meta(description="the configuration is, and its components report what the model has")]
     violations: list[str]

@@ -93,6 +93,8 @@ class Respawner(ReconciliationObserver):
         number, words, seconds = len(record.attempts.made), "restarting", None
         if record.left is not None:
             words = f"it will not be restarted again: {record.left}"
+        elif not record.carrying_out and (because := self.session.permission.refusal(recovery=True)) is not None:
+            words = f"it will be restarted when that may happen: {because}"
         elif record.due is not None:
             seconds = max(0.0, round(record.due - self.clock.steady(), 3))
             words += f" in {seconds:.1f} s" if seconds else " after the current command"
@@ -152,11 +154,16 @@ class Respawner(ReconciliationObserver):
     async def _restart(self, role: str, record: _Record, request: PlanRequest, words: str, delay: float) -> None:
         failed = None
         await self.clock.sleep(delay)
+        outcome = None
         try:
-            async with self.reconciler.command(words):
-                record.carrying_out, record.due = True, None
-                outcome = await self.session.change(request, brief=True, by="the restart policy")
-                failed = None if outcome.outcome == "done" else f"{words} failed: {outcome.because}"
+            while outcome is None:
+                await self.session.permission.until_recovery()
+                async with self.reconciler.command(words):
+                    if self.session.permission.refusal(recovery=True) is not None:  # since it waits for its turn
+                        continue
+                    record.carrying_out, record.due = True, None
+                    outcome = await self.session.change(request, brief=True, by="the restart policy", recovery=True)
+                    failed = None if outcome.outcome == "done" else f"{words} failed: {outcome.because}"
         except Exception as error:  # nothing awaits this task, so errors are logged here
             log.exception("%s failed", words)
             failed = f"{words} failed: {error}"

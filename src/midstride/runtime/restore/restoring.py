@@ -154,8 +154,13 @@ class Restorer(ReconciliationObserver):
             record.supported_since = now
         due = record.due()
         idle = self._restoring is None or self._restoring.done()
-        if due is not None and now >= due and idle:
+        if due is not None and now >= due and idle and not self._held_back:
             self._restoring = asyncio.get_running_loop().create_task(self._restore(self._due(now + TOGETHER)))
+
+    @property
+    def _held_back(self) -> str | None:
+        """Why nothing may be restored now, if so."""
+        return self.session.permission.refusal(recovery=True)
 
     def _count(self, ref: FunctionalityRef, record: _Record, failed: str = "") -> None:
         """It has fallen, or could not be restored: there is another attempt, or the last one has been made."""
@@ -181,6 +186,9 @@ class Restorer(ReconciliationObserver):
                 for ref in refs:
                     if ref not in self._carrying and ref in self._records:
                         self._records[ref].supported_since = None
+                if self._held_back:  # since it waits for its turn; the next report of a component asks again
+                    self._carrying = {}
+                    return
                 if not self._carrying:
                     self.events.add("note", f"{words}: what it relies on has gone again, or a command has restored it")
                     return
@@ -189,7 +197,7 @@ class Restorer(ReconciliationObserver):
                     self.events.add("restore", f"what {ref} relies on is back: it is restored {attempt}")
                 try:
                     request = PlanRequest(restore=tuple(sorted(self._carrying.items())))
-                    outcome = await self.session.change(request, brief=True)
+                    outcome = await self.session.change(request, brief=True, recovery=True)
                     failed = "" if outcome.outcome == "done" else f": {words} failed: {outcome.because}"
                 except Exception as error:  # nothing awaits this task, so errors are logged here
                     log.exception("%s failed", words)
@@ -203,8 +211,10 @@ class Restorer(ReconciliationObserver):
             log.exception("%s failed", words)
         finally:
             self._carrying = {}
-            if self.enabled and (
-                due := [ref for ref in self._due(self.clock.steady()) if self._records[ref].conditional]
+            if (
+                self.enabled
+                and not self._held_back
+                and (due := [ref for ref in self._due(self.clock.steady()) if self._records[ref].conditional])
             ):
                 # A condition that has come to hold meanwhile does not wait for the next report.
                 self._restoring = asyncio.get_running_loop().create_task(self._restore(due))
@@ -243,6 +253,8 @@ class Restorer(ReconciliationObserver):
         if record.left is not None:
             return f"it will not be restored again: {record.left}; {_REMEDY}"
         if (due := record.due()) is not None:
+            if (because := self._held_back) is not None:
+                return f"restored when that may happen: {because}"
             return f"restoring in {max(0.0, due - self.clock.steady()):.1f} s ({record.number} of {POLICY.limit})"
         if (latest.state.functionalities[ref.functionality].busy or 0.0) > HANGS:  # it takes no input meanwhile either
             return "restored when its call has returned"

@@ -51,6 +51,7 @@ def system_values(watched: WatchedSystem) -> dict[str, Any]:
         "system": system.specification.name,
         "backend": backend.name,
         "revision": system.revision,
+        "lock": watched.permission.current_lock,
         "crashed": crashed(watched),
         "unwritten": "; ".join(filter(None, refused)) or None,
         "damaged": watched.journal.damaged,

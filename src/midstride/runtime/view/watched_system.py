@@ -43,6 +43,7 @@ class WatchedSystem:
         self.events, self.store, self.commands = shared.events, shared.store, shared.commands
         self.monitor, self.clock = shared.monitor, shared.clock
         self.backend, self.journal = shared.backend, shared.journal
+        self.permission = shared.permission
 
     def baseline(self) -> Baseline:
         """The baseline of the specification that the system runs."""

@@ -55,7 +55,7 @@ export function mountTop(element, context) {
   replace(part("#tools"), ...tools(context));
   draw();
   drawConnection();
-  store.subscribe(["instances", "crashed", "topics", "condition", "violations", "phase", "running", "system", "time"], draw);
+  store.subscribe(["instances", "crashed", "topics", "condition", "violations", "phase", "running", "lock", "system", "time"], draw);
   store.subscribe(["connection", "time", "instances"], drawConnection);
   setInterval(drawConnection, 1000);
   element.dataset.ready = "true";
@@ -86,6 +86,8 @@ function summaryOf(view) {
     found.push({ kind: condition.state === "up" && !condition.unknown?.length ? "good" : "warn", words: mark + condition.headline });
   }
   if (view.phase !== "up") found.push({ kind: "warn", words: view.phase });
+  const { lock } = view;
+  if (lock) found.push({ kind: "bad", words: `⚿ locked by ${lock.by}: ${lock.reason}` });
   if (view.running) found.push({ kind: "warn", words: `⟳ ${view.running.command}` });
   return found;
 }

@@ -12,6 +12,7 @@ from midstride.runtime.records.measure import SwapReport
 from midstride.runtime.records.mode_recorder import ModeInterval
 from midstride.runtime.records.reports import Event, OutcomeKind
 from midstride.runtime.records.status_forms import (
+    ChangeLock,
     CrashedInstance,
     InstanceStatus,
     Middleware,
@@ -87,6 +88,7 @@ class Patch(Report, frozen=True, kw_only=True):
     phase: Phase | UnsetType = UNSET
     revision: int | UnsetType = UNSET
     running: RunningCommand | UnsetType | None = UNSET
+    lock: ChangeLock | UnsetType | None = UNSET
     condition: SystemCondition | UnsetType = UNSET
     valid: bool | UnsetType = UNSET
     violations: list[str] | UnsetType = UNSET
