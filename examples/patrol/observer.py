@@ -32,8 +32,13 @@ class Observer(Node):
     def now(self) -> float:
         return self.get_clock().now().nanoseconds / 1e9
 
+    @staticmethod
+    def stamped(message: LaserScan | Odometry) -> float:
+        """When it was measured (s), however late it is read here: a busy machine delays both kinds alike."""
+        return message.header.stamp.sec + message.header.stamp.nanosec / 1e9
+
     def on_obstacles(self, message: LaserScan) -> None:
-        self.scanned = message.header.stamp.sec + message.header.stamp.nanosec / 1e9
+        self.scanned = self.stamped(message)
 
     def on_command(self, message: Twist) -> None:
         now = self.now()
@@ -43,13 +48,13 @@ class Observer(Node):
         self.seen["commands"] += 1
 
     def on_wheels(self, message: Odometry) -> None:
-        now, speed = self.now(), abs(message.twist.twist.linear.x)
+        measured, speed = self.stamped(message), abs(message.twist.twist.linear.x)
         self.longest("moved", speed)
-        if speed < 0.05 or self.scanned is None or now - self.scanned < STALE:
+        if speed < 0.05 or self.scanned is None or measured - self.scanned < STALE:
             self.began = None
             return
-        self.began = self.began or now
-        self.longest("moved_blind", now - self.began)
+        self.began = self.began or measured
+        self.longest("moved_blind", measured - self.began)
 
     def longest(self, name: str, seconds: float) -> None:
         self.seen[name] = max(self.seen[name], seconds)

@@ -79,7 +79,7 @@ def replaced_often(folder: Path, number: int) -> None:
                 assert await tools.set(gain=2.0) == [(True, "")]
                 await called_meanwhile(bare, caller, replace_often())
                 assert await tools.set(gain=3.0) == [(True, "")]
-                await bare.until(caller.finished)
+                await caller.finish(bare, folder / "calls")
                 (component,) = (await manager.status()).instances
                 assert component.role == "source" and component.name in ("source_2", "source_3")
                 assert (component.node, component.answers) == ("/source", True)
@@ -122,13 +122,17 @@ def test_exactly_one_instance_answers_whenever_the_manager_is_killed(tmp_path: P
         with Bare() as bare:
             caller = Caller(bare.node, "/source/count")
             await bare.until(caller.ready)
+            killed: list[tuple[tuple[str, ...], float]] = []
 
             async def kill_at(*point: str) -> None:
                 await asyncio.to_thread(kill_the_manager, system, *point)
+                killed.append((point, time.monotonic()))
                 before = caller.answered.total()  # without a manager, too
                 deadline = time.monotonic() + 60
                 while caller.answered.total() < before + 20:
-                    assert time.monotonic() < deadline, f"{point}: {caller.unanswered()}; {caller.answered}"
+                    assert time.monotonic() < deadline, (
+                        f"{point}: {caller.unanswered(tmp_path / 'calls')}; {caller.answered}"
+                    )
                     await asyncio.sleep(0.01)
 
             for point in POINTS:
@@ -142,7 +146,11 @@ def test_exactly_one_instance_answers_whenever_the_manager_is_killed(tmp_path: P
                 assert done.returncode == 0 and "done None" in done.stdout, done.stdout + done.stderr
 
             await called_meanwhile(bare, caller, change_once_more())
-            await bare.until(caller.finished)
+            try:
+                await caller.finish(bare, tmp_path / "calls")
+            except AssertionError as error:
+                ago = "; ".join(f"{point} {time.monotonic() - at:.1f} s ago" for point, at in killed)
+                raise AssertionError(f"{error}; killed at {ago}") from error
         down = await asyncio.to_thread(manage, system, "down")
         assert down.returncode == 0, down.stdout + down.stderr
         caller.handled_once(tmp_path / "calls")

@@ -77,10 +77,20 @@ class Caller:
         self.step()
         return not self._waiting
 
-    def unanswered(self) -> list[str]:
-        """The requests that wait for their answers, with their ages."""
-        now = time.monotonic()
-        return [f"request {number} for {now - since:.1f} s" for _, since, number in self._waiting.values()]
+    async def finish(self, bare: Any, calls: Path) -> None:
+        """Make no more calls, and spin until each is answered. A failure says which is not, and who has handled it."""
+        try:
+            await bare.until(self.finished)
+        except AssertionError as error:
+            raise AssertionError("; ".join(self.unanswered(calls))) from error
+
+    def unanswered(self, calls: Path) -> list[str]:
+        """The requests that wait for their answers, with their ages and who has handled them."""
+        handled = dict(line.split() for line in calls.read_text().splitlines()) if calls.exists() else {}
+        return [
+            f"request {number}, made {time.monotonic() - since:.1f} s ago, handled by {handled.get(f'{number}')}"
+            for _, since, number in self._waiting.values()
+        ]
 
     def handled_once(self, calls: Path) -> None:
         """Every request was handled by one instance, the one that answered it, once."""
