@@ -148,6 +148,10 @@ class Explorer:
                 yield replace(
                     world, word=self.step(world.word, BatonStep.NAME_SUCCESSOR, OLD, NEW, timed), manager=rest
                 )
+            case "q":  # of a side on which nothing is written
+                yield replace(world, word=self.step(world.word, BatonStep.NAME_SUCCESSOR, OLD, NEW, True), manager=rest)
+            case "t":
+                yield replace(world, word=self.step(world.word, BatonStep.TAKE, NEW), manager=rest)
             case "w":
                 yield replace(world, word=self.step(world.word, BatonStep.WITHDRAW, OLD), manager=rest)
             case "s":  # once the new one has been seen to have it
@@ -221,8 +225,9 @@ def begin(explorer: Explorer, flags: tuple[tuple[int, int], ...], manager: str) 
 
 
 FULL = pytest.mark.full
-# What the manager does, if it lives so long: name a successor, withdraw that, settle it, fence, lift that, give.
-PLANS = ["n", *(pytest.param(plan, marks=FULL) for plan in ("nw", "ns", "nfg", "nfl", "fgn"))]
+# What the manager does, if it lives so long: name a successor, withdraw that, settle it, fence, lift that, give; name
+# one that takes the baton at once (q), and take it (t).
+PLANS = ["n", "qt", *(pytest.param(plan, marks=FULL) for plan in ("nw", "ns", "nfg", "nfl", "fgn", "qtw", "qts"))]
 
 
 @pytest.mark.parametrize("mortal", [frozenset({OLD, NEW}), pytest.param(frozenset(), marks=FULL)], ids=str)

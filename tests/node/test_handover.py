@@ -81,12 +81,15 @@ def test_as_many_readers_as_before_are_not_the_same_readers(tmp_path: Path, monk
         await lab.start("sink", puppets.sink())
         await lab.attach("sink", "in", TOPIC)
         await lab.start("node", puppets.talker())
-        request = {"port": "out", "topic": TOPIC, "gate": "closed", "peers": 1, "everyone": 1, "timeout": 10.0}
-        attached = await lab.change("node", "attach", **request, reader_ids=["sink", "recorder"], patience=4.0)
+        attach = {"port": "out", "topic": TOPIC, "gate": "closed"}
+        request = {"port": "out", "topic": TOPIC, "peers": 1, "everyone": 1, "timeout": 10.0}
+        await lab.change("node", "attach", **attach)
+        attached = await lab.read("node", "await_readers", **request, reader_ids=["sink", "recorder"], patience=4.0)
         assert attached["matched"] == 1
         assert lab.backend.clock.steady() - begun >= 1.5
         await lab.change("node", "detach", port="out", topic=TOPIC)
-        attached = await lab.change("node", "attach", **request, reader_ids=["sink", "dead"], patience=0.5)
+        await lab.change("node", "attach", **attach)
+        attached = await lab.read("node", "await_readers", **request, reader_ids=["sink", "dead"], patience=0.5)
         assert attached["matched"] == 0  # one of the two is missing
 
     in_lab(tmp_path, main)

@@ -56,8 +56,10 @@ from midstride.wire.commands import (
     AwaitCutCommand,
     AwaitIdleCommand,
     AwaitMatchCommand,
+    AwaitReadersCommand,
     AwaitWriteCommand,
     Command,
+    CountWritesCommand,
     DetachCommand,
     ExportStateCommand,
     GridCommand,
@@ -73,6 +75,7 @@ from midstride.wire.frames import PROTOCOL, Greeting, Registration
 from midstride.wire.pipe import PipeNetwork
 from midstride.wire.replies import (
     Attached,
+    CountedWrites,
     CutResult,
     Detached,
     Done,
@@ -100,13 +103,16 @@ REFUSED = CommandRefused("the component refused it")
 TIMEOUT = CallTimeout("the component did not answer")
 UNREACHABLE = Unreachable("the component cannot be reached")
 
+
 # What a component replies where the test says nothing else.
 REPLIES: dict[type[Command[Any]], Any] = {
     AttachCommand: Attached(matched=1),
     AwaitCutCommand: CutResult(outcome="done"),
     AwaitIdleCommand: Idle(busy=None),
     AwaitMatchCommand: lambda command: Attached(matched=command.peers),
+    AwaitReadersCommand: Attached(matched=1),
     AwaitWriteCommand: GatedWrites(gated=1, wrong_type=None),
+    CountWritesCommand: CountedWrites(written=1),
     DetachCommand: Detached(acknowledged=True, last=None),
     ExportStateCommand: ExportedState(state=None),
     GridCommand: Grid(trigger="rate", now=0, epoch=0, period=0.1, readers=1),

@@ -16,20 +16,15 @@ from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode, Po
 from midstride.model.configuration import Configuration
 from midstride.runtime.handover.agreed_cut import FIND_TIMEOUT, RESUME_PERIODS, RESUME_WITHOUT_RATE, SHORTEST_RESUME
 from midstride.runtime.handover.live_handover import LEADS, MEET_ATTEMPTS, MEET_TIMEOUT, LiveHandover
-from midstride.runtime.handover.new_publishers import (
-    ATTACH_TIMEOUT,
-    CALLS,
-    CALLS_PATIENCE,
-    DETACH_TIMEOUT,
-    OUTSIDE_READERS_TIMEOUT,
-    PROBATION,
-)
+from midstride.runtime.handover.new_publishers import ATTACH_TIMEOUT, DETACH_TIMEOUT, OUTSIDE_READERS_TIMEOUT
+from midstride.runtime.handover.probation import CALLS, CALLS_PATIENCE, PROBATION
 from midstride.runtime.handover.state_transfers import StateTransfers
 from midstride.runtime.watch.simulated_time import LONGEST_STRETCH
 from midstride.wire.commands import (
     AttachCommand,
     AwaitCutCommand,
     AwaitMatchCommand,
+    AwaitReadersCommand,
     AwaitWriteCommand,
     CancelCutCommand,
     CutInCommand,
@@ -143,13 +138,13 @@ def test_the_new_publisher_waits_behind_its_gate_for_every_living_reader_of_the_
         known = ["a", "b", "c"] if readers else []
         grid = Grid(trigger="rate", now=0, epoch=0, period=0.1, readers=readers, reader_ids=known)
         b.client.reply("talker", GridCommand, grid)
-        b.client.reply("talker_2", AttachCommand, Attached(matched=expected))
+        b.client.reply("talker_2", AwaitReadersCommand, Attached(matched=expected))
         await swapped(b)
         assert b.words("note") == []
-        assert only(b, AttachCommand, "talker_2") == AttachCommand(
+        assert only(b, AttachCommand, "talker_2") == AttachCommand(port="out", topic="/chatter", gate="closed")
+        assert only(b, AwaitReadersCommand, "talker_2") == AwaitReadersCommand(
             port="out",
             topic="/chatter",
-            gate="closed",
             peers=1,
             everyone=expected,
             reader_ids=ids,
@@ -164,7 +159,7 @@ def test_the_new_publisher_does_not_wait_for_a_subscriber_whose_process_has_exit
     async def body(b: Bench) -> None:
         b.crash("listener")
         await swapped(b)
-        assert only(b, AttachCommand, "talker_2").peers == 0
+        assert only(b, AwaitReadersCommand, "talker_2").peers == 0
 
     bench(CONFIGURATION, tmp_path, body)
 
@@ -172,7 +167,7 @@ def test_the_new_publisher_does_not_wait_for_a_subscriber_whose_process_has_exit
 def test_readers_that_the_new_publisher_does_not_find_are_a_warning(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.client.reply("talker", GridCommand, Grid(trigger="rate", now=0, epoch=0, period=0.1, readers=3))
-        b.client.reply("talker_2", AttachCommand, Attached(matched=2))
+        b.client.reply("talker_2", AwaitReadersCommand, Attached(matched=2))
         await swapped(b)
         [warning] = b.words("note")
         assert warning.startswith("talker.out had 3 readers on /chatter, and talker_2.out has found 2 of them")
@@ -186,7 +181,7 @@ def test_readers_that_the_old_publisher_does_not_find_any_longer_are_no_warning(
     async def body(b: Bench) -> None:
         counted = [Grid(trigger="rate", now=0, epoch=0, period=0.1, readers=readers) for readers in (3, 2)]
         b.client.reply("talker", GridCommand, *counted)
-        b.client.reply("talker_2", AttachCommand, Attached(matched=2))
+        b.client.reply("talker_2", AwaitReadersCommand, Attached(matched=2))
         await swapped(b)
         assert b.words() == []
 

@@ -31,7 +31,7 @@ from tests.runtime.systems import (
 )
 
 # Reads that only watch: a change may go on without them.
-WATCHING = {"observe", "grid", "record", "records", "export_state", "await_match", "program"}
+WATCHING = {"observe", "grid", "record", "records", "export_state", "await_match", "count_writes", "program"}
 # What is tried again: a cut with another moment, a meeting in short turns.
 TRIED_AGAIN = {"cut_out", "cut_in", "meet"}
 BETWEEN_PEERS = {"ping", "taken", "offer_state", "fetch_state", "importing"}

@@ -91,7 +91,12 @@ class ForeignCommands:
         match command:
             case commands.AttachCommand():
                 self._check_port(command.port, command.topic)
-            case commands.DetachCommand() | commands.GateCommand() | commands.AwaitMatchCommand():
+            case (
+                commands.DetachCommand()
+                | commands.GateCommand()
+                | commands.AwaitMatchCommand()
+                | commands.AwaitReadersCommand()
+            ):
                 self._node.require_attached(command.port, command.topic)
             case commands.FenceCommand():
                 for port, topic in command.attachments:

@@ -127,6 +127,14 @@ static inline uint64_t baton_settle(uint64_t word, unsigned holder)
   return baton_word(GENERATION(word), 0, SUCCESSOR(word), holder, STATE(word), WRITERS(word));
 }
 
+/* `successor` takes what it is offered without a message to publish. */
+static inline uint64_t baton_take(uint64_t word, unsigned successor)
+{
+  if (SUCCESSOR(word) != successor || STATE(word) != OFFERED)
+    return word;
+  return baton_word(GENERATION(word) + 1, HOLDER(word), 0, successor, HELD, 0);
+}
+
 /* No further call of the holder may publish. Those that are publishing are counted until they have. */
 static inline uint64_t baton_fence(uint64_t word, unsigned holder)
 {

@@ -768,9 +768,9 @@ EXPORT uint64_t midstride_leave(uint64_t word, uint64_t entered, unsigned flags,
   return baton_leave(word, entered, flags, again);
 }
 
-enum step { NAME_SUCCESSOR, WITHDRAW, SETTLE, FENCE, LIFT, GIVE };
+enum step { NAME_SUCCESSOR, WITHDRAW, SETTLE, FENCE, LIFT, GIVE, TAKE };
 
-/* What a step of the manager makes of a word. `index`: of the holder; of the new one for GIVE. */
+/* What a step of the manager makes of a word. `index`: of the holder; of the new one for GIVE and TAKE. */
 EXPORT uint64_t midstride_step(uint64_t word, int step, unsigned index, unsigned successor, int at_once)
 {
   switch ((enum step)step) {
@@ -786,6 +786,8 @@ EXPORT uint64_t midstride_step(uint64_t word, int step, unsigned index, unsigned
     return baton_lift(word, index);
   case GIVE:
     return baton_give(word, index);
+  case TAKE:
+    return baton_take(word, index);
   }
   return word;
 }

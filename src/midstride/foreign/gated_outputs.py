@@ -40,6 +40,7 @@ class _Cut:
     before: dict[str, int]
     other: int | None = None  # the index of the old side; None on that side
     own: dict[str, int] = field(default_factory=dict)  # by port, its baton before
+    quiet: bool = False  # the new side takes over without a message too
 
 
 class GatedOutputs(UngatedOutputs):
@@ -52,12 +53,11 @@ class GatedOutputs(UngatedOutputs):
         self._shared_slots: dict[str, int] = {}  # by cut: the part in the page of a peer that uses Midstride's API
 
     async def attach(self, command: commands.AttachCommand) -> replies.Attached:
-        port = command.port
-        matched = await self._matched(port, command.peers, command.timeout)
-        if matched < command.peers:
-            raise not_matched(matched, command)
-        matched = await self._matched(port, command.everyone, command.patience)
-        if command.peers or command.everyone:
+        port, matched = command.port, 0
+        if command.peers:
+            matched = await self._matched(port, command.peers, command.timeout)
+            if matched < command.peers:
+                raise not_matched(matched, command)
             await asyncio.sleep(READY_AFTER)
         self._node.set_links({port: command.gate})
         if not self._node.component.has_output(port):
@@ -113,6 +113,19 @@ class GatedOutputs(UngatedOutputs):
 
     async def await_match(self, command: commands.AwaitMatchCommand) -> replies.Attached:
         return replies.Attached(matched=await self._matched(command.port, command.peers, command.timeout))
+
+    async def await_readers(self, command: commands.AwaitReadersCommand) -> replies.Attached:
+        matched = await self._matched(command.port, command.peers, command.timeout)
+        if matched < command.peers:
+            raise not_matched(matched, command)
+        matched = await self._matched(command.port, command.everyone, command.patience)
+        if command.peers or command.everyone:
+            await asyncio.sleep(READY_AFTER)
+        return replies.Attached(matched=matched)
+
+    async def count_writes(self, command: commands.CountWritesCommand) -> replies.CountedWrites:
+        entry = self._gates.entry(command.port)
+        return replies.CountedWrites(written=entry.passed + entry.gated)
 
     async def await_write(self, command: commands.AwaitWriteCommand) -> replies.GatedWrites:
         """With a rate, what was written before does not count: it may hang by now."""
@@ -206,9 +219,10 @@ class GatedOutputs(UngatedOutputs):
         own = {port: gates.baton(port) for port in self._node.component.outputs}
         before = {port: int(gates.entry(port).passed) for port in ports}
         gates.share(ports, baton)
-        cut = self._cuts[command.cut] = _Cut(command.swaps, baton, before, old, own)
+        cut = self._cuts[command.cut] = _Cut(command.swaps, baton, before, old, own, command.quiet)
+        at_once = command.quiet or not any(map(gates.rate, ports))
         self._node.set_links(dict.fromkeys(ports, "open"))
-        gates.page.step(baton, BatonStep.NAME_SUCCESSOR, old, gates.index, at_once=not any(map(gates.rate, ports)))
+        gates.page.step(baton, BatonStep.NAME_SUCCESSOR, old, gates.index, at_once=at_once)
         gates.page.ring(gates.index)
         word = gates.page.word(baton)
         if gates.index + 1 not in (word.successor, word.holder):
@@ -234,8 +248,11 @@ class GatedOutputs(UngatedOutputs):
             return word.holder == old and not word.successor
 
         def done() -> bool:
-            return moved() and (not new or any(gates.entry(port).passed > cut.before[port] for port in ports))
+            quiet = cut.quiet and gates.index + 1 == gates.page.word(cut.baton).holder
+            return moved() and (not new or quiet or any(gates.entry(port).passed > cut.before[port] for port in ports))
 
+        if new and cut.quiet:
+            await self._node.comes_true(lambda: done() or over() or self._takes(cut), command.timeout)
         await self._node.comes_true(lambda: done() or over(), command.timeout)
         if not done():
             return replies.CutResult(outcome="waiting")
@@ -243,6 +260,11 @@ class GatedOutputs(UngatedOutputs):
         if new:
             return replies.CutResult(outcome="done", first=writes)
         return replies.CutResult(outcome="done", last=writes)
+
+    def _takes(self, cut: _Cut) -> bool:
+        """Take the baton without a message, if it is offered; whether this side has it."""
+        self._gates.step(cut.baton, BatonStep.TAKE)
+        return self._gates.page.word(cut.baton).holder == self._gates.index + 1
 
     def _last_write(self, port: str, cut: _Cut) -> replies.LastWrite | None:
         entry = self._gates.entry(port)

@@ -33,6 +33,10 @@ class UngatedOutputs:
         """With how many is not known, and delays nothing."""
         return replies.Attached(matched=command.peers)
 
+    async def await_readers(self, command: commands.AwaitReadersCommand) -> replies.Attached:
+        """How many there are is not known, and delays nothing."""
+        return replies.Attached(matched=max(command.peers, command.everyone))
+
     async def await_idle(self, command: commands.AwaitIdleCommand) -> replies.Idle:
         return replies.Idle(busy=None)
 
@@ -53,4 +57,4 @@ class UngatedOutputs:
             f"{self._node.record.instance} has no gate in its process ({kind}), so it cannot be held back"
         )
 
-    gate = fence = await_write = await_rate = share_slot = cut_out = cut_in = await_cut = refuse
+    gate = fence = await_write = await_rate = count_writes = share_slot = cut_out = cut_in = await_cut = refuse

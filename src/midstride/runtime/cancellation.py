@@ -1,9 +1,9 @@
-"""Work that a cancellation must not leave half done: ``await run_to_completion(work(), on_cancel)``."""
+"""Work that a cancellation must not leave half done, and work that ends together."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterable
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -22,3 +22,14 @@ async def run_to_completion(work: Coroutine[Any, Any, T], on_cancel: Callable[[]
         except asyncio.CancelledError:
             on_cancel()
     return task.result()
+
+
+async def all_of(works: Iterable[Coroutine[Any, Any, T]]) -> list[T]:
+    """The results of works that run at the same time. As soon as one raises, or on a cancellation, the others end."""
+    tasks = [asyncio.ensure_future(work) for work in works]
+    try:
+        return await asyncio.gather(*tasks)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)

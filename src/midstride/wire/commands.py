@@ -18,6 +18,7 @@ from midstride.wire.program import Program
 from midstride.wire.replies import (
     Attached,
     Confirmed,
+    CountedWrites,
     CutClock,
     CutResult,
     Detached,
@@ -142,6 +143,30 @@ class AwaitMatchCommand(Command[Attached], frozen=True, kw_only=True, tag="await
     timeout: Seconds = 5.0
 
 
+class AwaitReadersCommand(Command[Attached], frozen=True, kw_only=True, tag="await_readers"):
+    """Wait until an output behind its gate is matched with ``peers`` subscribers, and ready to publish to them.
+
+    ``everyone`` is how many readers to wait for beyond that, and ``reader_ids`` which, at most ``patience`` seconds.
+    """
+
+    kind = "reading"
+    port: str
+    topic: str
+    peers: int
+    everyone: int = 0
+    reader_ids: list[str] = []
+    patience: Seconds = 0.0
+    timeout: Seconds = 5.0
+
+
+class CountWritesCommand(Command[CountedWrites], frozen=True, kw_only=True, tag="count_writes"):
+    """How many messages an output has written, published or held back."""
+
+    kind = "reading"
+    port: str
+    topic: str
+
+
 class AwaitIdleCommand(Command[Idle], frozen=True, kw_only=True, tag="await_idle"):
     """Wait until user code has returned, so that the data thread is free."""
 
@@ -172,8 +197,7 @@ class WelcomeCommand(Command[ComponentState], frozen=True, kw_only=True, tag="we
 class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
     """Create the endpoint and wait until ``peers`` compatible endpoints are matched; only then open the gate.
 
-    ``everyone`` is how many readers to wait for beyond that, and ``reader_ids`` which, at most ``patience`` seconds. An
-    input relies on ``rate`` (Hz), and ``tolerates`` so many missed messages; None: what its code states.
+    An input relies on ``rate`` (Hz), and ``tolerates`` so many missed messages; None: what its code states.
     ``condition``: its last message decides whether what it assumes holds. ``await_ready``: whether to wait until an
     input is ready, too; if not, the manager does before what relies on it.
     """
@@ -182,9 +206,6 @@ class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
     topic: str
     gate: GateState = "open"
     peers: int = 0
-    everyone: int = 0
-    reader_ids: list[str] = []
-    patience: Seconds = 0.0
     timeout: Seconds = 5.0
     rate: float | None = None
     tolerates: int | None = None
@@ -332,7 +353,7 @@ class CutInCommand(Command[Done], frozen=True, kw_only=True, tag="cut_in"):
     """The new side: open the gates at ``at``, and report the first write to the peer.
 
     A rate-driven mode continues the grid through ``epoch``. With a ``shared_slot``, the baton decides instead of
-    ``at``, and the offer of it ends some time after ``resume_after``.
+    ``at``, and the offer of it ends some time after ``resume_after``. ``quiet``: it takes over without a message too.
     """
 
     cut: str
@@ -345,6 +366,7 @@ class CutInCommand(Command[Done], frozen=True, kw_only=True, tag="cut_in"):
     state: StateTransfer | None = None
     shared_slot: SharedSlotPlace | None = None
     resume_after: Seconds = 0.0
+    quiet: bool = False
 
 
 class CancelCutCommand(Command[Done], frozen=True, kw_only=True, tag="cancel_cut"):

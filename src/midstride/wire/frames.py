@@ -19,7 +19,7 @@ from midstride.wire.commands import COMMANDS, Command
 from midstride.wire.state import ComponentState, Endpoint, WireValue
 
 # Incremented with every change of a frame, command, reply or event that another version could misread.
-PROTOCOL: Final = 7
+PROTOCOL: Final = 8
 # The longest frame (bytes): recorded receipts and exported state included.
 LONGEST_FRAME: Final = 256 * 1024 * 1024
 

@@ -110,6 +110,12 @@ class GatedWrites(WireValue, frozen=True, kw_only=True):
     failed: bool = False
 
 
+class CountedWrites(WireValue, frozen=True, kw_only=True):
+    """How many messages an output has written."""
+
+    written: int
+
+
 class RateVerdict(WireValue, frozen=True, kw_only=True):
     """``reached``: what was waited for has happened. ``rate`` (Hz) and the longest ``pause`` (s) of the last window.
 

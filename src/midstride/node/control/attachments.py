@@ -29,8 +29,8 @@ READY_AFTER: Final = 0.05
 TICK: Final = 0.005
 
 
-def not_matched(matched: int, command: commands.AttachCommand) -> CommandRefused:
-    """The refusal of an attach that has found only ``matched`` of the endpoints that it must find."""
+def not_matched(matched: int, command: commands.AttachCommand | commands.AwaitReadersCommand) -> CommandRefused:
+    """The refusal of a command that has found only ``matched`` of the endpoints that it must find."""
     return CommandRefused(
         f"only {matched} of {command.peers} endpoints on {command.topic} were found within {command.timeout:g} s; "
         "the others are missing, have another type or incompatible QoS, or discovery does not reach them"
@@ -88,12 +88,10 @@ class Attachments:
                 port.tolerates = command.tolerates or port.tolerates
         link = await self.data.run(lambda: self._create(port, topic), timeout)
         try:
-            handed_over = command.gate == "closed"
-            matched = await self._match(link, command.peers, timeout, handed_over=handed_over)
+            matched = await self._match(link, command.peers, timeout)
             if matched < command.peers:
                 raise not_matched(max(matched, 0), command)
-            matched = await self._match(link, command.everyone, command.patience, command.reader_ids, handed_over)
-            ready_in = READY_AFTER if command.peers or command.everyone else 0.0
+            ready_in = READY_AFTER if command.peers else 0.0
             if ready_in and (command.await_ready or isinstance(link, OutputLink)):
                 await self.host.sleep(ready_in)
                 ready_in = 0.0
@@ -173,6 +171,20 @@ class Attachments:
     async def await_match(self, command: commands.AwaitMatchCommand) -> replies.Attached:
         link = self._attached(command.port, command.topic)
         return replies.Attached(matched=max(0, await self._match(link, command.peers, command.timeout)))
+
+    async def await_readers(self, command: commands.AwaitReadersCommand) -> replies.Attached:
+        link = self.link(command.port, command.topic)
+        matched = await self._match(link, command.peers, command.timeout, handed_over=True)
+        if matched < command.peers:
+            raise not_matched(max(matched, 0), command)
+        matched = await self._match(link, command.everyone, command.patience, command.reader_ids, handed_over=True)
+        if command.peers or command.everyone:
+            await self.host.sleep(READY_AFTER)
+        return replies.Attached(matched=matched)
+
+    async def count_writes(self, command: commands.CountWritesCommand) -> replies.CountedWrites:
+        link = self.link(command.port, command.topic)
+        return replies.CountedWrites(written=link.count + link.gated)
 
     async def close_all(self, timeout: float) -> None:
         """Destroy every endpoint once all readers have acknowledged, or after ``timeout`` (s)."""

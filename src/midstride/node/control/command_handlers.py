@@ -92,6 +92,8 @@ class CommandHandlers:
             commands.GateCommand: self._attachments.gate,
             commands.AwaitMatchCommand: self._attachments.await_match,
             commands.AwaitRateCommand: self._attachments.await_rate,
+            commands.AwaitReadersCommand: self._attachments.await_readers,
+            commands.CountWritesCommand: self._attachments.count_writes,
             commands.AwaitWriteCommand: self._attachments.await_write,
             commands.GridCommand: self._handovers.grid,
             commands.MeetCommand: self._handovers.meet,

@@ -30,6 +30,7 @@ class BatonStep(IntEnum):
     FENCE = 3
     LIFT = 4
     GIVE = 5
+    TAKE = 6
 
 
 @dataclass(frozen=True, slots=True)

@@ -315,6 +315,9 @@ class IncomingSide(CutSide):
     """
 
     latches: Sequence[OutputLink] = ()
+    # Whether it takes over although nothing is written; and whether it has.
+    quiet: bool = field(default=False, kw_only=True)
+    taken: bool = field(default=False, init=False)
     grace = 0.0  # how long after its first write messages may come that are not its own (s)
 
     @property
@@ -323,17 +326,29 @@ class IncomingSide(CutSide):
         return self.arbiter.refused
 
     def shows(self, link: OutputLink) -> GateState:
-        return "open" if self.written else "closed"
+        return "open" if self.written or self.taken else "closed"
 
     def may_latch(self) -> bool:
         return True
 
     def latch(self) -> None:
-        """For late joiners, publish the last gated message of each output that has written nothing since T."""
+        """For late joiners, publish the last gated message of each output that has written nothing since T.
+
+        A quiet side that has none takes over without a message.
+        """
         for link in self.latches:
             due = link.cut is self and link not in self.written and link.last_gated is not None
             if due and self.may_latch():
                 self._write(link, link.last_gated)
+        if self.quiet and not self.written and not self.taken:
+            self.taken = self._take()
+
+    def _take(self) -> bool:
+        """Whether this side has the right to write, and keeps it."""
+        if not self.arbiter.begin(0):
+            return False
+        self.arbiter.end()
+        return True
 
     def conclude(self) -> None:
         self.latch()  # another output has written: that ended the cut before these were due
@@ -349,10 +364,10 @@ class IncomingSide(CutSide):
             self.arbiter.give_back()
 
     def abandon(self) -> bool:
-        """Close, unless it has written; whether it is closed."""
-        if not self.written:
+        """Close, unless it has written, or taken over without a message; whether it is closed."""
+        if not self.written and not self.taken:
             self.close()
-        return not self.written
+        return not self.written and not self.taken
 
     def first(self) -> dict[str, LastWrite | None]:
         found: dict[str, LastWrite | None] = dict.fromkeys(map(str, self.links))
@@ -385,5 +400,8 @@ class IncomingCut(_Agreed, IncomingSide):
     def may_latch(self) -> bool:
         return self.arbiter.admits()
 
+    def _take(self) -> bool:
+        return self.arbiter.admits()
+
     def shows(self, link: OutputLink) -> GateState:
-        return "open" if link in self.written else "closed"
+        return "open" if link in self.written or self.taken else "closed"

@@ -278,7 +278,9 @@ class CutInTask(_CutTask):
     async def run(self) -> None:
         self._begun_at = self.host.steady()
         self.side.arbiter.request()
-        latched = all(link.output.owner.rate is not None for link in self.side.links)  # a time grid needs no latch
+        # A time grid needs no latch, unless nothing may be written.
+        latched = not self.side.quiet and all(link.output.owner.rate is not None for link in self.side.links)
+        grace = GRACE if self.side.driven_by_messages or self.side.quiet else 0.0
         await self._until(self.side.at)
         if self.state is not None and self._going():
             await self.state.decided()
@@ -287,9 +289,9 @@ class CutInTask(_CutTask):
         while self.side.links and self._going() and not self._is_decided():
             # A message in transit at T may still make the new side write; nothing else will.
             waited = (self.host.steady() - waited_from) / 1e9
-            if not latched and waited > (GRACE if self.side.driven_by_messages else 0.0):
-                latched = True
+            if not latched and waited > grace:
                 await self.host.on_data(self.side.latch)
+                latched = not self.side.quiet or self.side.taken  # where it is not offered yet, it is asked for again
             else:
                 await self.host.sleep(TICK)
         if (self._failed() or self.side.refused) and await self._abandon(report=not self.side.refused):
@@ -326,7 +328,7 @@ class CutInTask(_CutTask):
         return bool(self.side.links) and not any(link in link.output.links for link in self.side.links)
 
     def _is_decided(self) -> bool:
-        return bool(self.side.written) or self.side.refused or self._failed()
+        return bool(self.side.written) or self.side.taken or self.side.refused or self._failed()
 
     def _failed(self) -> bool:
         """Whether, before the first write, the author's code has raised, the clock jumped back, or no state came."""
@@ -334,7 +336,7 @@ class CutInTask(_CutTask):
             return True
         failed = self._jumped_back() or any(link.output.owner.failed for link in self.side.links)
         overdue = (self.host.steady() - self._begun_at) / 1e9 > self.patience
-        return (failed or overdue) and not self.side.written
+        return (failed or overdue) and not self.side.written and not self.side.taken
 
     @property
     def over(self) -> bool:

@@ -151,7 +151,9 @@ class HandoverCommands:
             raise CommandRefused(f"{', '.join(failed)} cannot take over: its functionality has failed")
         if command.shared_slot is not None:
             latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
-            incoming = IncomingSide(links, self.host, SharedSlot(command.shared_slot), latches=latches)
+            incoming = IncomingSide(
+                links, self.host, SharedSlot(command.shared_slot), latches=latches, quiet=command.quiet
+            )
             patience = command.resume_after + OFFER
             task = CutInTask(self.host, self.changed, incoming, None, patience=patience)
             return await self._join(command, incoming, task)
@@ -162,7 +164,15 @@ class HandoverCommands:
             if swap.latch or link.output.owner.driven == "none"
         ]
         claim = self._claim(command)
-        side = IncomingCut(links, self.host, ClaimArbiter(claim), command.at, latches=latches, clock=command.clock)
+        side = IncomingCut(
+            links,
+            self.host,
+            ClaimArbiter(claim),
+            command.at,
+            latches=latches,
+            quiet=command.quiet,
+            clock=command.clock,
+        )
         state = None if command.state is None else self._import(command.state, command.peer, command.address)
 
         def arm() -> None:

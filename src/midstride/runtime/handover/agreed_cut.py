@@ -52,6 +52,7 @@ class Cut:
     """One cut between two components, for the outputs of one functionality, which share a time grid.
 
     ``lead`` is how far ahead it was agreed (s); ``state`` how state moves at the cuts of these two components.
+    ``quiet``: neither side writes, so the new one takes over without a message too.
     """
 
     configuration: Configuration
@@ -67,6 +68,7 @@ class Cut:
     at: int = 0
     lead: float = 0.0
     state: StateTransfer | None = None
+    quiet: bool = False
 
     def resume_after(self) -> float:
         """How long the old side waits for the new one's first write (s, on the clock of the cut)."""
@@ -127,6 +129,7 @@ class Cut:
             state=self.state,
             shared_slot=slot,
             resume_after=0.0 if slot is None else self.resume_after(),
+            quiet=self.quiet,
         )
 
     async def shared_slot(self, client: ComponentClient, side: str) -> SharedSlotPlace | None:
@@ -136,7 +139,9 @@ class Cut:
         if self.arbiter.by_moment or not self.configuration.component(side).has_agent:
             return None
         own = [(swap.old if old else swap.new, self.configuration.topic(swap.connector)) for swap in self.swaps]
-        ports = [SharedSlotPort(topic=topic, rate=self.configuration.rate(port)) for port, topic in own]
+        # What is quiet has no slots: it is offered at any time.
+        rates = [None if self.quiet else self.configuration.rate(port) for port, _ in own]
+        ports = [SharedSlotPort(topic=topic, rate=rate) for (_, topic), rate in zip(own, rates, strict=True)]
         return await client.change(other, ShareSlotCommand(cut=self.id, peer=side, ports=ports, old=old))
 
 

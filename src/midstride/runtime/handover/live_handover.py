@@ -22,6 +22,7 @@ from midstride.model.action import Swap
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.backend_protocol import Backend
+from midstride.runtime.cancellation import all_of
 from midstride.runtime.handover.agreed_cut import (
     Cut,
     agree_cuts,
@@ -197,16 +198,16 @@ class LiveHandover:
                 with _old_side_needed():
                     await require_same_clock(self.client, old, new)
         connectors = sorted({swap.connector for swap in self.swaps})
-        found: dict[str, dict[PortRef, int]] = {}
-        for name in connectors:
-            early = early_publishers(self.configuration, (swap.new for swap in self.swaps if swap.connector == name))
-            found[name] = await publishers_found(self.client, self.configuration, name, early)
-        for swap in self.swaps:
-            with _old_side_needed():
-                readers, ids = await self._new.readers(swap)
-            await self._new.attach_beside(swap, readers, ids)
-        for connector in connectors:
-            await require_found(self.client, self.configuration, self.swaps, connector, found[connector])
+        found = await all_of(
+            publishers_found(self.client, self.configuration, name, self._early_publishers(name)) for name in connectors
+        )
+        with _old_side_needed():
+            readers = await all_of(self._new.readers(swap) for swap in self.swaps)
+        await self._new.attach_beside(self.swaps, readers)
+        await all_of(
+            require_found(self.client, self.configuration, self.swaps, connector, before)
+            for connector, before in zip(connectors, found, strict=True)
+        )
         await self._await_turn(self.swaps, lambda: any(self.client.life.is_gone(old) for old, _ in pairs))
         begun = self.fences.now()
         for old, new in pairs:
@@ -218,17 +219,22 @@ class LiveHandover:
         for lead in [lead for lead in leads if lead >= shortest] or leads[-1:]:
             with _old_side_needed():
                 self._cuts = await agree_cuts(self.client, self.configuration, self.swaps, lead, self.states.agreed)
+                for cut in self._cuts:
+                    cut.quiet = bool(cut.swaps) and self._new.quiet.issuperset(cut.swaps)
                 if await self._announce(last_try=lead == leads[-1]):
                     break
         return await self._await_cuts()
 
     async def _await_turn(self, swaps: Iterable[Swap], old_is_silent: Callable[[], bool]) -> None:
-        """Wait for the probation of the new publishers, and then until it is their turn. Raises GivenUp."""
-        for swap in swaps:
-            await self.turn.prepare(self._new.await_probation(swap))
+        """Wait for the probations of the new publishers, and then until it is their turn. Raises GivenUp."""
+        await self.turn.prepare(self._new.await_probation(swaps))
         ready = self.fences.now()
         await self.turn.begin(old_is_silent)
         self._deadline += self.fences.now() - ready
+
+    def _early_publishers(self, connector: str) -> int:
+        new = (swap.new for swap in self.swaps if swap.connector == connector)
+        return early_publishers(self.configuration, new)
 
     async def _before_cut(self) -> None:
         for old, new in self._pairs:
@@ -247,9 +253,7 @@ class LiveHandover:
         published = [cut for cut in self._cuts if await self._publishes(cut)]
         waiting = [swap for swap in self.swaps if not any(swap in cut.swaps for cut in published)]
         await self._cancel(cut for cut in self._cuts if cut not in published)
-        for swap in waiting:
-            if not self._new.attached(swap):
-                await self._new.attach(swap)
+        await self._new.attach([swap for swap in waiting if not self._new.attached(swap)])
         await self._await_turn(waiting, lambda: True)
         if hung and not last:
             await self._before_cut()

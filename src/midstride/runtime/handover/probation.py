@@ -7,14 +7,19 @@ of programs without Midstride's API: these keep their rates themselves, and may 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Mapping
-from typing import Final
+from collections.abc import Awaitable, Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Final, Literal, TypeAlias
 
 from midstride.errors import MidstrideError, StepFailed
+from midstride.model.action import Swap
 from midstride.model.component import PortRef
+from midstride.model.configuration import Configuration
 from midstride.model.specification import handover_seconds
+from midstride.runtime.cancellation import all_of
 from midstride.runtime.process.component_client import ComponentClient
-from midstride.wire.commands import AwaitRateCommand
+from midstride.runtime.watch.simulated_time import stretch_of
+from midstride.wire.commands import AwaitRateCommand, AwaitWriteCommand, CountWritesCommand
 from midstride.wire.replies import RateVerdict
 
 # A rate is not judged over less than so many periods, nor watched after a cut over less than so long (s).
@@ -63,6 +68,120 @@ async def require_rate(
         raise StepFailed(f"{_words(port, rate, window, verdict)}, behind its gate; it was given {timeout:g} s{words}")
 
 
+# How long the new component may take to write once behind its gate (s), on top of 10 of its periods.
+PROBATION: Final = 5.0
+# From how many calls its code must have returned behind the gate, as far as they come within so many seconds of its
+# first message: what raises at once in most cases is not let in, and a slow component costs no time.
+CALLS: Final = 3
+CALLS_PATIENCE: Final = 0.5
+# An output is quiet if neither side has written anything for so long (s), and for as long as its rate is judged.
+QUIET: Final = 1.0
+
+Passed: TypeAlias = Literal["writes", "quiet"]
+
+
+@dataclass(slots=True)
+class Probation:
+    """What the new publisher of ``swap`` shows behind its gate.
+
+    ``timing`` is that of the specification; ``waits_for`` says what a component waits for, as the end of a sentence.
+    """
+
+    client: ComponentClient
+    configuration: Configuration
+    timing: Mapping[str, float]
+    swap: Swap
+    waits_for: Callable[[str], Awaitable[str]]
+    _rate: float = field(init=False)  # what the new one guarantees (Hz), or 0
+    _stretch: float = field(init=False)  # how long a second of the old one's clock takes (s)
+    _lost: str = field(default="", init=False)  # what would be lost if it took over without a message
+
+    def __post_init__(self) -> None:
+        self._rate = self.configuration.rate(self.swap.new) or 0.0
+        self._stretch = stretch_of(self.client, self.swap.old.instance)
+
+    async def run(self) -> Passed:
+        """Wait until it has passed: it writes as it should, or neither side writes at all.
+
+        Raises StepFailed with what it lacks.
+        """
+        writing, silent = asyncio.ensure_future(self._write()), asyncio.ensure_future(self._fall_silent())
+        try:
+            await asyncio.wait({writing, silent}, return_when=asyncio.FIRST_COMPLETED)
+            if not writing.done() and silent.result():
+                return "quiet"
+            await writing
+            return "writes"
+        finally:
+            for task in (writing, silent):
+                task.cancel()
+            await asyncio.gather(writing, silent, return_exceptions=True)
+
+    async def _write(self) -> None:
+        """Wait for messages behind the gate, and then for their rate. Raises StepFailed."""
+        new, rate = self.swap.new, self._rate
+        timeout = PROBATION + (10 / rate * self._stretch if rate else 0.0)
+        # Without a rate, messages drive it, or it is called once.
+        calls = min(CALLS, 1 + int(rate / self._stretch * CALLS_PATIENCE)) if rate else 1
+        await_write = AwaitWriteCommand(
+            port=new.port, topic=self._topic, calls=calls, patience=CALLS_PATIENCE, timeout=timeout
+        )
+        seen = await self.client.read(new.instance, await_write)
+        if seen.wrong_type:
+            raise StepFailed(f"{new} wrote a message of the wrong type behind its gate: {seen.wrong_type}")
+        if seen.failed:
+            raise StepFailed(f"the code that writes {new} has raised behind its gate")
+        if not seen.gated:
+            because = await self.waits_for(new.instance)
+            raise StepFailed(
+                f"{new} has written nothing within {timeout:g} s, so it cannot take over{because}{self._lost}"
+            )
+        if rate:
+            foreign = self.configuration.component(new.instance).gate is not None
+            await require_rate(self.client, new, self._topic, rate, self.timing, self._stretch, foreign)
+
+    async def _fall_silent(self) -> bool:
+        """Wait until neither side has written for long enough; False if that is not to be known, or not enough.
+
+        Of an output whose last message late subscribers get, the new side needs one where the old side has one, unless
+        the specification states that nothing is waited for.
+        """
+        window = max(QUIET, SHORTEST_PERIODS / self._rate if self._rate else 0.0) * self._stretch
+        try:
+            before = await self._written()
+            await self.client.clock.sleep(window)
+            while (written := await self._written()) != before:
+                before = written
+                await self.client.clock.sleep(window)
+        except MidstrideError:
+            return False
+        old, new = written
+        if self._is_latched and old and not new and self.timing.get("probation") != 0:
+            self._lost = (
+                f"; subscribers that join later would not get the last message of {self.swap.old} any more; "
+                "`timing { probation 0 s }` in the specification lets it in all the same"
+            )
+            return False
+        return not self.client.life.is_gone(self.swap.old.instance)
+
+    async def _written(self) -> tuple[int, int]:
+        """How many messages the old side and the new one have written."""
+        old, new = await all_of(
+            self.client.read(port.instance, CountWritesCommand(port=port.port, topic=self._topic))
+            for port in (self.swap.old, self.swap.new)
+        )
+        return old.written, new.written
+
+    @property
+    def _is_latched(self) -> bool:
+        endpoint = self.configuration.component(self.swap.new.instance).output_endpoint(self.swap.new.port)
+        return endpoint is not None and endpoint[1].is_transient_local
+
+    @property
+    def _topic(self) -> str:
+        return self.configuration.topic(self.swap.connector)
+
+
 async def watch_after(
     client: ComponentClient, outputs: Iterable[tuple[PortRef, str, float]], seconds: float, stretch: float
 ) -> None:
@@ -85,13 +204,7 @@ async def watch_after(
         if verdict.reached:
             raise StepFailed(f"{_words(port, rate, window, verdict)}, after the hand-over")
 
-    watching = [asyncio.ensure_future(watch(*output)) for output in outputs]
-    try:
-        await asyncio.gather(*watching)
-    finally:
-        for task in watching:
-            task.cancel()
-        await asyncio.gather(*watching, return_exceptions=True)
+    await all_of(watch(*output) for output in outputs)
 
 
 def _words(port: PortRef, rate: float, window: float, verdict: RateVerdict) -> str:
