@@ -235,9 +235,15 @@ def will_degrade(functionality: str) -> Assessment:
     return Assessment(functionality, "lost", f"{functionality} degrades")
 
 
-def will_be_inactive(topic: str, old: str, new: str, longest: float) -> Assessment:
-    """A lifecycle node without a gate inside is deactivated before its successor is activated."""
-    words = f"{topic} is silent from the deactivation of {old} until {new} is active, {longest:g} s at the longest"
+def will_be_inactive(topic: str, old: str, new: str, longest: float, back: float) -> Assessment:
+    """A lifecycle node without a gate inside is deactivated before its successor is activated.
+
+    The silence lasts ``longest`` seconds at most; ``back``, if the successor fails and the old one is activated again.
+    """
+    words = (
+        f"{topic} is silent from the deactivation of {old} until {new} is active, {longest:g} s at the longest; if "
+        f"that fails, until {old} is active again, {back:g} s at the longest"
+    )
     return Assessment(topic, "lost", words)
 
 

@@ -19,7 +19,6 @@ from typing import Any
 
 import pytest
 
-from midstride.foreign import gated_agent
 from midstride.foreign.record import ForeignRecord
 from midstride.lang.load import load
 from midstride.plan.forms.plan_forms import PlanPreview
@@ -291,21 +290,15 @@ def test_a_program_that_has_to_be_killed_is_named(tmp_path: Path) -> None:
         run(scenario())
 
 
-def test_nodes_of_a_lifecycle_manager_are_not_lost_and_taken_down_they_are_no_health(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(gated_agent, "endpoints_seconds", lambda _: 4.0)
-
+def test_nodes_of_a_lifecycle_manager_are_not_lost_and_taken_down_they_are_no_health(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with robot(tmp_path, MANAGED) as (manager, recorder):
             await recorder.bare.until(lambda: {"life_a", "life_b"} <= {name for _, name in recorder.heard}, 30)
             await recorder.bare.until(lambda: all(map(seen_active(tmp_path), ("life_a", "life_b"))), 20)
-            # Nothing configures the new node, whose name its manager does not know: the old one has to stay.
+            # The manager asks for states all the time, by the name of the old node, which has to stay.
             outcome, silence = await recorder.meanwhile(manager.change(PlanRequest(restart=("life_a",))))
-            assert outcome.outcome == "rolled_back" and "publishes on /said" in str(outcome.because)
-            assert said(outcome).verdict == "not_measurable" and silence < 0.5
-            headline = said(outcome).headline
-            assert "what life_a does: no ports are stated" in headline and "what life_b and manager do" in headline
+            assert outcome.outcome == "refused" and silence < 0.5
+            assert "lifecycle manager /manager may ask /life_a/get_state at any time" in str(outcome.because)
             (life,) = (each for each in (await manager.status()).instances if each.name == "life_a")
             assert life.pid is not None
             os.kill(life.pid, signal.SIGKILL)

@@ -204,9 +204,10 @@ def managed(
     text: str,
     body: Callable[[Manager, SimulatedRos], Awaitable[T]],
     behaviour: Mapping[str, Mapping[str, Any]] | None = None,
+    simulator: SimulatedRos | None = None,
 ) -> T:
     """Bring the system of ``text`` up in virtual time, and run ``body``; the events are those since."""
-    simulator = SimulatedRos(folder / "gates", behaviour)
+    simulator = simulator or SimulatedRos(folder / "gates", behaviour)
     (folder / "system").mkdir()
     path = folder / "system.stride"
     path.write_text(text, encoding="utf-8")

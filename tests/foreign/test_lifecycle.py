@@ -202,6 +202,34 @@ def test_one_whose_process_ends_in_a_transition_is_not_let_in(during: str, tmp_p
     managed(tmp_path, body, {"Other": {"hangs": {during}}})
 
 
+@pytest.mark.parametrize("request_", [REPLACE, PlanRequest(restart=("talker",))])
+def test_an_old_one_that_hangs_or_is_stopped_is_killed(request_: PlanRequest, tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        simulator.nodes["talker"].hung = True
+        outcome = await manager.change(request_)
+        assert (outcome.outcome, outcome.because) == ("done", None)
+        assert simulator.events == ["talker_2 configure", "talker killed", "talker_2 activate"]
+        assert [(each.instance, each.how) for each in outcome.fenced] == [("talker", "killed")]
+        await settled(manager, outcome, ["listener", "talker_2"], simulator)
+
+    managed(tmp_path, body)
+
+
+def test_a_failed_activation_is_undone_in_the_time_that_the_plan_says_however_slow_the_old_one_is(
+    tmp_path: Path,
+) -> None:
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        change, silent = asyncio.ensure_future(manager.change(REPLACE)), 0.0
+        while not change.done():
+            await asyncio.sleep(0.01)
+            silent += 0.0 if {"talker", "talker_2"} & {*simulator.active()} else 0.01
+        assert (await change).outcome == "rolled_back" and 9.5 < silent < 18.0
+        await settled(manager, await change, ["listener", "talker"], simulator)
+
+    slow = {"slow": {"deactivate": 4.5, "activate": 4.5}}
+    managed(tmp_path, body, {"Other": {"hangs": {"activate"}}, "Talker": {**slow}})
+
+
 def test_an_old_one_that_cannot_be_deactivated_goes_on(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: SimulatedRos) -> None:
         outcome = await manager.change(REPLACE)

@@ -58,19 +58,26 @@ def said(found: Assessments | None) -> Assessments:
 
 @pytest.mark.parametrize(
     ("behaviour", "outcome"),
-    [({}, "done"), ({"refuses": {"activate"}}, "rolled_back"), ({"hangs": {"activate"}}, "rolled_back")],
+    [
+        ({}, "done"),
+        ({"refuses": {"activate"}}, "rolled_back"),
+        ({"hangs": {"activate"}}, "rolled_back"),
+        ({"slow": {"activate": 8.0}}, "rolled_back"),
+    ],
 )
 def test_a_lifecycle_node_is_silent_for_as_long_as_the_report_says(
     tmp_path: Path, behaviour: dict[str, Any], outcome: str
 ) -> None:
     async def body(manager: Manager, simulator: SimulatedRos) -> None:
         plan = PlanPreview.of(await manager.plan(REPLACE)).continuity
-        assert plan and plan.verdict == "lost" and "10 s at the longest" in plan.found[0].words
+        assert plan and plan.verdict == "lost" and "talker_2 is active, 10 s at the longest" in plan.found[0].words
+        assert plan.found[0].words.endswith("if that fails, until talker is active again, 18 s at the longest")
         recorder = OutsideRecorder(simulator)
         report = await manager.change(REPLACE)
         heard = recorder.stop()
         found = said(report.continuity)
         assert (report.outcome, found.verdict) == (outcome, "lost")
+        assert heard < (10.0 if outcome == "done" else 18.0)
         (silence,) = (each for each in found.found if each.subject == "/chat" and each.verdict == "lost")
         # While the old node is being deactivated, which takes 20 ms here, it may write or not.
         assert silence.seconds is not None and heard > 0.02 and heard <= silence.seconds < heard + 0.03

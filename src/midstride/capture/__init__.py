@@ -2,5 +2,5 @@
 
 PUBLIC = (
     "Count Dependences MOST_ROUNDS ObservedEndpoint ObservedGraph ProbedGates ProbedPort ROUNDS draft duration insert "
-    "nodes_without_ports probe probed_inputs"
+    "nodes_without_ports note_managers probe probed_inputs words_on"
 )

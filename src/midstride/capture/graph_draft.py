@@ -7,11 +7,19 @@ import re
 from midstride.capture.observed import ObservedGraph
 from midstride.capture.probe import Dependences
 from midstride.capture.proposal import component_text, free_name, node_block, ports_of, topic_lines
+from midstride.capture.taken_over import gate_of_lifecycle
 from midstride.lang.printer import format_text
 from midstride.lang.token_stream import RESERVED
+from midstride.model.lifecycle_management import Management
 
 
-def draft(name: str, graph: ObservedGraph, rates: bool = False, findings: Dependences | None = None) -> str:
+def draft(
+    name: str,
+    graph: ObservedGraph,
+    rates: bool = False,
+    findings: Dependences | None = None,
+    management: Management | None = None,
+) -> str:
     """The text of the system ``name``, with every node of the graph."""
     ports = {node: ports_of(graph, node, {}, findings) for node in graph.nodes()}
     found_ports = [port for each in ports.values() for port in each]
@@ -32,6 +40,11 @@ def draft(name: str, graph: ObservedGraph, rates: bool = False, findings: Depend
         words = (word[0].upper() + word[1:] for word in re.split(r"[^A-Za-z0-9]+", node) if word)
         component = free_name("".join(words), components)  # of `/a/b` and `/a_b`, too
         components.add(component)
+        gate = gate_of_lifecycle(graph, node, management)
+        if gate is not None:
+            lines.append(f"# A lifecycle node: `gate {gate}`, so that Midstride manages its lifecycle.")
+        elif managers := graph.managers_of(node):
+            lines.append(f"# A lifecycle node that {', '.join(managers)} manages: `gate preload`.")
         lines += [f"component {component} {{", *component_text(found, heard, rates, own_topics=False), "}", ""]
         namespace, _, own = node.rpartition("/")
         name = own if own not in RESERVED else free_name(own, {*RESERVED, *owns}, "_")

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import TypeGuard
 
 from midstride.capture.observed import ObservedGraph
 from midstride.capture.probe import Dependences
@@ -20,29 +21,52 @@ from midstride.capture.proposal import (
     ports_of,
     topic_lines,
 )
+from midstride.capture.taken_over import gate_of_lifecycle, require_all, words_on
 from midstride.errors import SpecificationError
 from midstride.lang.diagnostic_text import Reporter
 from midstride.lang.parser import parse
 from midstride.lang.printer import format_text
 from midstride.lang.source import Source
 from midstride.lang.source_files import resolve_name
-from midstride.lang.syntax import ComponentDeclaration, File, Item, NamespaceBlock, NodeDeclaration, TopicDeclaration
+from midstride.lang.syntax import (
+    ComponentDeclaration,
+    File,
+    Item,
+    NamespaceBlock,
+    NodeDeclaration,
+    OrderStatement,
+    TopicDeclaration,
+)
+from midstride.model.lifecycle_management import Management
 
 
 @dataclass(slots=True)
 class Insertion:
-    """The new text, the nodes that got ports, and, by full name, why others of the graph or the file did not."""
+    """The new text, the nodes that got ports, and, by full name, why others of the graph or the file did not.
+
+    ``lifecycle``: what manages the lifecycle nodes from now on, in sentences.
+    """
 
     text: str
     added: list[str] = field(default_factory=list)
     left: dict[str, str] = field(default_factory=dict)
+    lifecycle: list[str] = field(default_factory=list)
 
 
 def insert(
-    text: str, name: str, graph: ObservedGraph, rates: bool = False, findings: Dependences | None = None
+    text: str,
+    name: str,
+    graph: ObservedGraph,
+    rates: bool = False,
+    findings: Dependences | None = None,
+    management: Management | None = None,
 ) -> Insertion:
-    """``text``, the file ``name``, with the ports of its nodes. Raises SpecificationError if it cannot be parsed."""
-    return _Inserter(text, name, graph, rates, findings).insertion()
+    """``text``, the file ``name``, with the ports of its nodes, and what manages the lifecycle of those that have one.
+
+    Raises SpecificationError if it cannot be parsed, or if Midstride is to manage lifecycle nodes that it does not
+    have.
+    """
+    return _Inserter(text, name, graph, rates, findings, management).insertion()
 
 
 def nodes_without_ports(text: str, name: str) -> list[str]:
@@ -53,19 +77,31 @@ def nodes_without_ports(text: str, name: str) -> list[str]:
 
 class _Inserter:
     def __init__(
-        self, text: str, name: str, graph: ObservedGraph, rates: bool, findings: Dependences | None = None
+        self,
+        text: str,
+        name: str,
+        graph: ObservedGraph,
+        rates: bool,
+        findings: Dependences | None = None,
+        management: Management | None = None,
     ) -> None:
         reporter = Reporter()
         self.file: File = parse(Source(name, text, Path(name)), reporter)
         if reporter.has_errors:
             raise SpecificationError([str(each) for each in reporter.found])
         self.name, self.graph, self.rates, self.findings = name, graph, rates, findings
+        self.management = management
         self.components = {
             item.name.text: item
             for item, _ in self._items(self.file.items, "")
             if isinstance(item, ComponentDeclaration)
         }
         self.used = set(self.components)
+        self.names = {
+            id(item): "/" + resolve_name(inside, item.name.text)
+            for item, inside in self._items(self.file.items, "")
+            if isinstance(item, NodeDeclaration)
+        }
         self.edits: list[tuple[int, int, str]] = []
 
     def _items(self, items: tuple[Item, ...], namespace: str) -> Iterator[tuple[Item, str]]:
@@ -99,17 +135,20 @@ class _Inserter:
             result.added.append(full)
         topics = sorted({port.endpoint.topic for each in ports.values() for port in each} - self._declared_topics())
         self._declare(topic_lines(self.graph, topics, stated if self.rates else ()))
+        self._manage_lifecycle(result)
         result.text = self._text()
         return result
 
     def open_nodes(self, result: Insertion) -> list[tuple[NodeDeclaration, str, ComponentDeclaration]]:
         """The nodes whose components state no ports, with their full names; the others are noted in ``result``."""
         found = []
-        for item, namespace in self._items(self.file.items, ""):
+        for item, _ in self._items(self.file.items, ""):
             if isinstance(item, NodeDeclaration):
-                full = "/" + resolve_name(namespace, item.name.text)
+                full = self.names[id(item)]
                 component = self.components.get(item.component.text if item.component else "")
-                if component is None:
+                if self.management == "midstride" and self.graph.managers.get(full):
+                    result.left[full] = "Midstride manages what it managed"
+                elif component is None:
                     result.left[full] = "its component is not in this file"
                 elif component.inputs or component.outputs or component.functionalities or component.like:
                     result.left[full] = "its component states its ports"
@@ -145,6 +184,8 @@ class _Inserter:
         variants: dict[tuple[str, ...], list[tuple[NodeDeclaration, list[ProposedPort]]]] = {}
         for node, ports in nodes:
             declared = tuple(replace(each, lazy=False).declaration() + each.contract for each in ports)
+            if self._takes_over(self.names[id(node)]):
+                declared = (*declared, "gate lifecycle")
             variants.setdefault(declared, []).append((node, ports))
         close = self._end_of_block(component.name.span.start)
         if close is None:
@@ -159,7 +200,7 @@ class _Inserter:
                 replace(port, rate=same.rate) for _, own in members for port, same in zip(own, ports, strict=True)
             ]
             lines = component_text(ports, heard - unheard, self.rates)
-            commands = self._commands(component, ports)
+            commands = self._commands(component, ports, self._takes_over(self.names[id(members[0][0])]))
             if number == 0:
                 self.edits += [(start + first, start + last, new) for first, last, new in commands]
                 self._insert_before(close, lines)
@@ -173,8 +214,10 @@ class _Inserter:
                     self.edits.append((node.component.span.start, node.component.span.end, name))
         return stated
 
-    def _commands(self, component: ComponentDeclaration, ports: list[ProposedPort]) -> list[tuple[int, int, str]]:
-        """The changes of the component's command, as offsets after its name."""
+    def _commands(
+        self, component: ComponentDeclaration, ports: list[ProposedPort], lifecycle: bool
+    ) -> list[tuple[int, int, str]]:
+        """The changes of the component's command, and of its gate if it is a ``lifecycle`` node, after its name."""
         own, start = {port.own_topic for port in ports}, component.name.span.end
         found = []
         for run in component.runs:
@@ -182,7 +225,65 @@ class _Inserter:
             if command != run.command.text:
                 escaped = command.replace("\\", "\\\\").replace('"', '\\"')
                 found.append((run.command.span.start - start, run.command.span.end - start, f'"{escaped}"'))
+        if lifecycle:
+            found += [(first - start, last - start, new) for first, last, new in self._gates(component)]
         return found
+
+    # -- lifecycle nodes ----------------------------------------------------------------------------------------
+
+    def _takes_over(self, node: str) -> bool:
+        """Whether Midstride manages the lifecycle of a node (a full name) from now on."""
+        return gate_of_lifecycle(self.graph, node, self.management) is not None
+
+    def _gates(self, component: ComponentDeclaration) -> list[tuple[int, int, str]]:
+        """The changes of the component's gate that have Midstride manage its lifecycle, as offsets."""
+        new = {"preload": "lifecycle preload", "none": "lifecycle"}
+        return [
+            (run.gate.span.start, run.gate.span.end, new[run.gate.text])
+            for run in component.runs
+            if run.gate is not None and run.gate.text in new
+        ]
+
+    def _manage_lifecycle(self, result: Insertion) -> None:
+        """Say what manages the lifecycle nodes; where Midstride is to, change their gates, and leave the manager out.
+
+        Raises SpecificationError if Midstride is to manage nodes that this file does not have.
+        """
+        nodes = [(item, inside) for item, inside in self._items(self.file.items, "") if self._is_node(item)]
+        here = {self.names[id(item)]: item for item, _ in nodes}
+        result.lifecycle = words_on(self.graph, self.management, here)
+        if self.management != "midstride":
+            return
+        require_all(self.graph, here, self.name)
+        stated = {
+            component.name.text: component
+            for full, item in here.items()
+            if full not in result.added and self._takes_over(full)
+            if (component := self.components.get(item.component.text if item.component else "")) is not None
+        }
+        for component in stated.values():
+            self.edits += self._gates(component)
+        managers = {full for full in here if self.graph.managers.get(full)}
+        for item, inside in self._items(self.file.items, ""):
+            if isinstance(item, OrderStatement):
+                if managers & {"/" + resolve_name(inside, each.text) for each in (item.first, item.then)}:
+                    self.edits.append((item.span.start, item.then.span.end, ""))
+            elif isinstance(item, NodeDeclaration) and (full := self.names[id(item)]) in managers:
+                start, end = self._statement_of(item)
+                self.edits = [each for each in self.edits if not start <= each[0] < end]
+                self.edits.append((start, end, f"# {full} is left out: Midstride manages the lifecycle of its nodes"))
+
+    @staticmethod
+    def _is_node(item: Item) -> TypeGuard[NodeDeclaration]:
+        return isinstance(item, NodeDeclaration)
+
+    def _statement_of(self, node: NodeDeclaration) -> tuple[int, int]:
+        """Where the declaration of a node begins and ends, as offsets."""
+        tokens = self.file.tokens
+        start = tokens.starts[bisect_left(tokens.starts, node.name.span.start) - 1]  # the word `node`
+        close = self._end_of_block(node.name.span.start)
+        end = node.component.span.end if node.component is not None else node.name.span.end
+        return start, end if close is None else close + 1
 
     def _attach(self, node: NodeDeclaration, ports: list[ProposedPort]) -> None:
         if not ports or node.component is None:

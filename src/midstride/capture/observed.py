@@ -35,12 +35,15 @@ class ObservedGraph:
     """What has been seen so far. ``seconds``: for how long; ``unreadable``: the types that could not be imported.
 
     ``lazy``: the nodes and topics of publishers that have gone when nothing subscribed to them any more.
+    ``lifecycle``: the lifecycle nodes, and ``managers``: by node that changes the lifecycle state of others, these.
     """
 
     seconds: float = 0.0
     endpoints: dict[tuple[str, str, bool], ObservedEndpoint] = field(default_factory=dict)
     unreadable: set[str] = field(default_factory=set)
     lazy: set[tuple[str, str]] = field(default_factory=set)
+    lifecycle: set[str] = field(default_factory=set)
+    managers: dict[str, set[str]] = field(default_factory=dict)
     _times: dict[tuple[str, str], list[float]] = field(default_factory=dict)
 
     def saw(self, endpoints: Iterable[ObservedEndpoint]) -> None:
@@ -54,6 +57,10 @@ class ObservedGraph:
         times = self._times.setdefault((topic, publisher or ""), [])
         if len(times) < MAX_TIMES:
             times.append(time)
+
+    def managers_of(self, node: str) -> list[str]:
+        """The nodes that change the lifecycle state of ``node``."""
+        return sorted(name for name, nodes in self.managers.items() if node in nodes)
 
     def publishers(self, topic: str) -> list[ObservedEndpoint]:
         return [each for each in self.endpoints.values() if each.output and each.topic == topic]

@@ -20,9 +20,10 @@ from midstride.foreign.gated_outputs import GatedOutputs
 from midstride.foreign.gated_reflex import broken_assumptions
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import DeclaredEndpoints, GraphEndpoint, NodeGraph, Served, endpoints_seconds
+from midstride.foreign.lifecycle_managers import LifecycleManagers
 from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.lifecycle_outputs import LifecycleOutputs, LifecyclePeers
-from midstride.foreign.lifecycle_transitions import ACTIVE
+from midstride.foreign.lifecycle_transitions import ACTIVE, INACTIVE, STATE_TIMEOUT, NodeLifecycle
 from midstride.foreign.node import WATCH, ForeignNode, without_ports
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.replaced_node import lacks
@@ -64,8 +65,13 @@ class ForeignAgent:
         others: ReportedStates | None = None,
         served: Callable[[], Served] | None = None,
         before: Sequence[GraphEndpoint] = (),
+        predecessor: NodeServices | None = None,
+        managers: LifecycleManagers | None = None,
     ) -> None:
-        """``served``: what the node serves; ``before``: the endpoints of the one that it replaces."""
+        """``served``: what the node serves; ``managers``: what is known of lifecycle managers.
+
+        Of the one that it replaces, ``before`` has the endpoints, and ``predecessor`` what it can be asked.
+        """
         self.node = ForeignNode(record, folder, gates, others or ReportedStates())
         outputs = UngatedOutputs(self.node) if gates is None else GatedOutputs(self.node, gates)
         self._services = services
@@ -80,6 +86,8 @@ class ForeignAgent:
         self._graph = graph
         self._served = served
         self._before = before
+        self._predecessor = predecessor
+        self._managers = managers
         self._declared = DeclaredEndpoints(self.node.component, record.topics, record.node)
         self._failed: str | None = None  # why it has not been configured, or is not what is declared
         self._replies: dict[str, asyncio.Task[Reply]] = {}
@@ -124,8 +132,9 @@ class ForeignAgent:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
         await self._server.close(0.0)
-        if self._services is not None:
-            self._services.close()
+        for services in (self._services, self._predecessor):
+            if services is not None:
+                services.close()
 
     async def _register(self) -> None:
         missing: list[str] = []
@@ -137,6 +146,10 @@ class ForeignAgent:
                 self._failed = str(error)
         if self._parameters is not None and self.lifecycle is not None:
             await self._parameters.read()
+        try:
+            await self._follow()
+        except CommandRefused as error:
+            self._failed = str(error)
         if self.node.gates is not None and self._failed is None:
             missing = await self._missing(self.node.gates)
             missing = await self._compare(missing, asyncio.get_running_loop().time() - begun)
@@ -225,26 +238,87 @@ class ForeignAgent:
     async def _watch_graph(self) -> None:
         """Look now and then whether the node still has what is declared: it may create endpoints at any time."""
         await self._registered.wait()
-        while self._graph is not None:
+        while self._graph is not None or self._served is not None:
+            await self._look_at_graph()
             await asyncio.sleep(GRAPH_LOOK)
-            served = Served() if self._served is None else self._served()
-            left = await self._left_active(served)
-            found = self._graph()
-            seen = (
-                [*self._declared.differences(found), *left],
-                [
-                    f"{'publishes on' if each.output else 'subscribes to'} {each}"
-                    for each in self._declared.undeclared(found)
-                ],
-                [*served.names],
-            )
-            if seen != (self.node.differences, self.node.undeclared, self.node.serves):
-                self.node.differences, self.node.undeclared, self.node.serves = seen
+
+    async def _look_at_graph(self) -> None:
+        served = Served() if self._served is None else self._served()
+        await self._look_at_managers(served)
+        left = await self._left_active(served)
+        found = [] if self._graph is None else self._graph()
+        names = [*served.names]
+        if served.managers:
+            names.append(f"its lifecycle services, which {' and '.join(each.name for each in served.managers)} calls")
+        seen = (
+            [*self._declared.differences(found), *left, *self._managed_twice(served)],
+            [
+                f"{'publishes on' if each.output else 'subscribes to'} {each}"
+                for each in self._declared.undeclared(found)
+            ],
+            names,
+        )
+        if seen != (self.node.differences, self.node.undeclared, self.node.serves):
+            self.node.differences, self.node.undeclared, self.node.serves = seen
+            self._report()
+
+    async def _look_at_managers(self, served: Served) -> None:
+        """Note why the node must not end: at first by what the graph shows, which a manager's parameters may refute."""
+        if (managers := self._managers) is None:
+            return
+
+        def note() -> None:
+            found = managers.reasons_to_stay(self.node.record.node, served.managers)
+            if found != self.node.managed:
+                self.node.managed = found
                 self._report()
 
+        note()
+        await managers.ask(served.managers)
+        note()
+
+    def _managed_twice(self, served: Served) -> list[str]:
+        if not self.node.component.has_lifecycle:
+            return []
+        gate, node = self.node.component.gate, self.node.record.node
+        return [
+            f"lifecycle manager {each.name} changes the state of {node}, and so does Midstride (`gate {gate}`): "
+            "only one of them may, so end the manager, or declare `gate preload`"
+            for each in served.managers
+        ]
+
+    async def _follow(self) -> None:
+        """Take a node that another program manages to the state of the one that it replaces, behind its gate.
+
+        Nothing else would: a lifecycle manager knows the old one, by its name. Raises CommandRefused.
+        """
+        component, record = self.node.component, self.node.record
+        if component.has_lifecycle or record.welcomed or self._predecessor is None or self._served is None:
+            return
+        try:
+            state = await self._predecessor.lifecycle_state(STATE_TIMEOUT)
+        except NoAnswer:
+            return
+        if state not in (INACTIVE, ACTIVE) or self._services is None:
+            return
+        served, gates = self._served, self.node.gates
+
+        def ready() -> bool:
+            """Whether it is a lifecycle node, or a plain one that has made its endpoints."""
+            return served().has_lifecycle or (gates is not None and bool(component.ports()) and not gates.missing())
+
+        await self.node.comes_true(ready, endpoints_seconds(component), every=WATCH)
+        if served().has_lifecycle:
+            startup, activate = component.startup_seconds or 0.0, component.activate_seconds
+            own = NodeLifecycle(record.instance, self._services, startup, activate)
+            await own.reach(state, own.services_timeout)
+
     async def _left_active(self, served: Served) -> list[str]:
-        """In which state a lifecycle node is that another program manages, if it or its predecessor was active."""
-        if not served.has_lifecycle or self.node.component.has_lifecycle or self._services is None:
+        """In which state a lifecycle node is that has no modes to show it, if it or its predecessor was active."""
+        component = self.node.component
+        if not served.has_lifecycle or self._services is None:
+            return []
+        if component.has_lifecycle and component.functionalities:
             return []
         try:
             state = await self._services.lifecycle_state(LOOK)
@@ -339,6 +413,8 @@ class ForeignAgent:
                 self._changed(welcomed=True)
                 result: WireValue = self.node.state()
             else:
+                if isinstance(command, commands.ObserveCommand) and self.node.managed:
+                    await self._look_at_graph()  # the manager may have ended
                 result = await self._commands.carry_out(command)
                 if command.kind == "changing":
                     self._changed()

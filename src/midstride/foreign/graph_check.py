@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
+from midstride.foreign.lifecycle_managers import LifecycleManager
 from midstride.model.component import ComponentSpec
 from midstride.model.contract import NOTHING, Predicate, QoS, canonical_type
 from midstride.model.graph_names import is_infrastructure, resolved
@@ -35,10 +36,14 @@ class GraphEndpoint:
 
 @dataclass(frozen=True, slots=True)
 class Served:
-    """The services and ROS actions of a node, in words, without those of every node; whether it has a lifecycle."""
+    """The services and ROS actions of a node, in words, without those of every node; whether it has a lifecycle.
+
+    ``managers``: the other nodes that change its lifecycle state.
+    """
 
     names: tuple[str, ...] = ()
     has_lifecycle: bool = False
+    managers: tuple[LifecycleManager, ...] = ()
 
 
 #: What the graph shows of one node now.

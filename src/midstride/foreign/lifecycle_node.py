@@ -1,7 +1,8 @@
 """A lifecycle node as its agent knows it: which state its modes and attachments require, and that it has this state.
 
 It is active while a functionality of it is not in its last mode. Where nothing else holds it back (`gate lifecycle`),
-also only while all outputs that the specification attaches are open.
+also only while all outputs that the specification attaches are open. One that states no functionality, as before
+`midstride capture`, is active from its start to its end.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class LifecycleNode:
 
     async def configure(self) -> None:
         """After the start of its process. Raises CommandRefused."""
-        await self.lifecycle.reach(INACTIVE, self.lifecycle.services_timeout)
+        await self.lifecycle.reach(self.required(self.node.record.modes, {}), self.lifecycle.services_timeout)
 
     async def finish(self) -> None:
         """Before its process ends: to `finalized`. Raises CommandRefused."""
@@ -54,6 +55,7 @@ class LifecycleNode:
     def required(self, modes: Mapping[str, str], links: Mapping[str, GateState | None]) -> str:
         """The state for these modes (by functionality) and attachments (by port)."""
         works = any(modes[each.name] != each.modes[-1].name for each in self.node.component)
+        works = works or not self.node.component.functionalities
         if self.node.gates is None:
             works = works and all(links.get(port) == "open" for port in self.node.record.outputs)
         return ACTIVE if works else INACTIVE
@@ -104,7 +106,7 @@ class LifecycleNode:
             state = await self.lifecycle.look()
         except NoAnswer:
             return False
-        if not self.left() or record != self.node.record:
+        if not self.left() or record != self.node.record or not self.node.component.functionalities:
             return False
         self._inactive_since = self._inactive_since or asyncio.get_running_loop().time()
         last = {each.name: each.modes[-1].name for each in self.node.component}

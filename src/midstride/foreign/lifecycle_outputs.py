@@ -107,14 +107,19 @@ class LifecycleOutputs(UngatedOutputs):
     async def cancel_cut(self, command: commands.CancelCutCommand) -> replies.Done:
         """Either side: the new one becomes inactive again, and the old one active.
 
-        The old one does so even if the new one does not answer: what has failed is ended next.
+        The old one does so even if the new one does not answer: what has failed is ended next. One that has not
+        answered when it was last asked is not asked again, as its topics are silent until the old one is active.
         """
         peer, ports = self._cuts.pop(command.cut, (None, []))
         exchange = self._peers.exchanges.get(command.cut)
         if exchange is not None and peer is not None:
             exchange.cancel()
             await asyncio.wait({exchange})
-            await self._own.set_links(dict.fromkeys(ports, "closed"))
+            closing = self._own if self._own.lifecycle.responsive else None
+            if closing is None:
+                self._node.set_links(dict.fromkeys(ports, "closed"))
+            else:
+                await closing.set_links(dict.fromkeys(ports, "closed"))
         elif ports:
             self._peers.exchanges.pop(command.cut, None)
             await self._own.set_links(dict.fromkeys(ports, "open"))

@@ -54,6 +54,7 @@ class ForeignNode:
         self.differences: list[str] = []  # in which way the graph shows another node than the declared one
         self.undeclared: list[str] = []  # its topics that are no ports
         self.serves: list[str] = []  # its services and ROS actions that others may rely on
+        self.managed: list[str] = []  # why it must not end, as a lifecycle manager would take all of its nodes down
         # Of a lifecycle node without a gate inside: for how long its outputs have been silent in all (s).
         self.inactive: Callable[[], float] | None = None
         self._unanswered: float | None = None  # since when it has not answered (monotonic s)
@@ -160,6 +161,7 @@ class ForeignNode:
             differences=self.differences,
             undeclared=self.undeclared,
             serves=self.serves,
+            managed=self.managed,
             unanswered=None if self._unanswered is None else time.monotonic() - self._unanswered,
             node=record.node,
             imported=1,

@@ -286,8 +286,10 @@ MODEL: Final = (
         parameter; with `gate lifecycle`, it has several functionalities; with `gate relay`, an output for which no mode
         states a type; its node attaches a port to several topics; or a component without a `gate` has a name for the
         topic of a port (`as`), a mode with parameters, a `lazy` output, or states how it is ended (`stop`); or one that
-        is no lifecycle node states how long it may take to `activate`. A parameter of a mode is declared in the
-        component, with a value of the same type, and belongs to the modes of one functionality.""",
+        cannot be a lifecycle node states how long it may take to `activate`; or a lifecycle manager of the system, such
+        as Nav2's, has a node in its `node_names` that has `gate lifecycle`, so that two would manage it. A
+        parameter of a mode is declared in the component, with a value of the same type, and belongs to the modes of one
+        functionality.""",
         "correct the statement that the message names",
         STARTED.replace("output out", "output out as chat") + NODE,
         STARTED.replace('talker"', 'talker" gate preload').replace("mode silent", "mode quiet { }\n    mode silent")
@@ -309,7 +311,7 @@ MODEL: Final = (
         + NODE,
         STARTED.replace('talker"\n', 'talker" gate none\n  parameters { changeable volume = 1 }\n') + NODE,
         STARTED.replace('talker"', 'talker" stop sigterm 10 s sigkill 5 s') + NODE,
-        STARTED.replace('talker"', 'talker" activate 10 s gate preload') + NODE,
+        STARTED.replace('talker"', 'talker" activate 10 s gate relay') + NODE,
         STARTED.replace("output out", "output out lazy") + NODE,
         _json(
             '{"system": "s", "components": {"T": {"run": "t", "gate": "none", "lazy": ["out"],\n'
@@ -323,6 +325,10 @@ MODEL: Final = (
             '{"system": "s", "components": {"T": {"gate": "none", "topics": {"in": "chat"},\n'
             '  "functionalities": {"talk": {"modes": {"normal": {}, "silent": {}}}}}}}\n'
         ),
+        'system s\ncomponent Planner { run "planner" gate lifecycle preload }\n'
+        'component Manager {\n  run "lifecycle_manager" gate preload\n'
+        '  parameters {\n    autostart = true\n    node_names = ["planner"]\n  }\n}\n'
+        "node planner : Planner\nnode manager : Manager\n",
     ),
     _entry(
         "E028: part of a program that ends",

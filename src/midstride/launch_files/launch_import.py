@@ -17,6 +17,7 @@ from midstride.launch_files.interpreter import Interpreter
 from midstride.launch_files.launched_parameters import ParameterReader
 from midstride.launch_files.packages import Packages
 from midstride.launch_files.writer import SpecificationDraft, parameter_file_beside, system_name
+from midstride.model.lifecycle_management import Management
 
 __all__ = ["Imported", "import_launch_file", "parameter_file_beside"]
 
@@ -43,11 +44,13 @@ def import_launch_file(
     target: Path | None,
     run_python: bool = False,
     run_commands: bool = False,
+    management: Management = "manager",
 ) -> Imported:
     """The specification, which is to be written to ``target``. Raises SpecificationError if ``path`` is no launch file.
 
     ``target``: None if it is not written to a file; then nothing is written beside it either. With ``run_python``,
     launch files in Python are carried out, which are programs; with ``run_commands``, substitutions that run programs.
+    ``management``: what manages the nodes of a lifecycle manager.
     """
     absolute = os.path.abspath(path)
     packages = Packages(environment, [os.path.abspath(each) for each in include_folders()])
@@ -65,6 +68,6 @@ def import_launch_file(
     folder = Path() if target is None else target.parent
     bounds = Bounds.of(folder.absolute() / "system.stride")
     reader = ParameterReader(files, findings, bounds.contain)
-    draft = SpecificationDraft(system_name(absolute), interpreter.system, reader, findings, target)
+    draft = SpecificationDraft(system_name(absolute), interpreter.system, reader, findings, target, management)
     text = draft.text(path.name)
     return Imported(text, len(interpreter.system.nodes), interpreter.system.files, findings, draft.parameter_file)

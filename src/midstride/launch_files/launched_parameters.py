@@ -26,11 +26,12 @@ _RULE: Final = re.compile(r"(?:(?P<node>[A-Za-z_/~*][\w/~*]*):)?(?P<name>[A-Za-z
 @dataclass(slots=True)
 class LaunchedParameters:
     """What a node has: the ``files`` that are named, by their paths, values that they do not have, and values that
-    replace theirs."""
+    replace theirs. ``effective``: all of its values."""
 
     files: list[str] = field(default_factory=list)
     values: dict[str, ParameterValue] = field(default_factory=dict)
     replaced: dict[str, ParameterValue] = field(default_factory=dict)
+    effective: dict[str, ParameterValue] = field(default_factory=dict)
 
 
 def written_file(section: str, values: Mapping[str, Any]) -> str:
@@ -78,6 +79,7 @@ class ParameterReader:
             list(dict.fromkeys(path for path, _ in named)),
             {name: value for name, value in effective.items() if name not in of_files},
             {name: value for name, value in effective.items() if name in of_files and not _same(value, of_files[name])},
+            effective,
         )
 
     def note_other_sections(self, nodes: Sequence[LaunchedNode]) -> None:

@@ -17,10 +17,12 @@ from midstride.lang.source_files import include_folders
 from midstride.lang.token_stream import RESERVED
 from midstride.launch_files.ending_programs import ends
 from midstride.launch_files.findings import ImportFindings
+from midstride.launch_files.launched_managers import with_one_manager
 from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedSystem
 from midstride.launch_files.launched_parameters import LaunchedParameters, ParameterReader, written_file
 from midstride.model.component import ParameterValue
 from midstride.model.component_rules import MAX_NUMBER
+from midstride.model.lifecycle_management import Management
 
 MAX_STRING: Final = 8000
 # Longer text is not read in a specification, such as a robot's description.
@@ -44,8 +46,10 @@ class SpecificationDraft:
         reader: ParameterReader,
         findings: ImportFindings,
         target: Path | None,
+        management: Management = "manager",
     ) -> None:
         self._name = name
+        self._management = management
         self._launched = launched
         self._reader = reader
         self._findings = findings
@@ -59,6 +63,8 @@ class SpecificationDraft:
         """The specification. Paths in it are relative to its folder."""
         nodes = list(_with_own_names(self._launched.nodes, self._findings))
         parameters = {node.role: self._reader.parameters(node) for node in nodes}
+        lifecycle = with_one_manager(nodes, parameters, self._management, self._findings)
+        nodes = lifecycle.nodes
         self._reader.note_other_sections(nodes)
         bodies = {node.role: self._body(node, parameters[node.role]) for node in nodes}
         names = _component_names(nodes, bodies)
@@ -80,6 +86,7 @@ class SpecificationDraft:
                     lines.append(f"node {node.name} : {names[node.role]}{block}")
             lines.append("}\n" if namespace else "")
         lines += self._order(nodes)
+        lines += [f"order {_path(one)} before {_path(other)}" for one, other in lifecycle.orders]
         if self._beside:
             self.parameter_file = "".join(
                 written_file(f"/{role}", values) for role, values in sorted(self._beside.items())

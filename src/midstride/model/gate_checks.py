@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 from midstride.model.component import ComponentSpec, value_fits, value_kind
 from midstride.model.diagnostics import Problem, SubjectPath
-from midstride.model.specification import Node
+from midstride.model.lifecycle_management import managed_nodes
+from midstride.model.specification import Node, Specification
 
 _CODE = "E027"
 
@@ -81,7 +82,7 @@ def _of_a_program(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
         message = f"{name} states how its process is ended, but has no gate: it uses Midstride's API, and ends in order"
         help = "omit `stop`; `on_stop(…, timeout=…)` in its code says how long that may take"
         yield Problem(_CODE, (*path, "stop_seconds"), message, help)
-    if component.activate_seconds is not None and not component.has_lifecycle:
+    if component.activate_seconds is not None and component.has_agent:
         message = f"{name} states how long it may take to activate, but it is no lifecycle node"
         help = 'omit it, or state the gate: `run "…" gate lifecycle`'
         yield Problem(_CODE, (*path, "activate_seconds"), message, help)
@@ -126,6 +127,22 @@ def _mode_parameters(component: ComponentSpec, path: SubjectPath) -> Iterator[Pr
                 elif owner != functionality.name:
                     help = "a parameter belongs to the modes of one functionality"
                     yield Problem(_CODE, where, f"{what}, which the modes of {owner} set as well", help)
+
+
+def managed_twice(specification: Specification) -> Iterator[Problem]:
+    """Yield the lifecycle nodes that Midstride manages, and a lifecycle manager of the same system as well."""
+    for role, node in sorted(specification.nodes.items()):
+        component = specification.components.get(node.component)
+        if component is None:
+            continue
+        values = {name: each.value for name, each in component.parameters.items()} | dict(node.parameters)
+        for name in managed_nodes(f"/{role}", values):
+            managed = specification.nodes.get(name.strip("/"))
+            own = None if managed is None else specification.components.get(managed.component)
+            if own is not None and own.has_lifecycle:
+                message = f"{name} has `gate {own.gate}`, and {role} manages its lifecycle as well (`node_names`)"
+                help = f"omit {role}, or declare {own.name} with `gate preload`: only one of them may manage it"
+                yield Problem(_CODE, ("nodes", name.strip("/"), "component"), message, help)
 
 
 def gated_node_problems(component: ComponentSpec, node: Node, path: SubjectPath) -> Iterator[Problem]:

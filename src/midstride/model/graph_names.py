@@ -6,13 +6,15 @@ from typing import Final
 
 _EVERYWHERE: Final = frozenset({"/rosout", "/parameter_events"})
 _OF_LIFECYCLE: Final = "/transition_event"
+# What lifecycle managers and their nodes say on it is that each other runs (Nav2, bond).
+_BOND: Final = "/bond"
 
 
 def is_infrastructure(topic: str, *, output: bool) -> bool:
     """Whether a publisher (``output``) or a subscription of ``topic`` (a full name) is for logs, parameters, the clock,
-    lifecycle or ROS actions."""
+    lifecycle, the bonds of lifecycle managers or ROS actions."""
     clock = topic == "/clock" and not output
-    return "/_" in topic or clock or topic in _EVERYWHERE or topic.endswith(_OF_LIFECYCLE)
+    return "/_" in topic or clock or topic in _EVERYWHERE or topic.endswith((_OF_LIFECYCLE, _BOND))
 
 
 def resolved(name: str, node: str) -> str:

@@ -26,7 +26,7 @@ from midstride.model.configuration import Configuration, to_fraction
 from midstride.model.contract import Contract, Predicate, explain, format_number, satisfies
 from midstride.model.diagnosis import Diagnosis
 from midstride.model.diagnostics import Problem, SubjectPath
-from midstride.model.gate_checks import gate_problems, gated_node_problems
+from midstride.model.gate_checks import gate_problems, gated_node_problems, managed_twice
 from midstride.model.name_checks import component_names, node_names, specification_names
 from midstride.model.respawn_checks import respawn_problems
 from midstride.model.rules import attachment_shortfall, normal_guarantee
@@ -54,6 +54,7 @@ def check(specification: Specification) -> tuple[Problem, ...]:
     found += _context_problems(specification)
     for role, node in specification.nodes.items():
         found += _node_problems(specification, node, ("nodes", role))
+    found += managed_twice(specification)
     found += _too_many_publishers(specification)
     found += _capacities(specification)
     found += _constraint_problems(specification)

@@ -14,6 +14,8 @@ from midstride.plan.plan import Plan
 # specification states no other time to activate (docs/how-to/unmodified-nodes.md).
 DEACTIVATE: Final = 5.0
 ACTIVATE: Final = 5.0
+# How long it may take to ask the nodes for their states meanwhile (s), if the new one fails and the old one returns.
+ASKING: Final = 3.0
 
 
 def expected_losses(plan: Plan) -> verdicts.Assessments:
@@ -37,8 +39,11 @@ def _silences(plan: Plan) -> Iterator[verdicts.Assessment]:
         for swap in step.action.swaps if isinstance(step.action, Handover) else ():
             old, new = (instances[port.instance].component.gate for port in (swap.old, swap.new))
             if old == new == "lifecycle":
-                longest = DEACTIVATE + (instances[swap.new.instance].component.activate_seconds or ACTIVATE)
-                yield verdicts.will_be_inactive(swap.connector, swap.old.instance, swap.new.instance, longest)
+                sides = (instances[port.instance].component for port in (swap.old, swap.new))
+                activate_old, activate_new = (each.activate_seconds or ACTIVATE for each in sides)
+                longest = DEACTIVATE + activate_new
+                back = longest + ASKING + activate_old
+                yield verdicts.will_be_inactive(swap.connector, swap.old.instance, swap.new.instance, longest, back)
 
 
 def _exchanges(plan: Plan) -> Iterator[verdicts.Assessment]:

@@ -23,12 +23,15 @@ from midstride.capture.probe import (
     probe,
     probed_inputs,
 )
+from midstride.capture.taken_over import note_managers, words_on
 from midstride.cli.input_files import require_file, require_new, write
 from midstride.cli.output import NO, is_interactive, json_option, print_json, stride_output, wants_json
 from midstride.cli.running_systems import find_workspace, system_option
 from midstride.errors import MidstrideError
 from midstride.foreign.page import GATES_FOLDER
+from midstride.lang.load import load
 from midstride.lang.source_files import read_text
+from midstride.model.lifecycle_management import MANAGEMENTS, Management
 from midstride.model.wording import counted
 
 
@@ -50,6 +53,11 @@ from midstride.model.wording import counted
     show_default=True,
     help="How long an input is closed at a time.",
 )
+@click.option(
+    "--lifecycle",
+    type=click.Choice(MANAGEMENTS),
+    help="What manages lifecycle nodes from now on; by default, the manager that does, else Midstride.",
+)
 @click.option("--yes", "-y", is_flag=True, help="Probe without asking for confirmation.")
 @system_option
 @json_option
@@ -60,6 +68,7 @@ def capture_command(
     rates: bool,
     with_probe: bool,
     probe_seconds: float,
+    lifecycle: Management | None,
     yes: bool,
     system: str | None,
 ) -> int:
@@ -70,6 +79,8 @@ def capture_command(
     printed, or written with `-o`.
     With `--probe`, the inputs of nodes that have a gate and run under `midstride up` are closed one after another. This
     disturbs the running system: a node misses what it would receive, and what depends on that stops.
+    Lifecycle nodes that nothing manages get `gate lifecycle preload`. Those of a lifecycle manager do with `--lifecycle
+    midstride`, which leaves the manager out of FILE.
     """
     if with_probe and not (yes or is_interactive()):
         raise click.UsageError("not a terminal; pass --yes")
@@ -92,13 +103,17 @@ def capture_command(
         return NO
     added, left, target = graph.nodes(), dict[str, str](), output
     if into is not None:
-        insertion = insert(read_text(into), str(into), graph, rates, findings)
+        if (stated := load(into).specification) is not None:
+            note_managers(graph, stated)
+        insertion = insert(read_text(into), str(into), graph, rates, findings, lifecycle)
         text, added, left, target = insertion.text, insertion.added, insertion.left, output or into
+        managed = insertion.lifecycle
     else:
-        text = draft("captured", graph, rates, findings)
+        text = draft("captured", graph, rates, findings, lifecycle)
+        managed = words_on(graph, lifecycle, added)
     if target is not None:
         write(target, text)
-    _report(text, target, graph, added, left, findings)
+    _report(text, target, graph, added, left, managed, findings)
     return 0
 
 
@@ -139,7 +154,13 @@ def _probed(
 
 
 def _report(
-    text: str, target: Path | None, graph: ObservedGraph, added: list[str], left: dict[str, str], findings: Dependences
+    text: str,
+    target: Path | None,
+    graph: ObservedGraph,
+    added: list[str],
+    left: dict[str, str],
+    managed: list[str],
+    findings: Dependences,
 ) -> None:
     endpoints = [each for node in added for each in graph.of_node(node)]
     if wants_json():
@@ -151,6 +172,7 @@ def _report(
                 "nodes": added,
                 "ports": len(endpoints),
                 "left": left,
+                "lifecycle": managed,
                 "probed": [
                     {"node": node, "input": one, "output": other, "verdict": each.verdict, "evidence": each.because}
                     for (node, one, other), each in sorted(findings.items())
@@ -162,6 +184,8 @@ def _report(
         click.echo(text, nl=False)
     for node, reason in left.items():
         click.echo(f"{node}: nothing added: {reason}", err=True)
+    for words in managed:
+        click.echo(words, err=True)
     for type_ in sorted(graph.unreadable):
         click.echo(f"{type_}: its package is not here, so rates are not measured", err=True)
     where = f" in {target}" if target is not None else ""

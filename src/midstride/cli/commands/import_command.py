@@ -11,6 +11,7 @@ import click
 from midstride.cli.input_files import require_file, require_new, write
 from midstride.cli.output import json_option, print_json, stride_output, wants_json
 from midstride.launch_files.launch_import import Imported, import_launch_file, parameter_file_beside
+from midstride.model.lifecycle_management import MANAGEMENTS, Management
 from midstride.model.wording import counted
 
 # The exit status of an import that has left something out.
@@ -25,9 +26,21 @@ INCOMPLETE: Final = 3
     "--run-python", is_flag=True, help="Carry out launch files in Python, which are programs, by ROS's own `launch`."
 )
 @click.option("--run-commands", is_flag=True, help="Carry out `$(command …)`, which runs programs, such as xacro.")
+@click.option(
+    "--lifecycle",
+    type=click.Choice(MANAGEMENTS),
+    default="manager",
+    show_default=True,
+    help="What manages the nodes of a lifecycle manager, such as Nav2's: it, or Midstride without it.",
+)
 @json_option
 def import_command(
-    file: Path, arguments: tuple[str, ...], output: Path | None, run_python: bool, run_commands: bool
+    file: Path,
+    arguments: tuple[str, ...],
+    output: Path | None,
+    run_python: bool,
+    run_commands: bool,
+    lifecycle: Management,
 ) -> int:
     """Write a specification of what a launch file in XML or YAML starts, without ROS.
 
@@ -40,7 +53,7 @@ def import_command(
     beside = None if output is None else parameter_file_beside(output)
     require_new(output)
     require_new(beside)
-    imported = import_launch_file(file, _arguments(arguments), os.environ, output, run_python, run_commands)
+    imported = import_launch_file(file, _arguments(arguments), os.environ, output, run_python, run_commands, lifecycle)
     if output is not None:
         write(output, imported.text)
     if beside is not None and imported.parameters is not None:

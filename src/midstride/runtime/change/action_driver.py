@@ -34,6 +34,7 @@ from midstride.model.specification import handover_seconds
 from midstride.plan.state_continuity import left_behind, without_outputs
 from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.change.change_phases import ChangePhase
+from midstride.runtime.change.managed_nodes import require_unmanaged_at_its_end
 from midstride.runtime.change.mode_changes import ModeChanges
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.handover.cut_turns import CutTurn, only_turn
@@ -221,6 +222,8 @@ class ActionDriver:
             # attached to another connector of the same topic.
             case Remove(instance) if not self.system.life.has_exited(instance):
                 self._require_successor(instance)
+                if not self.rolling_back:
+                    require_unmanaged_at_its_end(self.system.life, instance)
                 await self._change_answering(instance, runs=True)
                 await self._remove(action, budget)
                 await self._change_answering(instance, runs=False)  # if it did not respond

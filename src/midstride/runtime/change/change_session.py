@@ -41,6 +41,7 @@ from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.crash_during_change import CrashResponse
 from midstride.runtime.change.executor import Executor
 from midstride.runtime.change.foreign_losses import foreign_losses
+from midstride.runtime.change.managed_nodes import require_unmanaged
 from midstride.runtime.change.parameter_transfer import ParameterTransfer, unread_parameters
 from midstride.runtime.change.reconciler import Reconciler
 from midstride.runtime.change.running_change import RunningChange
@@ -114,6 +115,7 @@ class ChangeSession:
             _plan, request, system.specification, system.configuration, values, measured, orders, away
         )
         require_arbiters(plan)
+        await require_unmanaged(plan, self.client)
         left = (f"{role} does not run, and stays so: {system.remedy(role)}" for role in away)
         asked = ((old, system.life.latest(old)) for old in plan.change.replaced)
         unread = [

@@ -366,8 +366,9 @@ class LiveHandover:
             if incoming.outcome != "done" and not any(incoming.first.values()):
                 reason = reason or await self._new.waits_for(cut.new)
                 what = "publish after the cut" if cut.swaps else "take over"
-                # An old side that is busy with exporting its state does not hang.
-                failed = OldSideFailed if because is None else StepFailed
+                # An old side that is busy with exporting its state does not hang. A lifecycle node that could not be
+                # deactivated may: it is asked.
+                failed = OldSideFailed if because is None or cut.arbiter.exchange else StepFailed
                 raise failed(f"{cut.new} did not {what}; {cut.old} continues{reason}")
             # A new side that has published, and is still reporting it, has taken over if the old one knows.
             if incoming.outcome not in ("done", "waiting") or outgoing.outcome != "done":

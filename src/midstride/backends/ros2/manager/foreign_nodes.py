@@ -28,6 +28,7 @@ from midstride.foreign import build
 from midstride.foreign.gated_agent import ForeignAgent
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import GraphEndpoint, Served, endpoints_seconds
+from midstride.foreign.lifecycle_managers import LifecycleManagers
 from midstride.foreign.lifecycle_outputs import LifecyclePeers
 from midstride.foreign.mode_parameters import typed
 from midstride.foreign.page import PAGE, Page
@@ -73,6 +74,7 @@ class ForeignNodes:
         self._graph = graph
         self._served = served
         self._peers = LifecyclePeers()
+        self._managers = LifecycleManagers(services)
         self._reported = ReportedStates()
         self._page: Page | None = None
         self._agents: dict[str, ForeignAgent] = {}
@@ -276,6 +278,7 @@ class ForeignNodes:
         graph = None if self._graph is None else partial(self._graph, record.node)
         served = None if self._served is None else partial(self._served, record.node)
         before = None if self._graph is None or not record.predecessor else self._graph(record.predecessor)
+        follows = self._served is not None and bool(record.predecessor) and not record.welcomed
         agent = ForeignAgent(
             record,
             self._folder,
@@ -286,6 +289,8 @@ class ForeignNodes:
             self._reported,
             served=served,
             before=before or (),
+            predecessor=self._services(record.predecessor) if record.predecessor and follows else None,
+            managers=self._managers,
         )
         self._agents[record.instance] = agent
         await agent.open(self._transport)
@@ -324,6 +329,7 @@ class ForeignNodes:
         for task in list(self._finding.values()):
             task.cancel()
         await asyncio.gather(*(agent.close() for agent in agents), *self._closing)
+        self._managers.close()
 
 
 def ros_arguments(

@@ -23,6 +23,7 @@ from midstride.backends.ros2.component import port_endpoints
 from midstride.backends.ros2.middleware import RmwImplementation
 from midstride.backends.ros2.names import InstanceNode
 from midstride.foreign.graph_check import GraphEndpoint, Served
+from midstride.foreign.lifecycle_managers import LifecycleManager
 from midstride.model.instance_names import full_name, split_name
 from midstride.runtime.backend_protocol import Endpoints
 
@@ -128,7 +129,25 @@ class Graph:
                 served.add(f"ROS action {action}")
             elif not any(type_.startswith(_OF_EVERY_NODE) for type_ in types):
                 served.add(f"service {name}")
-        return Served(tuple(sorted(served)), has_lifecycle)
+        return Served(tuple(sorted(served)), has_lifecycle, tuple(self._managers(node)) if has_lifecycle else ())
+
+    def _managers(self, node: str) -> Iterator[LifecycleManager]:
+        """The nodes that change its lifecycle state, but for hidden ones: those of ROS's tools and of Midstride."""
+        service = f"{node}/change_state"
+        if not self._node.count_clients(service):
+            return
+        written = {topic for topic in self._topics_of(node, output=True) if topic.endswith("/bond")}
+        for name in sorted({*self._node_names()} - {node}):
+            if not names.is_hidden(name) and service in (called := self._called_by(name)) and self.has(name):
+                bond = not written.isdisjoint(self._topics_of(name, output=False))
+                yield LifecycleManager(name, asks=f"{node}/get_state" in called, bond=bond)
+
+    def _called_by(self, node: str) -> set[str]:
+        """The services that a node calls."""
+        try:
+            return {name for name, _ in self._node.get_client_names_and_types_by_node(*split_name(node))}
+        except NodeNameNonExistentError:
+            return set()
 
     def _under(self, full_name: str) -> Iterator[Any]:
         """The endpoints that are shown under that name."""

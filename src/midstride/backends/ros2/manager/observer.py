@@ -10,7 +10,7 @@ from typing import Any, Final
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
+from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from midstride.backends.common_messages import message_class
@@ -27,6 +27,8 @@ PATIENCE: Final = 10.0
 # How long a publisher that exists only while something subscribes may take to go (s).
 LEAVES: Final = 1.5
 _DEPTH: Final = 1000
+_CHANGE_STATE: Final = "change_state"
+_CHANGES_STATE: Final = "lifecycle_msgs/srv/ChangeState"
 _NODE: Final = "_midstride_capture"
 
 
@@ -77,6 +79,29 @@ def _look(node: Any, graph: ObservedGraph, subscribed: set[str]) -> None:
         if wanted and topic not in subscribed:
             subscribed.add(topic)
             _subscribe(node, graph, wanted)
+    _look_at_lifecycle(node, graph)
+
+
+def _look_at_lifecycle(node: Any, graph: ObservedGraph) -> None:
+    """Note which nodes serve `change_state`, and which call it; not ROS's tools, nor a manager of Midstride."""
+    for own, namespace in node.get_node_names_and_namespaces():
+        if own.startswith("_"):
+            continue
+        name = full_name(own, namespace)
+        try:
+            served = node.get_service_names_and_types_by_node(own, namespace)
+            called = node.get_client_names_and_types_by_node(own, namespace)
+        except NodeNameNonExistentError:  # it has ended meanwhile
+            continue
+        if any(service == f"{name}/{_CHANGE_STATE}" and _CHANGES_STATE in types for service, types in served):
+            graph.lifecycle.add(name)
+        managed = {
+            service.removesuffix(f"/{_CHANGE_STATE}")
+            for service, types in called
+            if service.endswith(f"/{_CHANGE_STATE}") and _CHANGES_STATE in types
+        }
+        if managed - {name}:
+            graph.managers.setdefault(name, set()).update(managed - {name})
 
 
 def _find_lazy(node: Any, graph: ObservedGraph) -> None:

@@ -1,0 +1,204 @@
+"""Lifecycle nodes that another program manages, in virtual time: what may be replaced, and what a plan refuses."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
+from midstride.errors import PlanRefused
+from midstride.foreign import lifecycle_managers
+from midstride.foreign.gated_agent import GRAPH_LOOK
+from midstride.foreign.graph_check import Served
+from midstride.foreign.lifecycle_managers import LifecycleManager, reason_to_stay
+from midstride.foreign.lifecycle_transitions import ACTIVE, INACTIVE
+from midstride.plan.forms.plan_forms import PlanPreview
+from midstride.plan.request import PlanRequest
+from midstride.runtime.manager import Manager
+from tests.foreign import simulated
+from tests.foreign.chat import chat
+from tests.foreign.simulated import SimulatedNode, SimulatedRos, _Transport
+
+MANAGER = LifecycleManager("/manager", asks=True)
+NAV2: dict[str, Any] = {"node_names": ["planner"], "autostart": True}
+PLANNER = """system robot
+component Planner { run "planner" gate none }
+component Slow { run "planner" activate 9 s gate none }
+component Hasty { run "planner" activate 2 s gate none }
+component Broken { run "planner" gate none }
+node planner : Planner
+"""
+BEHAVIOUR: dict[str, dict[str, Any]] = {
+    "Slow": {"slow": {"activate": 8.0}},
+    "Hasty": {"slow": {"activate": 8.0}},
+    "Broken": {"refuses": {ACTIVE}},
+}
+RESTART = PlanRequest(restart=("planner",))
+
+
+class ManagedRos(SimulatedRos):
+    """A simulator whose nodes are lifecycle nodes of ``managers``, as the graph shows them."""
+
+    managers: tuple[LifecycleManager, ...] = (MANAGER,)
+
+    def _agents(self) -> ForeignNodes:
+        services = self._services_of
+        return ForeignNodes(self._folder, _Transport(self.control), services, served=self._served)
+
+    def _services_of(self, node: str) -> SimulatedNode | None:
+        return self.nodes.get(node.strip("/"))
+
+    def _served(self, node: str) -> Served:
+        """The manager knows the first node of its name."""
+        known = node in ("/planner", "/talker")
+        return Served((), has_lifecycle=True, managers=self.managers if known else ())
+
+    def runs_manager(self, **parameters: Any) -> None:
+        self.nodes["manager"] = SimulatedNode("manager", self.events, values=parameters)
+
+
+def managed(
+    folder: Path, body: Callable[[Manager, ManagedRos], Awaitable[None]], text: str = PLANNER, **parameters: Any
+) -> None:
+    simulator = ManagedRos(folder / "gates", BEHAVIOUR)
+    simulator.runs_manager(**parameters)
+
+    async def begun(manager: Manager, _: SimulatedRos) -> None:
+        if "planner" in simulator.nodes:
+            simulator.nodes["planner"].state = ACTIVE  # its manager has done that
+        await asyncio.sleep(2 * GRAPH_LOOK)
+        await body(manager, simulator)
+
+    simulated.managed(folder, text, begun, simulator=simulator)
+
+
+@pytest.mark.parametrize(
+    ("manager", "parameters", "because"),
+    [
+        (MANAGER, {**NAV2, "bond_timeout": 4.0}, "/manager has a bond of 4 s with /planner"),
+        (replace(MANAGER, bond=True), {}, "/manager has a bond with /planner, which another process cannot continue"),
+        (MANAGER, {}, "/manager may ask /planner/get_state at any time"),
+        (MANAGER, {"bond_timeout": 0.0}, "/manager may ask /planner/get_state"),
+        (MANAGER, {**NAV2, "bond_timeout": 0.0}, None),
+        (replace(MANAGER, asks=False), {}, None),
+    ],
+)
+def test_what_a_manager_would_notice_is_known_by_its_calls_and_by_nav2_s_parameters(
+    manager: LifecycleManager, parameters: dict[str, Any], because: str | None
+) -> None:
+    found = reason_to_stay("/planner", manager, parameters)
+    assert found is None if because is None else because in str(found)
+
+
+@pytest.mark.parametrize("request_", [RESTART, PlanRequest(remove=("planner",))])
+def test_what_would_make_a_manager_deactivate_all_is_refused_in_the_plan(tmp_path: Path, request_: PlanRequest) -> None:
+    async def body(manager: Manager, simulator: ManagedRos) -> None:
+        with pytest.raises(PlanRefused, match="planner cannot be replaced or removed") as refused:
+            await manager.plan(request_)
+        assert "has a bond of 4 s" in str(refused.value) and "--lifecycle midstride" in str(refused.value)
+        outcome = await manager.change(request_)
+        assert (outcome.outcome, outcome.because) == ("refused", str(refused.value))
+        assert simulator.events == [] and simulator.nodes["planner"].state == ACTIVE
+
+    managed(tmp_path, body, **NAV2, bond_timeout=4.0)
+
+
+def test_a_manager_that_has_ended_holds_nothing_back_at_once(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: ManagedRos) -> None:
+        simulator.managers = ()
+        outcome = await manager.change(RESTART)
+        assert (outcome.outcome, outcome.because) == ("done", None)
+        assert simulator.active() == ["planner_2"], "it is taken to the state of the old one all the same"
+
+    managed(tmp_path, body)
+
+
+def test_where_the_manager_does_not_notice_the_successor_is_active_before_the_old_one_ends(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: ManagedRos) -> None:
+        plan = PlanPreview.of(await manager.plan(RESTART)).continuity
+        assert plan and plan.verdict == "not_measurable"
+        assert "its lifecycle services, which /manager calls" in plan.headline
+        outcome = await manager.change(RESTART)
+        assert (outcome.outcome, outcome.because) == ("done", None)
+        assert simulator.events == ["planner_2 configure", "planner_2 activate", "planner ended"]
+        # The next one is managed by nothing: it is taken to the state of this one as well.
+        assert (await manager.change(RESTART)).outcome == "done"
+        assert simulator.active() == ["planner_3"]
+
+    managed(tmp_path, body, **NAV2, bond_timeout=0.0)
+
+
+def test_the_successor_of_a_node_that_is_not_active_is_not_active(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: ManagedRos) -> None:
+        simulator.nodes["planner"].state = INACTIVE  # its manager has paused all
+        assert (await manager.change(RESTART)).outcome == "done"
+        assert simulator.events == ["planner_2 configure", "planner ended"]
+
+    managed(tmp_path, body, **NAV2, bond_timeout=0.0)
+
+
+def test_a_successor_that_does_not_become_active_in_its_time_leaves_the_old_one_as_it_is(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: ManagedRos) -> None:
+        outcome = await manager.change(PlanRequest(replace=(("planner", "Hasty"),)))
+        assert outcome.outcome == "rolled_back"
+        assert "planner_2 has not answered `activate` within 2 s" in str(outcome.because)
+        assert simulator.active() == ["planner"] and "planner ended" not in simulator.events
+        outcome = await manager.change(PlanRequest(replace=(("planner", "Slow"),)))
+        assert (outcome.outcome, outcome.because) == ("done", None)
+
+    managed(tmp_path, body, **NAV2, bond_timeout=0.0)
+
+
+def test_a_manager_that_comes_while_a_change_is_under_way_keeps_the_old_node(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lifecycle_managers, "_REMEMBERED", 0.0)
+
+    async def body(manager: Manager, simulator: ManagedRos) -> None:
+        change = asyncio.ensure_future(manager.change(PlanRequest(replace=(("planner", "Slow"),))))
+        await asyncio.sleep(1.0)
+        simulator.nodes["manager"].values["bond_timeout"] = 4.0
+        outcome = await change
+        assert outcome.outcome == "rolled_back" and "has a bond of 4 s with /planner" in str(outcome.because)
+        assert simulator.active() == ["planner"]
+
+    managed(tmp_path, body, **NAV2, bond_timeout=0.0)
+
+
+def test_that_two_programs_manage_a_node_is_a_fault_of_the_status(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: ManagedRos) -> None:
+        (said, *_) = (each for each in (await manager.status()).condition.faults if "/talker" in each)
+        assert "lifecycle manager /manager changes the state of /talker, and so does Midstride" in said
+        simulator.managers = ()
+        await asyncio.sleep(2 * GRAPH_LOOK)
+        assert (await manager.status()).condition.state == "up"
+
+    managed(tmp_path, body, chat("lifecycle"))
+
+
+def test_a_lifecycle_node_that_states_no_ports_yet_is_active_from_its_start(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: ManagedRos) -> None:
+        assert simulator.active() == ["planner"]
+        revision = manager.system.life.latest_states["planner"].state.revision
+        simulator.nodes["planner"].state = INACTIVE
+        await asyncio.sleep(2 * GRAPH_LOOK)
+        (fault,) = (await manager.status()).condition.faults
+        assert fault == "lifecycle node /planner is inactive, and was active before"
+        assert manager.system.life.latest_states["planner"].state.revision == revision
+        simulator.nodes["planner"].state = ACTIVE
+        outcome = await manager.change(RESTART)
+        assert (outcome.outcome, outcome.because) == ("done", None) and simulator.active() == ["planner_2"]
+
+    simulator = ManagedRos(tmp_path / "gates")
+    simulator.managers = ()
+
+    async def begun(manager: Manager, _: SimulatedRos) -> None:
+        await asyncio.sleep(2 * GRAPH_LOOK)
+        await body(manager, simulator)
+
+    simulated.managed(tmp_path, PLANNER.replace("gate none", "gate lifecycle"), begun, simulator=simulator)
