@@ -4,6 +4,7 @@ Nav2's bonds are messages of `bond/msg/Status`, which no wheel has. Here the sam
 """
 
 import uuid
+from contextlib import suppress
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -38,7 +39,5 @@ class NavNode(LifecycleNode):
 
 def run(node_class: type) -> None:
     rclpy.init()
-    try:
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(node_class())
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
